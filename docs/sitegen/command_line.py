@@ -5,7 +5,7 @@ import textwrap
 from collections import defaultdict
 from collections.abc import Mapping
 
-from dpbench.cli.arguments import parser
+from dpbench.cli.arguments import make_parser
 from sitegen.markup import code, prose, table
 
 INTRODUCTION = """# Command line
@@ -28,7 +28,7 @@ def pages() -> dict[str, str]:
 
 def commands() -> Mapping[str, tuple[argparse.ArgumentParser, str]]:
     """Every command by name: its parser, and what it does in a line."""
-    whole = parser(defaultdict(lambda: lambda arguments: 0))
+    whole = make_parser(defaultdict(lambda: lambda arguments: 0))
     (subparsers,) = (a for a in whole._actions if isinstance(a, argparse._SubParsersAction))
     summaries = {choice.dest: choice.help or "" for choice in subparsers._choices_actions}
     return {name: (subparsers.choices[name], text) for name, text in summaries.items()}

@@ -44,7 +44,7 @@ class Benchmark:
     complaints: tuple[str, ...] = ()
 
     @classmethod
-    def read(cls, entry: Mapping[str, Any]) -> "Benchmark":
+    def from_json_entry(cls, entry: Mapping[str, Any]) -> "Benchmark":
         """Read an entry of a JSON file; KeyError, TypeError or ValueError if it is none."""
         stats, extra = entry["stats"], entry.get("extra_info", {})
         reference = extra.get("reference_ns")
@@ -54,7 +54,7 @@ class Benchmark:
         name = str(entry["fullname"])
         # Without the route: a change of a solver slows it on each.
         solver = str(extra.get("solver", name)).partition(" (")[0]
-        state = MachineState.read(extra[KEY]).complaints() if KEY in extra else []
+        state = MachineState.from_stored_state(extra[KEY]).complaints() if KEY in extra else []
         return cls(
             name,
             times[0],
@@ -92,9 +92,11 @@ class BenchmarkRun:
     imported: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, entries: Iterable[Mapping[str, Any]], failed: Mapping[str, str]) -> "BenchmarkRun":
+    def from_json_entries(
+        cls, entries: Iterable[Mapping[str, Any]], failed: Mapping[str, str]
+    ) -> "BenchmarkRun":
         """Return the run of the entries of a JSON file; one that failed has no time."""
-        found = {one.name: one for one in map(Benchmark.read, entries)}
+        found = {one.name: one for one in map(Benchmark.from_json_entry, entries)}
         return cls({name: found[name] for name in found if name not in failed}, dict(failed))
 
     @property
@@ -114,7 +116,7 @@ def list_imported_files() -> list[str]:
         if not isinstance(name, str):
             continue
         file = Path(name).resolve()
-        if is_installed(file):
+        if is_in_site_packages(file):
             if "." not in module.__name__:
                 found.add(file)
         elif not any(file.is_relative_to(folder) for folder in standard):
@@ -122,7 +124,7 @@ def list_imported_files() -> list[str]:
     return sorted(map(str, found))
 
 
-def is_installed(file: Path) -> bool:
+def is_in_site_packages(file: Path) -> bool:
     """Return True if a file is in site-packages."""
     return not {"site-packages", "dist-packages"}.isdisjoint(file.parts)
 
@@ -131,7 +133,7 @@ def load_run(path: Path) -> BenchmarkRun:
     """Read the benchmarks in a JSON file; InputError for a file that has none."""
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
-        run = BenchmarkRun.of(stored["benchmarks"], stored.get(FAILED, {}))
+        run = BenchmarkRun.from_json_entries(stored["benchmarks"], stored.get(FAILED, {}))
         run = replace(run, imported=tuple(map(str, stored.get(IMPORTED, ()))))
     except OSError as error:
         raise InputError(str(path), "", error.strerror or "unreadable", ALLOWED) from error

@@ -166,20 +166,26 @@ def compare_runs(
         elif name not in now:
             rows.append(Row(name, GONE))
         elif name in times:
-            rows.append(_judge(name, pairs, *times[name]))
+            rows.append(_judge_benchmark(name, pairs, *times[name]))
         else:
             why = [base.failed[name] for base, _ in pairs if name in base.failed][:1]
-            rows.append(Row(name, NEW if is_timed else NO_BASELINE, remarks=(*map(_in_base, why),)))
+            rows.append(
+                Row(
+                    name,
+                    NEW if is_timed else NO_BASELINE,
+                    remarks=(*map(_explain_missing_base_time, why),),
+                )
+            )
     rows.sort(key=lambda row: ORDER.index(row.verdict))
     return RunComparison(rows, allow_gone)
 
 
-def _in_base(reason: str) -> str:
+def _explain_missing_base_time(reason: str) -> str:
     """State why a benchmark of the base has no time."""
     return f"failed in the base: {reason}"
 
 
-def _judge(name: str, pairs: Pairs, time: Assessment, complaints: Sequence[str]) -> Row:
+def _judge_benchmark(name: str, pairs: Pairs, time: Assessment, complaints: Sequence[str]) -> Row:
     """Judge a benchmark that both revisions have timed; complaints take its time's verdict."""
     both = [
         (base.benchmarks[name], head.benchmarks[name])
@@ -240,14 +246,14 @@ def _assess_times(pairs: Pairs, margin: float) -> dict[str, tuple[Assessment, li
         elif both:
             loud[name] = both
     found: dict[str, tuple[Assessment, list[str]]] = {
-        name: (one, []) for name, one in _assess_family(quiet, margin).items()
+        name: (one, []) for name, one in _assess_ratios_together(quiet, margin).items()
     }
-    complaints = {name: _complaints(both) for name, both in loud.items()}
-    loud_found = _assess_family(loud, margin).items()
+    complaints = {name: _describe_disturbed_runs(both) for name, both in loud.items()}
+    loud_found = _assess_ratios_together(loud, margin).items()
     return found | {name: (one, complaints[name]) for name, one in loud_found}
 
 
-def _complaints(both: Sequence[tuple[Benchmark, Benchmark]]) -> list[str]:
+def _describe_disturbed_runs(both: Sequence[tuple[Benchmark, Benchmark]]) -> list[str]:
     """Describe how many runs of a benchmark were disturbed, and the worst of them."""
     runs = [(side, one) for pair in both for side, one in zip(("base", "head"), pair, strict=True)]
     disturbed = [(side, one) for side, one in runs if one.complaints]
@@ -256,14 +262,16 @@ def _complaints(both: Sequence[tuple[Benchmark, Benchmark]]) -> list[str]:
     return [f"{count} ({side}: {', '.join(worst.complaints)})"]
 
 
-def _assess_family(
+def _assess_ratios_together(
     measured: dict[str, list[tuple[Benchmark, Benchmark]]], margin: float
 ) -> dict[str, Assessment]:
     """Assess the ratios of several benchmarks, each of one or more pairs, together."""
     if not measured:
         return {}
-    kernels = np.array([np.mean([_kernel_factor(*p) for p in both]) for both in measured.values()])
-    estimates = [_estimate_ratio(both) for both in measured.values()]
+    kernels = np.array(
+        [np.mean([_compute_log_kernel_ratio(*p) for p in both]) for both in measured.values()]
+    )
+    estimates = [_estimate_mean_log_ratio(both) for both in measured.values()]
     logs, own = np.array([one for one, _ in estimates]), np.array([one for _, one in estimates])
     groups = ["plain" if np.isnan(kernel) else "kernel" for kernel in kernels]
     solvers = [both[0][1].solver for both in measured.values()]
@@ -271,11 +279,12 @@ def _assess_family(
     return dict(zip(measured, assess_ratios(evidence, margin, ALPHA), strict=True))
 
 
-def _estimate_ratio(both: Sequence[tuple[Benchmark, Benchmark]]) -> tuple[float, float]:
+def _estimate_mean_log_ratio(both: Sequence[tuple[Benchmark, Benchmark]]) -> tuple[float, float]:
     """Return the mean log ratio of pairs of runs, less the kernel's, and its standard error."""
     logs = np.array(
         [
-            np.log(now.minimum_s / was.minimum_s) - np.nan_to_num(_kernel_factor(was, now))
+            np.log(now.minimum_s / was.minimum_s)
+            - np.nan_to_num(_compute_log_kernel_ratio(was, now))
             for was, now in both
         ]
     )
@@ -288,7 +297,7 @@ def _estimate_ratio(both: Sequence[tuple[Benchmark, Benchmark]]) -> tuple[float,
     return float(logs.mean()), float(np.sqrt(max(moderated, squares / df) / len(logs)))
 
 
-def _kernel_factor(was: Benchmark, now: Benchmark) -> float:
+def _compute_log_kernel_ratio(was: Benchmark, now: Benchmark) -> float:
     """Return the log ratio of the reference kernel of two runs; NaN where one did not time it."""
     if was.reference_ns is None or now.reference_ns is None:
         return np.nan

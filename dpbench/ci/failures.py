@@ -32,7 +32,7 @@ class FailedBenchmarks:
     @pytest.hookimpl(optionalhook=True)
     def pytest_benchmark_update_json(self, output_json: dict[str, Any]) -> None:
         """Add the failures and the imported files to the JSON file."""
-        output_json |= self._additions()
+        output_json |= self._collect_failures_and_files()
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self) -> None:
@@ -44,9 +44,9 @@ class FailedBenchmarks:
             return
         # Older releases of pytest-benchmark have opened the file.
         path = Path(getattr(target, "name", "")) if hasattr(target, "write") else Path(target)
-        content = json.dumps({"benchmarks": []} | self._additions())
+        content = json.dumps({"benchmarks": []} | self._collect_failures_and_files())
         path.write_text(content, encoding="utf-8")
 
-    def _additions(self) -> dict[str, Any]:
+    def _collect_failures_and_files(self) -> dict[str, Any]:
         """Return what is stored beside the benchmarks that were timed."""
         return {FAILED: self.reasons, IMPORTED: list_imported_files()}

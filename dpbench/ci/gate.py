@@ -31,7 +31,7 @@ from dpbench.ci.comparison import (
 from dpbench.errors import InputError
 
 
-def measure_again(
+def measure_suspects_again(
     was: BenchmarkRun, now: BenchmarkRun, retries: int, console: Console
 ) -> BenchmarkRun:
     """Run what looks worse or was disturbed again, at most so many times; keep the better times."""
@@ -43,7 +43,9 @@ def measure_again(
         console.print(f"measuring {len(doubtful)} again, not the baseline", soft_wrap=True)
         again = _run_benchmarks(doubtful)
         kept = {
-            name: _merge_best(was.benchmarks[name], now.benchmarks[name], again[name])
+            name: _merge_repeated_measurements(
+                was.benchmarks[name], now.benchmarks[name], again[name]
+            )
             for name in doubtful
             if name in again
         }
@@ -60,7 +62,7 @@ def _run_benchmarks(names: Sequence[str]) -> dict[str, Benchmark]:
         return load_run(path).benchmarks if done.returncode == 0 else {}
 
 
-def _merge_best(was: Benchmark, *measured: Benchmark) -> Benchmark:
+def _merge_repeated_measurements(was: Benchmark, *measured: Benchmark) -> Benchmark:
     """Return the fastest of the least disturbed measurements, with the least exact measures."""
     exact = min(measured, key=lambda one: len(find_exact_changes(was, one))).exact
     fastest = min(
@@ -97,7 +99,7 @@ def main(argv: list[str] | None = None) -> int:
             console.print(f"{why}: stored {baseline}, nothing compared", soft_wrap=True)
             return 0
         was = load_run(baseline)
-        now = measure_again(was, now, arguments.retries, console)
+        now = measure_suspects_again(was, now, arguments.retries, console)
     except InputError as error:
         print(f"gate: {error}", file=sys.stderr)
         return 2

@@ -42,7 +42,7 @@ class MachineState:
     kernel_after_ns: float
 
     @classmethod
-    def read(cls, stored: Mapping[str, Any]) -> "MachineState":
+    def from_stored_state(cls, stored: Mapping[str, Any]) -> "MachineState":
         """Read a stored state, NaN for a hidden counter; TypeError or ValueError for no number."""
         return cls(*(float(stored.get(one.name, np.nan)) for one in fields(cls)))
 

@@ -67,22 +67,22 @@ class ReplayBenchmark:
         pytest.fail.Exception : an answer is beyond these requirements, or answers are remembered.
         InputError : for an unknown name or option, or a file that cannot be read.
         """
-        qps = thin_sequence(as_sequence(self._find(sequence, ".npz")), steps)
-        workspace = _open_solver(self._find(solver, ".py"), options)
+        qps = thin_sequence(as_sequence(self._find_given_file(sequence, ".npz")), steps)
+        workspace = _open_solver(self._find_given_file(solver, ".py"), options)
         run = replay(qps, workspace, repeats=2)
         self._store_facts(run)
         requirements = Requirements(error_move=error_move, failed_steps=failed_steps)
-        _check_answers(run, requirements)
+        _fail_on_wrong_answers(run, requirements)
         base, given = qps.base.copy(), [qps.step(k) for k in range(len(qps))]
         with watch_machine(self._benchmark):
-            self._benchmark(_build_pass(base, given, workspace))
-        if not _are_unchanged(qps, base, given):
+            self._benchmark(_make_pass_over_steps(base, given, workspace))
+        if not _are_arrays_unchanged(qps, base, given):
             pytest.fail(
                 f"{run.label} overwrites the problem: its time is of another", pytrace=False
             )
         return run
 
-    def _find(self, given: Given, suffix: str) -> Given | Path:
+    def _find_given_file(self, given: Given, suffix: str) -> Given | Path:
         """Return the path of a relative file that is given by name; anything else as it is."""
         if not isinstance(given, (str, Path)) or not str(given).endswith(suffix):
             return given
@@ -126,7 +126,7 @@ def _open_solver(solver: Workspace | str | Path, options: dict[str, Any]) -> Wor
     return open_workspace(solver, **options)
 
 
-def _check_answers(run: Run, requirements: Requirements) -> None:
+def _fail_on_wrong_answers(run: Run, requirements: Requirements) -> None:
     """Fail the test where a replay does not meet the requirements, with what was found."""
     (record,) = build_records(pd.DataFrame([run.summary]))
     if is_right(record, requirements):
@@ -140,7 +140,7 @@ def _check_answers(run: Run, requirements: Requirements) -> None:
     pytest.fail(f"{reason}: {found} by {run!r}", pytrace=False)
 
 
-def _build_pass(
+def _make_pass_over_steps(
     base: QuadraticProgram, steps: list[QPStep], workspace: Workspace
 ) -> Callable[[], None]:
     """Return a function that solves all steps once, without the harness's clocks and records."""
@@ -161,7 +161,9 @@ def _build_pass(
     return solve_all
 
 
-def _are_unchanged(sequence: QPSequence, base: QuadraticProgram, steps: list[QPStep]) -> bool:
+def _are_arrays_unchanged(
+    sequence: QPSequence, base: QuadraticProgram, steps: list[QPStep]
+) -> bool:
     """Return whether a solver has left the arrays as they were that it was given."""
     fresh = [sequence.base, *(sequence.step(k) for k in range(len(sequence)))]
     pairs = zip(fresh, [base, *steps], strict=True)

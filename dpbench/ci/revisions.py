@@ -22,7 +22,7 @@ from rich.console import Console
 
 from dpbench.bench.workers.interrupts import first_signal_only
 from dpbench.ci import MARGIN
-from dpbench.ci.benchmarks import BenchmarkRun, is_installed, load_run
+from dpbench.ci.benchmarks import BenchmarkRun, is_in_site_packages, load_run
 from dpbench.ci.comparison import DISTURBED, NOT_TIMED, Row, RunComparison, compare_runs
 from dpbench.errors import InputError, SituationError
 from dpbench.files.writing import write_bytes_to_file_or_pipe
@@ -70,7 +70,9 @@ def measure_tree(tree: Path, arguments: Sequence[str]) -> Measured:
             return Measured(BenchmarkRun(), reason)
 
 
-def check_imports(trees: tuple[Path, Path], runs: tuple[BenchmarkRun, BenchmarkRun]) -> None:
+def require_imports_of_own_files(
+    trees: tuple[Path, Path], runs: tuple[BenchmarkRun, BenchmarkRun]
+) -> None:
     """Raise SituationError where both trees were not measured with files of their own.
 
     That is where a run of one has imported a file of the other (a file is of the innermost tree,
@@ -86,7 +88,7 @@ def check_imports(trees: tuple[Path, Path], runs: tuple[BenchmarkRun, BenchmarkR
                 raise SituationError(side, f"imports {file}: {REMEDY}")
     if folders[0] != folders[1]:
         for file in map(Path, sorted({*runs[0].imported}.intersection(runs[1].imported))):
-            if is_installed(file) and all(_has_module(one, file) for one in folders):
+            if is_in_site_packages(file) and all(_has_module(one, file) for one in folders):
                 raise SituationError("base and head", f"both import {file}: {REMEDY}")
 
 
@@ -105,10 +107,10 @@ def measure_by_turns(
     SituationError where a tree is not measured with its own files.
     """
     pairs: list[tuple[Measured, Measured]] = []
-    while len(pairs) < 2 * count and _count_quiet(pairs) < count:
+    while len(pairs) < 2 * count and _count_undisturbed_pairs(pairs) < count:
         # Neither is always the second.
         turns = (0, 1) if len(pairs) % 2 == 0 else (1, 0)
-        pair = f"pair {1 + _count_quiet(pairs)} of {count}"
+        pair = f"pair {1 + _count_undisturbed_pairs(pairs)} of {count}"
         measured: dict[int, Measured] = {}
         for turn in turns:
             start_s = time.monotonic()
@@ -117,7 +119,7 @@ def measure_by_turns(
             _print_progress(f"{pair}, {('base', 'head')[turn]}: {seconds:.0f} s")
         pairs.append((measured[0], measured[1]))
         base, head = pairs[-1]
-        check_imports(trees, (base.run, head.run))
+        require_imports_of_own_files(trees, (base.run, head.run))
         if not base.run.benchmarks or not head.run.benchmarks or head.run.failed:
             break
         if not (base.is_quiet and head.is_quiet):
@@ -126,7 +128,7 @@ def measure_by_turns(
     return pairs
 
 
-def _count_quiet(pairs: Sequence[tuple[Measured, Measured]]) -> int:
+def _count_undisturbed_pairs(pairs: Sequence[tuple[Measured, Measured]]) -> int:
     """Count the pairs of runs that nothing disturbed."""
     return sum(base.is_quiet and head.is_quiet for base, head in pairs)
 

@@ -32,7 +32,7 @@ class SessionComparison:
         # No public hook has the benchmarks of a session that writes no JSON file.
         measured = self._config._benchmarksession.benchmarks  # type: ignore[attr-defined] # a private attribute
         entries = (one.as_dict() for one in measured if one and not one.has_error)
-        now = BenchmarkRun.of(entries, self._failed)
+        now = BenchmarkRun.from_json_entries(entries, self._failed)
         allow_gone: bool = self._config.getoption("dpbench_allow_gone")
         found = compare_runs([(self._baseline, now)], margin=self._margin, allow_gone=allow_gone)
         found.print(Console(file=self._text, width=120), [describe_end(found, str(self._path))])

@@ -35,7 +35,7 @@ class _TerseParser(argparse.ArgumentParser):
         raise SystemExit(2)
 
 
-def parser(calls: Mapping[str, Callable[..., int | None]]) -> argparse.ArgumentParser:
+def make_parser(calls: Mapping[str, Callable[..., int | None]]) -> argparse.ArgumentParser:
     """Make the command line's parser; `calls` maps commands to the functions that run them."""
     whole = _TerseParser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
     whole.add_argument("--version", action="version", version=f"dpbench {version('dpbench')}")

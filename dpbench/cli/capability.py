@@ -39,7 +39,7 @@ _WIDE = 4  # Cases that fit beside each other
 _CELL = 15
 
 
-def capability_text(arguments: argparse.Namespace) -> str:
+def describe_capability(arguments: argparse.Namespace) -> str:
     """Compute the largest wind that a vessel's thrusters hold, by direction, as text or JSON."""
     figure = None if arguments.figure is None else Path(arguments.figure)
     if figure is not None and figure.suffix not in FIGURES:
@@ -62,9 +62,12 @@ def capability_text(arguments: argparse.Namespace) -> str:
     if arguments.json:
         report = make_json_report(capability, vessel, answers)
         return json.dumps(report, ensure_ascii=False, indent=2)
-    lines = [*table_lines(capability, vessel), *_closed_loop_lines(capability, arguments.vessel)]
+    lines = [
+        *format_wind_table(capability, vessel),
+        *_suggest_closed_loops(capability, arguments.vessel),
+    ]
     if answers:
-        lines += ["", *answer_lines(answers), "", f"judged in {out / 'run'}"]
+        lines += ["", *format_answer_counts(answers), "", f"judged in {out / 'run'}"]
     return "\n".join(lines)
 
 
@@ -100,7 +103,7 @@ def save_rose_figure(capability: Capability, vessel: Vessel, path: Path) -> None
     save_figure(draw_capability_rose(pd.DataFrame(rows, columns=list(DRAWN)), title), path)
 
 
-def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
+def format_wind_table(capability: Capability, vessel: Vessel) -> list[str]:
     """Format the largest wind held, by direction and lost thrusters, as a table of 80 columns."""
     columns = dict(capability.held)
     if len(columns) > _WIDE:
@@ -119,7 +122,7 @@ def table_lines(capability: Capability, vessel: Vessel) -> list[str]:
         "starboard); + at the end of the standard's table."
     )
     table = [f" from {head}".rstrip(), *rows]
-    return [*textwrap.wrap(about, WIDTH), "", *table, "", *_notation_lines(capability)]
+    return [*textwrap.wrap(about, WIDTH), "", *table, "", *_explain_notation(capability)]
 
 
 def _format_wind_limit(held: WindLimit) -> str:
@@ -130,7 +133,7 @@ def _format_wind_limit(held: WindLimit) -> str:
     return f"  {wind_mps:5.1f}{beyond} {held.number:>2}".ljust(_CELL)
 
 
-def _notation_lines(capability: Capability) -> list[str]:
+def _explain_notation(capability: Capability) -> list[str]:
     """Explain a DP capability notation, the thrusters lost in each case and assumptions."""
     lines = [
         f"{capability.notation}: least number intact within 30° of the bow and all round, and the "
@@ -146,7 +149,7 @@ def _notation_lines(capability: Capability) -> list[str]:
     return [part for line in lines for part in textwrap.wrap(line, WIDTH)]
 
 
-def _closed_loop_lines(capability: Capability, vessel: str) -> list[str]:
+def _suggest_closed_loops(capability: Capability, vessel: str) -> list[str]:
     """Name what a static balance does not show, and the commands of a closed loop that does."""
     about = (
         "This is a static balance of means. A closed loop can still leave its station, in gusts, "
@@ -166,7 +169,7 @@ def _closed_loop_lines(capability: Capability, vessel: str) -> list[str]:
     return ["", *textwrap.wrap(about, WIDTH), *(f"  {command}" for command in commands)]
 
 
-def answer_lines(answers: Sequence[Answers]) -> list[str]:
+def format_answer_counts(answers: Sequence[Answers]) -> list[str]:
     """Format solvers' counts of right and wrong thrust allocations and solve times as a table."""
     first = answers[0]
     about = (

@@ -54,10 +54,10 @@ def check_file(name: str, progress: Progress | None = None, *, quick: bool = Fal
         return _check_scenario(name, progress, quick=quick)
     if name.endswith(".toml") or "/" in name:
         raise InputError(name, "", "no such file or folder", CHECKED)
-    raise _unknown_name_error(name)
+    raise _make_unknown_name_error(name)
 
 
-def _unknown_name_error(name: str) -> InputError:
+def _make_unknown_name_error(name: str) -> InputError:
     """Make the error for a name that `dpbench check` does not find, with the nearest ones."""
     kinds = (*problems.KINDS, problems.SEQUENCES)
     names = [known for kind in kinds for known in problems.list_shipped_problem_names(kind)]
@@ -97,17 +97,17 @@ def _check_document(file: Path, progress: Progress | None, *, quick: bool) -> st
 def _check_vessel(file: Path, progress: Progress | None, *, quick: bool) -> str:
     """Validate a vessel file; return the ship's properties as text."""
     vessel = problems.read_toml_as_model(file, VesselFile).build_vessel(file.stem, str(file))
-    from dpbench.cli.check_ship import vessel_text
+    from dpbench.cli.check_ship import describe_checked_vessel
 
-    return vessel_text(file, vessel, progress, quick=quick)
+    return describe_checked_vessel(file, vessel, progress, quick=quick)
 
 
 def _check_scenario(name: str | Path, progress: Progress | None, *, quick: bool) -> str:
     """Load a scenario, which validates it; return its ship, weather and controller as text."""
-    from dpbench.cli.check_ship import scenario_text
+    from dpbench.cli.check_ship import describe_checked_scenario
     from dpbench.scenario.scenario import load_scenario
 
-    return scenario_text(name, load_scenario(name), progress, quick=quick)
+    return describe_checked_scenario(name, load_scenario(name), progress, quick=quick)
 
 
 def _check_suite(file: Path, document: dict[str, Any]) -> str:

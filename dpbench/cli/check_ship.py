@@ -34,7 +34,7 @@ _SAME = 1e-3
 _TRIALS = 2 * len(OFFSETS_M)
 
 
-def vessel_text(
+def describe_checked_vessel(
     file: Path, vessel: Vessel, progress: Progress | None = None, *, quick: bool = False
 ) -> str:
     """Describe a ship, and from which sideways offsets two DP controllers bring it back.
@@ -43,10 +43,12 @@ def vessel_text(
     """
     tuned = [load_scenario(f"{name}@{file.resolve()}") for name in CONTROLLERS]
     first = f"{file.name}: a vessel, {vessel.title}"
-    return _join_lines(first, [*ship_lines(vessel), *_try_offsets(tuned, progress, quick=quick)])
+    return _join_lines(
+        first, [*format_limits_by_axis(vessel), *_try_offsets(tuned, progress, quick=quick)]
+    )
 
 
-def scenario_text(
+def describe_checked_scenario(
     name: str | Path,
     scenario: Scenario,
     progress: Progress | None = None,
@@ -59,7 +61,7 @@ def scenario_text(
     """
     shown = name.name if isinstance(name, Path) else name
     first = f"{shown}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
-    about = [*ship_lines(scenario.vessel), _weather_line(scenario)]
+    about = [*format_limits_by_axis(scenario.vessel), _describe_weather_load(scenario)]
     return _join_lines(first, [*about, *_try_offsets([scenario], progress, quick=quick)])
 
 
@@ -68,7 +70,7 @@ def _join_lines(first: str, others: Sequence[str]) -> str:
     return "\n".join([textwrap.shorten(first, WIDTH, placeholder=" …"), *others])
 
 
-def ship_lines(vessel: Vessel) -> list[str]:
+def format_limits_by_axis(vessel: Vessel) -> list[str]:
     """Format a ship's force limits, rise times and accelerations by axis, as a table.
 
     Of a ship with thrusters the largest force in an axis is that without any in the others.
@@ -102,9 +104,9 @@ def ship_lines(vessel: Vessel) -> list[str]:
     find_share = None if reach is None else reach.find_least_thrust_share
     current_mps = ships.find_largest_current_abeam_mps(vessel, find_share)
     lines = [line.rstrip() for line in table]
-    lines.append(_sideways_line(pure, current_mps, unit, per))
+    lines.append(_describe_sideways_force(pure, current_mps, unit, per))
     sectors = [] if vessel.thrusters is None else vessel.thrusters.sector_descriptions
-    return [*lines, *_drag_lines(vessel, unit, per), *sectors]
+    return [*lines, *_describe_drag_error(vessel, unit, per), *sectors]
 
 
 def _limit_to_pure_forces(vessel: Vessel, reach: ThrusterReach) -> Vessel:
@@ -121,7 +123,7 @@ def _format_forces(vessel: Vessel, unit: str, per: float) -> list[str]:
     return [f"{_format_range(*pair)} {unit}" for pair, unit in zip(limits, units, strict=True)]
 
 
-def _drag_lines(vessel: Vessel, unit: str, per: float) -> list[str]:
+def _describe_drag_error(vessel: Vessel, unit: str, per: float) -> list[str]:
     """State how far the controller's model is from the drag of a ship; nothing without drag."""
     if vessel.drag is None:
         return []
@@ -150,7 +152,7 @@ def _format_number(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 99.5 else significant(value)
 
 
-def _sideways_line(vessel: Vessel, current_mps: float, unit: str, per: float) -> str:
+def _describe_sideways_force(vessel: Vessel, current_mps: float, unit: str, per: float) -> str:
     """State a ship's force at 1 m/s sideways, its sway force limit, and the current it holds."""
     needs = ships.compute_force_of_unit_current_abeam(vessel)[ships.SWAY] / per
     has = min(-vessel.tau_min[ships.SWAY], vessel.tau_max[ships.SWAY]) / per
@@ -162,7 +164,7 @@ def _sideways_line(vessel: Vessel, current_mps: float, unit: str, per: float) ->
     return f"{needed}; holds {largest} m/s of current abeam"
 
 
-def _weather_line(scenario: Scenario) -> str:
+def _describe_weather_load(scenario: Scenario) -> str:
     """State the mean force of a scenario's weather as shares of the ship's limits and thrust."""
     vessel = scenario.vessel
     load = ships.compute_mean_weather_force(

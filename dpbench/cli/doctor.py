@@ -11,7 +11,7 @@ from dpbench.solvers.table import find_solver_availability, list_all_solver_name
 _WIDTH = 32
 
 
-def doctor_lines() -> list[str]:
+def describe_machine_and_clock() -> list[str]:
     """Describe this machine, how quiet it is, and whether solve times are measured correctly."""
     machine = describe_machine()
     harness = time_dummy_solvers()

@@ -59,7 +59,7 @@ NOTE = (
 )
 
 
-def print_counts(arguments: argparse.Namespace) -> int:
+def count_and_print(arguments: argparse.Namespace) -> int:
     """Count as the options ask for; return 1 if a solver could not be counted, or tools differ."""
     require_extra()
     targets = [find_target_by_name(name) for name in arguments.target or ["m7"]]
@@ -67,12 +67,12 @@ def print_counts(arguments: argparse.Namespace) -> int:
     recipes = select_recipes(arguments.solver, map(Path, arguments.recipe), sources)
     settings = _read_settings(arguments.settings, recipes)
     if arguments.fit:
-        return print_fits(
+        return print_largest_horizons(
             arguments.sequences,
             targets,
             recipes,
             settings,
-            kilobytes=read_kilobytes(arguments.fit),
+            kilobytes=parse_kilobytes(arguments.fit),
             steps=arguments.steps,
             single=arguments.single,
             out=Path(arguments.out),
@@ -81,13 +81,13 @@ def print_counts(arguments: argparse.Namespace) -> int:
     if arguments.second_opinion:
         steps = arguments.steps or COMPARED_STEPS
         sequences = [_read_sequence(name, steps) for name in arguments.sequences or ["paper-30-5"]]
-        return _print_second_opinions(
+        return _print_counts_of_two_tools(
             sequences, targets, recipes, settings, single=arguments.single
         )
-    return _print_counts(arguments, targets, recipes, settings)
+    return _count_and_print_all_steps(arguments, targets, recipes, settings)
 
 
-def _print_counts(
+def _count_and_print_all_steps(
     arguments: argparse.Namespace,
     targets: list[Target],
     recipes: list[Recipe],
@@ -124,7 +124,7 @@ def _print_counts(
     return int(bool(refused))
 
 
-def _print_second_opinions(
+def _print_counts_of_two_tools(
     sequences: list[Recorded],
     targets: list[Target],
     recipes: list[Recipe],
@@ -225,8 +225,8 @@ def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
                 "p99": format_count(run["instructions_p99"]),
                 "worst": format_count(run["instructions_max"]),
                 "k": str(run["worst_step"]),
-                "iterations": _format_known(run["worst_iterations"]),
-                "active": _format_known(run["worst_active"]),
+                "iterations": _format_known_count(run["worst_iterations"]),
+                "active": _format_known_count(run["worst_active"]),
             }
             for run in group
         ]
@@ -242,7 +242,7 @@ def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
         yield Table.from_rows(sizes, f"{title}bytes of memory, error", note=note)
 
 
-def _format_known(number: int) -> str:
+def _format_known_count(number: int) -> str:
     """Format a count; a dash for a negative one, which is unknown."""
     return str(number) if number >= 0 else "–"
 
@@ -251,7 +251,7 @@ class _Trials:
     """Programs of a scenario at several horizons, each compiled and run once."""
 
     def __init__(self, scenario: Scenario, steps: int, *, single: bool) -> None:
-        self._record = cache(lambda N_c: record_horizon(scenario, N_c, steps or STEPS))
+        self._record = cache(lambda N_c: record_qps_at_horizon(scenario, N_c, steps or STEPS))
         self._single = single
         self.counts: list[StepCounts] = []
 
@@ -280,14 +280,14 @@ class _Trials:
         return [find_largest_fitting_horizon(try_horizon, size) for size in kilobytes]
 
 
-def record_horizon(scenario: Scenario, N_c: int, steps: int) -> Recorded:
+def record_qps_at_horizon(scenario: Scenario, N_c: int, steps: int) -> Recorded:
     """Record a scenario's first QPs at a control horizon; N_p grows in proportion."""
     own = scenario.problem
     N_p = -(-N_c * own.N_p // own.N_c)
     return record_scenario(scenario, horizons=(N_p, N_c), steps=steps)
 
 
-def print_fits(
+def print_largest_horizons(
     names: list[str],
     targets: list[Target],
     recipes: list[Recipe],
@@ -335,11 +335,11 @@ def _make_fit_tables(fits: list[dict[str, Any]], *, single: bool) -> Iterator[Ta
             {
                 "solver": row["solver"],
                 "limit kB": str(row["kilobytes"]),
-                "N_c": _number(row["control_horizon"]),
-                "n": _number(row["variables"]),
-                "kB": _kilobytes(row["memory_bytes"]),
-                "next kB": _kilobytes(row["next_memory_bytes"]),
-                "worst": _number(row["instructions_max"]),
+                "N_c": _format_number(row["control_horizon"]),
+                "n": _format_number(row["variables"]),
+                "kB": _format_kilobytes(row["memory_bytes"]),
+                "next kB": _format_kilobytes(row["next_memory_bytes"]),
+                "worst": _format_number(row["instructions_max"]),
                 "error": MISSING if row["error_move"] is None else format_error(row["error_move"]),
             }
             for row in fits
@@ -350,17 +350,17 @@ def _make_fit_tables(fits: list[dict[str, Any]], *, single: bool) -> Iterator[Ta
         yield Table.from_rows(rows, title, note=NOTE)
 
 
-def _number(value: int | None) -> str:
+def _format_number(value: int | None) -> str:
     """Format a count; a dash for None, which is unknown."""
     return MISSING if value is None else format_count(value)
 
 
-def _kilobytes(size: int | None) -> str:
+def _format_kilobytes(size: int | None) -> str:
     """Format a size [B] in kB; a dash for None, which is unknown."""
     return MISSING if size is None else f"{size / KILOBYTE:.1f}"
 
 
-def read_kilobytes(texts: list[str]) -> list[int]:
+def parse_kilobytes(texts: list[str]) -> list[int]:
     """Parse sizes of memory in kB; InputError for one that is no whole number above 0."""
     for text in texts:
         if not text.isdecimal() or not int(text):

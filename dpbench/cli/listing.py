@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Group, RenderableType
 
-from dpbench.cli.terminal import format_entry, make_small_table, unstyled_text
+from dpbench.cli.terminal import format_heading_and_paragraphs, make_small_table, make_unstyled_text
 from dpbench.report.formats import MISSING
 
 SEQUENCES_ARE = """
@@ -35,8 +35,8 @@ def _list_vessels() -> RenderableType:
         surge, sway, yaw = 1e3 * vessel.accelerations_at_force_limits()[1]
         reached = f"{surge:.3g} and {sway:.3g} mm/s², {yaw:.3g} mrad/s²"
         about = [f"time constants: {times} s", f"acceleration at full thrust: {reached}"]
-        entries.append(format_entry(name, [vessel.title, *about]))
-    return unstyled_text("\n".join(entries))
+        entries.append(format_heading_and_paragraphs(name, [vessel.title, *about]))
+    return make_unstyled_text("\n".join(entries))
 
 
 def _list_scenarios() -> RenderableType:
@@ -53,8 +53,8 @@ def _list_scenarios() -> RenderableType:
         horizons = f"{controller.prediction_horizon}/{controller.control_horizon}"
         vessel = Path(scenario.vessel).stem
         about = f"vessel {vessel}, tuning {controller.tuning} {horizons}, {scenario.steps} steps"
-        entries.append(format_entry(name, [about, scenario.shows]))
-    return unstyled_text("\n".join(entries))
+        entries.append(format_heading_and_paragraphs(name, [about, scenario.shows]))
+    return make_unstyled_text("\n".join(entries))
 
 
 def _list_suites() -> RenderableType:
@@ -90,14 +90,14 @@ def _list_sequences() -> RenderableType:
             "constant" if sequence.P is None else "each step's",
             "each" if every == 1 else f"each {every}th",
         )
-    return Group(table, unstyled_text(SEQUENCES_ARE))
+    return Group(table, make_unstyled_text(SEQUENCES_ARE))
 
 
 def _list_solvers() -> RenderableType:
     """List all solvers with their descriptions."""
     from dpbench.solvers.table import list_all_solver_names
 
-    return unstyled_text("\n".join(map(_describe_solver, list_all_solver_names())))
+    return make_unstyled_text("\n".join(map(_describe_solver, list_all_solver_names())))
 
 
 def _describe_solver(name: str) -> str:
@@ -114,4 +114,4 @@ def _describe_solver(name: str) -> str:
         f"form {row.form}; {policies}",
         *describe_option_presets(name).splitlines(),
     ]
-    return format_entry(f"{name} {version}".rstrip(), about)
+    return format_heading_and_paragraphs(f"{name} {version}".rstrip(), about)

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dpbench.bench.workers.interrupts import Interruption, first_signal_only
-from dpbench.cli.arguments import HOW_TO_END, offer_completions, parser
+from dpbench.cli.arguments import HOW_TO_END, make_parser, offer_completions
 from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
 from dpbench.errors import (
     DpbenchError,
@@ -82,7 +82,7 @@ def _call_command(argv: Sequence[str], interruption: Interruption) -> int:
         if words and words[0] in OLD_COMMANDS:
             warn_of_outdated_name("command", words[0], OLD_COMMANDS[words[0]])
             words[0] = OLD_COMMANDS[words[0]]
-        whole = parser(_CALLS)
+        whole = make_parser(_CALLS)
         if "_ARGCOMPLETE" in os.environ:
             offer_completions(whole)
         return _call_and_report_errors(whole.parse_args(words), interruption)
@@ -161,13 +161,13 @@ def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interru
 
 def _print_interrupted(arguments: argparse.Namespace) -> int:
     """Print that a command was stopped by a signal; return its exit code."""
-    resumes = arguments.call in (_run_suite, _run_shard, _tune, _tune_solver)
+    resumes = arguments.call in (_run_suite, _run_shard, _tune_controller, _tune_solver)
     kept = "; finished cells are kept, run again to go on" if resumes else ""
     print(f"dpbench: interrupted{kept}", file=sys.stderr)
     return INTERRUPTED
 
 
-def _named_parameters(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
+def _collect_options(arguments: argparse.Namespace, *without: str) -> dict[str, Any]:
     """Return parsed command-line options by name, except the command and those in `without`."""
     others = ("command", "call", *without)
     return {name: value for name, value in vars(arguments).items() if name not in others}
@@ -178,7 +178,7 @@ def _print_estimate(arguments: argparse.Namespace) -> int:
     from dpbench.bench.estimate import estimate_campaign
 
     unused = ("dry_run", "scheduler", "tls", "wait_s")
-    estimate = estimate_campaign(**_named_parameters(arguments, *unused, *HOW_TO_END))
+    estimate = estimate_campaign(**_collect_options(arguments, *unused, *HOW_TO_END))
     print(json.dumps(vars(estimate), indent=2) if arguments.json else "\n".join(estimate.lines))
     return 0
 
@@ -192,7 +192,7 @@ def _run_suite(arguments: argparse.Namespace) -> int:
     from dpbench.report.write import write_report_with_summary
 
     with ProgressBar(quiet=arguments.quiet or arguments.json) as bar:
-        out = run_campaign(**_named_parameters(arguments, "dry_run", *HOW_TO_END), progress=bar)
+        out = run_campaign(**_collect_options(arguments, "dry_run", *HOW_TO_END), progress=bar)
         bar.advance(0, "writing the report")
         page_and_ending = write_report_with_summary(out)
     lost_ship = print_ending(*page_and_ending, arguments)
@@ -215,7 +215,7 @@ def _run_shard(arguments: argparse.Namespace) -> int:
     from dpbench.cli.terminal import ProgressBar
 
     with ProgressBar() as bar:
-        out = run_campaign(**_named_parameters(arguments), progress=bar)
+        out = run_campaign(**_collect_options(arguments), progress=bar)
     print(f"shard {arguments.shard} is in {out}")
     return _print_accidents(out)
 
@@ -226,7 +226,7 @@ def _gather_shards(arguments: argparse.Namespace) -> int:
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
 
-    out = join_result_folders(**_named_parameters(arguments, *HOW_TO_END))
+    out = join_result_folders(**_collect_options(arguments, *HOW_TO_END))
     lost_ship = print_ending(*write_report_with_summary(out), arguments)
     return _print_accidents(out) or lost_ship
 
@@ -239,7 +239,7 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
     if arguments.against and arguments.solver is None:
         raise SituationError("--against", "name the solver to compare with these by --for SOLVER")
     page, ending = write_report_with_summary(
-        arguments.dir, **_named_parameters(arguments, "dir", *HOW_TO_END)
+        arguments.dir, **_collect_options(arguments, "dir", *HOW_TO_END)
     )
     if arguments.statement:
         ending = [*ending, ("statement", arguments.statement)]
@@ -318,7 +318,7 @@ def _export_qps(arguments: argparse.Namespace) -> None:
         with ProgressBar(transient=True) as bar:
             text = record_shipped_sequences(arguments.out or "results/sequences", progress=bar)
     else:
-        text = export_sequence(**_named_parameters(arguments, "all"))
+        text = export_sequence(**_collect_options(arguments, "all"))
     print_wrapped(text.splitlines())
 
 
@@ -328,18 +328,18 @@ def _find_worst_case(arguments: argparse.Namespace) -> int:
     from dpbench.cli.terminal import ProgressBar, print_wrapped
 
     with ProgressBar() as bar:
-        worst_case = find_worst_case(**_named_parameters(arguments), progress=bar)
+        worst_case = find_worst_case(**_collect_options(arguments), progress=bar)
     print_wrapped(worst_case.lines)
     return INTERRUPTED if worst_case.search.stopped == "interrupted" else 0
 
 
-def _tune(arguments: argparse.Namespace) -> int:
+def _tune_controller(arguments: argparse.Namespace) -> int:
     """Search weights and horizons of a scenario's controller (`dpbench tune`)."""
     from dpbench.cli.terminal import ProgressBar, print_wrapped
     from dpbench.tuning.tune_controller import tune_controller
 
     with ProgressBar() as bar:
-        tuning = tune_controller(**_named_parameters(arguments), progress=bar)
+        tuning = tune_controller(**_collect_options(arguments), progress=bar)
     print_wrapped(tuning.lines)
     return 0 if tuning.keeps_margin else 1
 
@@ -351,12 +351,12 @@ def _tune_solver(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         from dpbench.tuning.forecast import estimate_tuning
 
-        print_wrapped(estimate_tuning(**_named_parameters(arguments, "dry_run", "wait_s")).lines)
+        print_wrapped(estimate_tuning(**_collect_options(arguments, "dry_run", "wait_s")).lines)
         return 0
     from dpbench.tuning.tune import tune_solver
 
     with ProgressBar() as bar:
-        tuning = tune_solver(**_named_parameters(arguments, "dry_run"), progress=bar)
+        tuning = tune_solver(**_collect_options(arguments, "dry_run"), progress=bar)
     if tuning.roles:
         screen = make_console()
         screen.print(make_report_table(tuning.table, screen))
@@ -372,7 +372,7 @@ def _generate_controller(arguments: argparse.Namespace) -> None:
     from dpbench.cli.terminal import print_wrapped
     from dpbench.codegen.generate import generate_controller
 
-    print_wrapped(generate_controller(**_named_parameters(arguments)))
+    print_wrapped(generate_controller(**_collect_options(arguments)))
 
 
 def _reproduce_paper(arguments: argparse.Namespace) -> int:
@@ -406,23 +406,23 @@ def _write_own_ship(arguments: argparse.Namespace) -> None:
 
 def _print_embedded_counts(arguments: argparse.Namespace) -> int:
     """Count what solvers' C executes on an embedded core (`dpbench embedded`)."""
-    from dpbench.cli.embedded import print_counts
+    from dpbench.cli.embedded import count_and_print
 
-    return print_counts(arguments)
+    return count_and_print(arguments)
 
 
 def _print_capability(arguments: argparse.Namespace) -> None:
     """Print the wind that a ship holds from each direction (`dpbench capability`)."""
-    from dpbench.cli.capability import capability_text
+    from dpbench.cli.capability import describe_capability
 
-    print(capability_text(arguments))
+    print(describe_capability(arguments))
 
 
 def _print_machine_check(arguments: argparse.Namespace) -> None:
     """Print facts about this machine (`dpbench doctor`)."""
-    from dpbench.cli.doctor import doctor_lines
+    from dpbench.cli.doctor import describe_machine_and_clock
 
-    print("\n".join(doctor_lines()))
+    print("\n".join(describe_machine_and_clock()))
 
 
 def _check_named_file(arguments: argparse.Namespace) -> None:
@@ -443,7 +443,7 @@ _CALLS = {
     "compare": _compare_folders,
     "export": _export_qps,
     "worst-case": _find_worst_case,
-    "tune": _tune,
+    "tune": _tune_controller,
     "tune-solver": _tune_solver,
     "codegen": _generate_controller,
     "embedded": _print_embedded_counts,

@@ -116,7 +116,7 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
     remarks: list[str] = []
     if described or not os.path.isfile(vessel_file):
         ship = _scale_new_ship(options, numbers)
-        texts[vessel_file.name] = vessel_text(ship, _restate_command(options))
+        texts[vessel_file.name] = render_vessel_file(ship, _restate_command(options))
         vessel, remarks = ship.vessel, list_cautions(ship)
         if ship.thrusters is not None:
             remarks.append(f"assumed of the thrusters: {' '.join(ship.thrusters.assumed)}")
@@ -136,9 +136,9 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
         drawn = save_held_sea(held, vessel, folder, name)
         files = _name_loss_files(stem, held, number)
         paths = {group: folder / file for group, file in files.items()}
-        remarks += describe_losses(held, number, _loss_s(vessel), paths)
+        remarks += describe_losses(held, number, _find_time_of_loss(vessel), paths)
     harder = _suggest_harder_sea(folder, vessel, number, held)
-    return [*drawn, *_summary_lines(folder, texts, vessel, number, remarks), *harder]
+    return [*drawn, *_list_files_and_commands(folder, texts, vessel, number, remarks), *harder]
 
 
 def _render_sea_files(
@@ -147,18 +147,18 @@ def _render_sea_files(
     """Render scenario and suite files for a DP capability number; return texts by file name."""
     stem = name if chosen else f"{name}_sea{number}"
     weather = f"{name}_weather.toml" if chosen else f"{stem}.toml"
-    texts = {weather: scenario_text(name, vessel, number, held, chosen=chosen)}
+    texts = {weather: render_scenario_file(name, vessel, number, held, chosen=chosen)}
     steered, left_out = [], ""
     if held is not None:
         losses = _name_loss_files(stem, held, number)
         groups = {file: group for group, file in losses.items()}
         steered = list(dict.fromkeys([f"{stem}_thrusters.toml", *groups]))
         for file in steered:
-            texts[file] = scenario_text(
+            texts[file] = render_scenario_file(
                 name, vessel, number, held, chosen=chosen, steered=True, lost=groups.get(file)
             )
         left_out = describe_losses_left_out(held, [*losses])
-    suite = suite_text(name, weather, vessel, number, steered, left_out)
+    suite = render_suite_file(name, weather, vessel, number, steered, left_out)
     return texts | {f"{stem}_suite.toml": suite}
 
 
@@ -209,10 +209,10 @@ def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None
         thrust = _read_thrust(numbers, own)
     else:
         own_thrusters = read_own_thrusters(options, numbers, own, like)
-        thrust = own_thrusters.as_limits()
+        thrust = own_thrusters.compute_thrust_limits()
     vessel = scaling.scale_library_vessel_to_own_ship(like, own, thrust, options.name)
     if own_thrusters is not None:
-        vessel = own_thrusters.fit(vessel)
+        vessel = own_thrusters.make_fitted_vessel(vessel)
     if hull is not None:
         vessel = replace(vessel, M=hull.M, D=hull.D, where=hull_file)
     return OwnShip(options.name, own, vessel, like, hull, own_thrusters)
@@ -285,7 +285,7 @@ def _write_new_files(folder: Path, texts: dict[str, str], *, force: bool) -> Non
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def _summary_lines(
+def _list_files_and_commands(
     folder: Path, texts: dict[str, str], vessel: Vessel, number: int, remarks: list[str]
 ) -> list[str]:
     """List the files written for a new ship, its load from weather, and the next commands."""
@@ -329,7 +329,7 @@ class OwnShip:
     thrusters: OwnThrusters | None = None
 
 
-def vessel_text(ship: OwnShip, command: str) -> str:
+def render_vessel_file(ship: OwnShip, command: str) -> str:
     """Render the vessel file of a new ship; the command that made it is quoted in comments."""
     vessel = ship.vessel
     assert vessel.windage is not None and vessel.reflection is not None, "as every library vessel"
@@ -343,7 +343,7 @@ def vessel_text(ship: OwnShip, command: str) -> str:
         # TOML's escapes are those of JSON.
         quoted=partial(json.dumps, ensure_ascii=False),
         library=load_vessel(ship.like),
-        forms=_form_ratios(ship),
+        forms=_compute_form_ratios(ship),
         fitted_mps=scaling.choose_speed_of_damping_fit_mps(ship.own.length_m),
         cautions=list_cautions(ship),
         added=dict(zip(("surge", "sway", "yaw"), added.tolist(), strict=True)),
@@ -358,7 +358,7 @@ def _wrap_as_comment(caller: Callable[[], str]) -> str:
     return "".join(f"# {line}\n" for line in lines)
 
 
-def _form_ratios(ship: OwnShip) -> list[tuple[str, float, float]]:
+def _compute_form_ratios(ship: OwnShip) -> list[tuple[str, float, float]]:
     """Return hull ratios L/B and L/∇^(1/3) of the user's ship and of its library vessel."""
     own, library = ship.own, scaling.LIBRARY[ship.like]
     volumes_m3 = own.displacement_kg / WATER_DENSITY, library.mass_kg / WATER_DENSITY
@@ -372,7 +372,9 @@ def list_cautions(ship: OwnShip) -> list[str]:
     if ship.hull is not None:
         return ship.hull.remarks
     others = [
-        what for what, own, library in _form_ratios(ship) if abs(own / library - 1.0) > FORM_DIFFERS
+        what
+        for what, own, library in _compute_form_ratios(ship)
+        if abs(own / library - 1.0) > FORM_DIFFERS
     ]
     if not others:
         return []
@@ -386,7 +388,7 @@ def choose_sample_s(vessel: Vessel) -> float:
     return max(0.05, round(round(SAMPLE_S * slower / 0.05) * 0.05, 2))
 
 
-def scenario_text(
+def render_scenario_file(
     name: str,
     vessel: Vessel,
     number: int,
@@ -416,7 +418,7 @@ def scenario_text(
         share=share,
         held=held,
         steered=steered,
-        fault=lost and {"at_s": _loss_s(vessel), "lost": lost},
+        fault=lost and {"at_s": _find_time_of_loss(vessel), "lost": lost},
         is_held=lost == choose_loss(held, number),
         limits=choose_limits(vessel),
         wind_mps=wind_mps,
@@ -431,7 +433,7 @@ def scenario_text(
     )
 
 
-def _loss_s(vessel: Vessel) -> float:
+def _find_time_of_loss(vessel: Vessel) -> float:
     """Return the time [s] at which a new ship's scenario loses thrusters."""
     return LOST_FROM * STEPS * choose_sample_s(vessel)
 
@@ -448,7 +450,7 @@ def _explain_sea_choice(share: float, held: HeldSea | None, *, chosen: bool) -> 
     return f"the smallest, as there is none {limit}"
 
 
-def suite_text(
+def render_suite_file(
     name: str,
     weather: str,
     vessel: Vessel,

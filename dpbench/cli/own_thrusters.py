@@ -80,12 +80,12 @@ class OwnThrusters:
             for table, row in zip(self.tables, self.rows, strict=True)
         ]
 
-    def as_limits(self) -> scaling.ThrustLimits:
+    def compute_thrust_limits(self) -> scaling.ThrustLimits:
         """Return the thrusters' largest forces, each axis by itself."""
         _, most = self.thrusters.least_and_largest_force_by_axis()
         return scaling.ThrustLimits(*most.tolist())
 
-    def fit(self, vessel: Vessel) -> Vessel:
+    def make_fitted_vessel(self, vessel: Vessel) -> Vessel:
         """Return a vessel with these thrusters and the limits that they make.
 
         Raises InputError where they can push to one side of an axis only.
@@ -224,7 +224,8 @@ def describe_losses(
     lines.append(f"lost after {at_s:g} s, one in each scenario: {simulated}")
     weak = [group for group, held_number in held.losses.items() if held_number < number]
     if weak:
-        lines.append(f"CAUTION: by level 1 the thrusters do not hold this sea {_without(weak)}.")
+        without = _name_groups_lost_one_by_one(weak)
+        lines.append(f"CAUTION: by level 1 the thrusters do not hold this sea {without}.")
     if left_out := describe_losses_left_out(held, [*files]):
         another = f"Name another in `lost` of {next(iter(files.values())).name}."
         lines.append(f"not simulated: {left_out}. {another}")
@@ -238,7 +239,7 @@ def describe_losses_left_out(held: HeldSea, simulated: Sequence[str]) -> str:
     return f"the loss of {join_with_and(others)}; {why}" if others else ""
 
 
-def _without(groups: Sequence[str]) -> str:
+def _name_groups_lost_one_by_one(groups: Sequence[str]) -> str:
     """Name groups that are lost one at a time."""
     return " or ".join(f"without {group}" for group in groups)
 

@@ -62,14 +62,14 @@ def print_wrapped(lines: Iterable[str]) -> None:
         print(line if len(line) <= WIDTH else wrap_paragraph(line, others="  "))
 
 
-def format_entry(head: str, paragraphs: Iterable[str]) -> str:
+def format_heading_and_paragraphs(head: str, paragraphs: Iterable[str]) -> str:
     """Return a heading with paragraphs below it, indented by four columns."""
     return "\n".join(
         [head, *(wrap_paragraph(p, first=_INDENT, others=_INDENT) for p in paragraphs)]
     )
 
 
-def unstyled_text(text: str) -> Text:
+def make_unstyled_text(text: str) -> Text:
     """Make a text for the terminal as it is, without markup, colour or wrapping."""
     return Text(text, no_wrap=True, overflow="ignore")
 
@@ -104,13 +104,13 @@ def _format_rows_as_text(table: ReportTable) -> Text:
     """Format the rows of a report's table as paragraphs of text."""
     named = table.text_columns
     rows = [
-        format_entry(
+        format_heading_and_paragraphs(
             ", ".join(row[:named]),
             ["; ".join(f"{h} {c}" for h, c in zip(table.heads[named:], row[named:], strict=True))],
         )
         for row in table.rows
     ]
-    text = unstyled_text("\n".join([table.title, *rows, wrap_paragraph(table.note)]))
+    text = make_unstyled_text("\n".join([table.title, *rows, wrap_paragraph(table.note)]))
     for word, style in STYLES.items():
         text.highlight_words([f" {word}"], style)
     return text

@@ -75,33 +75,33 @@ def make_tabular(table: pd.DataFrame) -> str:
     \end{tabular}
     <BLANKLINE>
     """
-    align = "".join("r" if _is_of_numbers(table[name]) else "l" for name in table)
-    heads = (escape_text(str(name)) for name in table)
-    rows = [map(format_cell, row) for row in table.itertuples(index=False, name=None)]
+    align = "".join("r" if _has_only_numbers(table[name]) else "l" for name in table)
+    heads = (escape_latex(str(name)) for name in table)
+    rows = [map(format_latex_cell, row) for row in table.itertuples(index=False, name=None)]
     head, *body = (" & ".join(cells) + r" \\" for cells in (heads, *rows))
     lines = [r"\toprule", head, r"\midrule", *body, r"\bottomrule"]
     return "\n".join((f"\\begin{{tabular}}{{{align}}}", *lines, r"\end{tabular}", ""))
 
 
-def _is_of_numbers(column: pd.Series) -> bool:
+def _has_only_numbers(column: pd.Series) -> bool:
     """Return whether the cells of a column are numbers."""
     return is_numeric_dtype(column) and not is_bool_dtype(column)
 
 
-def format_cell(value: object) -> str:
+def format_latex_cell(value: object) -> str:
     """Format a value as a cell of LaTeX: a number to three digits, anything else as text."""
     if value is None or value is pd.NA or value != value:  # NaN alone differs from itself
         return ""
     if isinstance(value, Real) and not isinstance(value, Integral):
         return _format_number(float(value))
-    return escape_text(str(value))
+    return escape_latex(str(value))
 
 
-def escape_text(text: str) -> str:
+def escape_latex(text: str) -> str:
     """Escape a text for LaTeX; its signs and the exponents of its numbers become math."""
     parts, end = [], 0
     for found in _NUMBER.finditer(text):
-        number = "$-$" if found[0] == "-" else _write_power(found[0])
+        number = "$-$" if found[0] == "-" else _format_power_of_ten(found[0])
         parts += [text[end : found.start()].translate(_ESCAPES), number]
         end = found.end()
     return "".join((*parts, text[end:].translate(_ESCAPES)))
@@ -113,12 +113,12 @@ def _format_number(value: float) -> str:
         return r"$\infty$" if value > 0.0 else r"$-\infty$"
     rounded = float(f"{value:.{_DIGITS}g}")
     if rounded != 0.0 and not 1e-4 <= abs(rounded) < 1e7:
-        return _write_power(f"{value:.{_DIGITS}g}")
+        return _format_power_of_ten(f"{value:.{_DIGITS}g}")
     text = f"{rounded:.10g}"
     return f"${text}$" if rounded < 0.0 else text
 
 
-def _write_power(text: str) -> str:
+def _format_power_of_ten(text: str) -> str:
     """Return a number such as 1.2e-12 as a power of ten in math."""
     mantissa, exponent = text.split("e")
     factor = {"1": "", "-1": "-"}.get(mantissa, f"{mantissa}\\cdot ")

@@ -62,8 +62,8 @@ class RunPlots:
         if others:
             return _draw_steps_together((run, *others), limit, backend)
         tables = _make_step_rows(run.steps), _compute_force_shares(run)
-        if _is_printed(backend):
-            return _import_printed().draw_step_strips(*tables, limit)
+        if _is_matplotlib_chosen(backend):
+            return _import_matplotlib_charts().draw_step_strips(*tables, limit)
         from dpbench.report.charts.steps import draw_step_strips
 
         return draw_step_strips(*tables, limit)
@@ -73,43 +73,45 @@ class RunPlots:
 
         Raises InputError for a replay, which has no ship, or runs of two scenarios.
         """
-        laws, scenario = self._collect_laws(others)
-        if _is_printed(backend):
+        laws, scenario = self._collect_curves_and_scenario(others)
+        if _is_matplotlib_chosen(backend):
             from dpbench.report.charts.ship_tables import make_path_tables
 
-            return _import_printed().draw_path(make_path_tables(laws, scenario))
+            return _import_matplotlib_charts().draw_path(make_path_tables(laws, scenario))
         from dpbench.report.charts.ship import draw_path
 
         return draw_path(laws, scenario)
 
     def errors(self, *others: JudgedRun, backend: Backend = "altair") -> Any:
         """Plot north, east, heading and radial error of closed loops (Fig. 5 of the paper)."""
-        laws, scenario = self._collect_laws(others)
-        if _is_printed(backend):
+        laws, scenario = self._collect_curves_and_scenario(others)
+        if _is_matplotlib_chosen(backend):
             from dpbench.report.charts.ship_tables import make_error_panels
 
-            return _import_printed().draw_panels(make_error_panels(laws, scenario))
+            return _import_matplotlib_charts().draw_panels(make_error_panels(laws, scenario))
         from dpbench.report.charts.ship import draw_pose_errors
 
         return draw_pose_errors(laws, scenario)
 
     def forces(self, *others: JudgedRun, backend: Backend = "altair") -> Any:
         """Plot the applied forces of closed loops with their limits (Fig. 6 of the paper)."""
-        laws, scenario = self._collect_laws(others)
-        if _is_printed(backend):
+        laws, scenario = self._collect_curves_and_scenario(others)
+        if _is_matplotlib_chosen(backend):
             from dpbench.report.charts.ship_tables import make_force_panels
 
-            return _import_printed().draw_panels(make_force_panels(laws, scenario))
+            return _import_matplotlib_charts().draw_panels(make_force_panels(laws, scenario))
         from dpbench.report.charts.ship import draw_forces
 
         return draw_forces(laws, scenario)
 
-    def _collect_laws(self, others: tuple[JudgedRun, ...]) -> tuple[list[Any], Scenario]:
+    def _collect_curves_and_scenario(
+        self, others: tuple[JudgedRun, ...]
+    ) -> tuple[list[Any], Scenario]:
         """Return the labelled curves of these runs, and their common scenario."""
-        scenario = self._common_scenario(others)
-        return _convert_to_laws((self._run, *others)), scenario
+        scenario = self._require_common_scenario(others)
+        return _convert_to_labelled_curves((self._run, *others)), scenario
 
-    def _common_scenario(self, others: tuple[JudgedRun, ...]) -> Scenario:
+    def _require_common_scenario(self, others: tuple[JudgedRun, ...]) -> Scenario:
         """Return the scenario that all runs share; InputError if they differ or one has no ship."""
         scenario = self._run.scenario
         for run in (self._run, *others):
@@ -140,8 +142,8 @@ class ResultPlots:
         from dpbench.analysis.times.solver_tables import time_table
 
         table, limits = _require_rows(time_table(self._data)), self._data.requirements
-        if _is_printed(backend):
-            draw = _import_printed().draw_deadline_chart
+        if _is_matplotlib_chosen(backend):
+            draw = _import_matplotlib_charts().draw_deadline_chart
         else:
             from dpbench.report.charts.overview import draw_deadline_chart as draw
         return draw(table, limits.deadline_ms, limits.p99_ms)
@@ -154,8 +156,8 @@ class ResultPlots:
         from dpbench.analysis.times.solver_tables import level_table
 
         table, limits = _require_rows(level_table(self._data)), self._data.requirements
-        if _is_printed(backend):
-            return _import_printed().draw_accuracy(table, limits.error_move)
+        if _is_matplotlib_chosen(backend):
+            return _import_matplotlib_charts().draw_accuracy(table, limits.error_move)
         from dpbench.report.charts.overview import draw_accuracy
 
         return draw_accuracy(table, limits.error_move, with_names=True)
@@ -168,14 +170,14 @@ def _require_rows(table: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def _is_printed(backend: str) -> bool:
+def _is_matplotlib_chosen(backend: str) -> bool:
     """Return whether Matplotlib is to draw; InputError for a backend that is not known."""
     if backend not in (known := get_args(Backend)):
         raise InputError("plot", "backend", repr(backend), f"one of {', '.join(known)}")
     return backend == "matplotlib"
 
 
-def _import_printed() -> ModuleType:
+def _import_matplotlib_charts() -> ModuleType:
     """Import what draws by Matplotlib; InputError that names the extra where it is missing."""
     try:
         # What an extra installs is imported only where it is asked for.
@@ -197,17 +199,19 @@ def _draw_steps_together(runs: tuple[JudgedRun, ...], limit: float, backend: Bac
     """Plot the steps of several runs with the limit on their errors."""
     for run in runs:
         _require_run(run, "`run_closed_loop` and `replay`")
-    laws = [replace(law, steps=_make_step_rows(law.steps)) for law in _convert_to_laws(runs)]
-    if _is_printed(backend):
+    laws = [
+        replace(law, steps=_make_step_rows(law.steps)) for law in _convert_to_labelled_curves(runs)
+    ]
+    if _is_matplotlib_chosen(backend):
         from dpbench.report.charts.ship_tables import STEP, make_step_panels
 
-        return _import_printed().draw_panels(make_step_panels(laws, limit), STEP)
+        return _import_matplotlib_charts().draw_panels(make_step_panels(laws, limit), STEP)
     from dpbench.report.charts.ship import draw_steps_together
 
     return draw_steps_together(laws, limit)
 
 
-def _convert_to_laws(runs: tuple[JudgedRun, ...]) -> list[Any]:
+def _convert_to_labelled_curves(runs: tuple[JudgedRun, ...]) -> list[Any]:
     """Convert solvers' runs to labelled curves of a plot; number those of equal label."""
     from dpbench.analysis.suites.paper import Law
 

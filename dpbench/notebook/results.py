@@ -134,19 +134,19 @@ class Results(result_folder.Results):
         """
         require_lists_of_names(columns=columns, solvers=solvers)
         if isinstance(table, str):
-            _check_name("table", table, self.tables)
+            _refuse_unknown_name("table", table, self.tables)
             frame = self.tables[table]
         else:
             frame = table
         if solvers is not None:
-            _check_name("column", "solver", frame.columns)
+            _refuse_unknown_name("column", "solver", frame.columns)
             for name in solvers:
-                _check_name("solver", name, frame["solver"].unique())
+                _refuse_unknown_name("solver", name, frame["solver"].unique())
             frame = frame[frame["solver"].isin(solvers)]
         if only_run and "verdict" in frame:
             frame = frame[frame["verdict"] != "not run"]
         for name in columns or ():
-            _check_name("column", name, frame.columns)
+            _refuse_unknown_name("column", name, frame.columns)
         are_verdicts = isinstance(table, str) and table == "verdicts"
         usual = [name for name in frame if not are_verdicts or name in VERDICT_COLUMNS]
         return make_tabular(frame[list(columns or usual)])
@@ -213,7 +213,7 @@ class _StoredTables(dict[str, pd.DataFrame]):
         raise ResultsError(str(path), "", "no such file, and no steps.parquet", stored)
 
 
-def _check_name(key: str, name: str, known: Iterable[str]) -> None:
+def _refuse_unknown_name(key: str, name: str, known: Iterable[str]) -> None:
     """Raise InputError unless a table, column or solver is known, with the nearest that are."""
     if name not in (names := list(known)):
         raise InputError("results", key, repr(name), format_allowed_names(name, names))

@@ -222,9 +222,9 @@ def run_closed_loop(
     >>> bool(run.summary["error_move_max"] < 1e-9)
     True
     """
-    _check_choice("fallback", fallback, FALLBACKS)
-    _check_choice("formulation", formulation, FORMULATIONS)
-    scenario, workspace = resolve_to_scenario(scenario), _as_workspace(workspace)
+    _refuse_unknown_choice("fallback", fallback, FALLBACKS)
+    _refuse_unknown_choice("formulation", formulation, FORMULATIONS)
+    scenario, workspace = resolve_to_scenario(scenario), _open_workspace_if_named(workspace)
     if steps is not None:
         scenario = scenario.truncate(steps)
     cell = _make_cell(
@@ -274,8 +274,8 @@ def replay(
     >>> len(run.steps.query("counts"))  # the warm-up does not count
     150
     """
-    _check_choice("formulation", formulation, FORMULATIONS)
-    sequence, workspace = as_sequence(sequence), _as_workspace(workspace)
+    _refuse_unknown_choice("formulation", formulation, FORMULATIONS)
+    sequence, workspace = as_sequence(sequence), _open_workspace_if_named(workspace)
     require_integer_at_least("repeats", repeats, 1)
     require_integer_at_least("warmup_steps", warmup_steps, 0)
     warmup_steps = min(warmup_steps, len(sequence))
@@ -300,13 +300,13 @@ def replay(
     return _make_run(cell, workspace, solver, evaluate_replay_log(log, sequence, sample_s))
 
 
-def _check_choice(key: str, value: str, allowed: Collection[str]) -> None:
+def _refuse_unknown_choice(key: str, value: str, allowed: Collection[str]) -> None:
     """Raise InputError unless a value is one of those allowed."""
     if value not in allowed:
         raise InputError("run", key, repr(value), f"one of {', '.join(allowed)}")
 
 
-def _as_workspace(given: object) -> Workspace:
+def _open_workspace_if_named(given: object) -> Workspace:
     """Return a workspace that is given as an object or by the name of its solver."""
     if isinstance(given, str):
         return open_workspace(given)

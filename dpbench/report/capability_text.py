@@ -41,7 +41,7 @@ def _format_least_wind(edges: pd.DataFrame) -> str:
     return f"{format_rounded_down(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
 
 
-def time_held_text(of_group: pd.DataFrame) -> str:
+def describe_time_held(of_group: pd.DataFrame) -> str:
     """Describe when a thruster loss can be held: throughout, until a time, or never."""
     states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
     if states == [HELD]:
@@ -61,12 +61,12 @@ def describe_losses_held(analysis: ConsequenceAnalysis) -> str:
     """State which losses of thrusters can be held and when, and what of the force is asked for."""
     when: dict[str, list[str]] = {}
     for group, of_group in analysis.spans.groupby("group", sort=False):
-        when.setdefault(time_held_text(of_group), []).append(str(group))
+        when.setdefault(describe_time_held(of_group), []).append(str(group))
     held = [f"the loss of {' or of '.join(of)} can be held {time}" for time, of in when.items()]
     return f"In {analysis.name} {'; '.join(held)} ({describe_required_force(analysis)})."
 
 
-def consequence_solver_text(records: Records, solver: str) -> str:
+def describe_consequence_solver(records: Records, solver: str) -> str:
     """Name a solver for the consequence analysis beside that of the MPC; "" where it is the same.
 
     The configuration that answers all QPs rightly and takes the least share of a sample counts.

@@ -61,7 +61,7 @@ class TunedProblem:
     every: int = 1
 
 
-def load_problem(name: str, steps: int = 0) -> TunedProblem:
+def load_tuned_problem(name: str, steps: int = 0) -> TunedProblem:
     """Return the QPs of a sequence by name or file, or along the loop of a scenario.
 
     steps : of a scenario, only the first so many; 0 for all.
@@ -80,7 +80,7 @@ def load_problem(name: str, steps: int = 0) -> TunedProblem:
         return TunedProblem(
             sequence.name,
             table,
-            _loop_key(recorded.documents),
+            _make_loop_key(recorded.documents),
             _hash_steps(sequence),
             every if isinstance(every, int) else 1,
         )
@@ -96,7 +96,7 @@ def load_problem(name: str, steps: int = 0) -> TunedProblem:
         "scenario": origin,
         "steps": min(steps or scenario.steps, scenario.steps),
     }
-    return TunedProblem(scenario.name, table, _loop_key(dict(scenario.files)))
+    return TunedProblem(scenario.name, table, _make_loop_key(dict(scenario.files)))
 
 
 def refuse_overlap(training: Sequence[TunedProblem], test: Sequence[TunedProblem]) -> None:
@@ -116,7 +116,7 @@ def refuse_overlap(training: Sequence[TunedProblem], test: Sequence[TunedProblem
                 )
 
 
-def _loop_key(documents: dict[str, Any]) -> str:
+def _make_loop_key(documents: dict[str, Any]) -> str:
     """Return a text equal for loops of one scenario and ship at any horizons; "" without them."""
     scenario, vessel = documents.get("scenario"), documents.get("vessel")
     if not isinstance(scenario, dict) or not isinstance(vessel, dict):
@@ -157,7 +157,7 @@ def plan_settings(
     presets: Sequence[str] = (DEFAULT,),
 ) -> list[PlannedCell]:
     """Return the planned runs of `measure_settings`."""
-    document = tomllib.loads(suite_text(solver, problems, settings, presets))
+    document = tomllib.loads(format_suite_as_toml(solver, problems, settings, presets))
     return plan_suite(SuiteFile.model_validate(document))
 
 
@@ -182,7 +182,7 @@ def measure_settings(
     """
     suite = folder.with_suffix(".toml")
     folder.parent.mkdir(parents=True, exist_ok=True)
-    write_text_atomically(suite, suite_text(solver, problems, settings, presets))
+    write_text_atomically(suite, format_suite_as_toml(solver, problems, settings, presets))
     run_campaign(
         suite,
         folder,
@@ -194,7 +194,7 @@ def measure_settings(
     return list(Records(load_results(folder)).all_runs)
 
 
-def suite_text(
+def format_suite_as_toml(
     solver: TunedSolver,
     problems: Sequence[TunedProblem],
     settings: Sequence[Options],
@@ -219,7 +219,7 @@ def suite_text(
     return "\n".join(lines) + "\n"
 
 
-def step_times_ns(run: RunRecord) -> dict[str, float]:
+def name_step_times_ns(run: RunRecord) -> dict[str, float]:
     """Return the step times of a run that are known by name, the one to rank it by first.
 
     A percentile has ten steps beyond it; only a run of fewer than 20 steps is left to its largest.
@@ -230,14 +230,14 @@ def step_times_ns(run: RunRecord) -> dict[str, float]:
     }
 
 
-def _time_ratio(run: RunRecord, default: RunRecord) -> float:
+def _compute_time_ratio(run: RunRecord, default: RunRecord) -> float:
     """Return a run's step time over that with the default settings, both of the same name."""
-    ours, theirs = step_times_ns(run), step_times_ns(default)
+    ours, theirs = name_step_times_ns(run), name_step_times_ns(default)
     name = next(name for name in ours if name in theirs)
     return ours[name] / theirs[name]
 
 
-def runs_by_settings(
+def group_runs_by_settings(
     runs: Iterable[RunRecord], problems: Sequence[TunedProblem]
 ) -> dict[str, list[RunRecord]]:
     """Return the runs on some sequences by the name of their settings."""
@@ -256,10 +256,10 @@ def score_runs(
     wrong = [run for run in runs if not is_right(run, requirements)]
     missing = len(defaults) - len(runs)
     default = {run.sequence: run for run in defaults}
-    logs = [math.log(_time_ratio(run, default[run.sequence])) for run in runs if not wrong]
+    logs = [math.log(_compute_time_ratio(run, default[run.sequence])) for run in runs if not wrong]
     return Score(
         len(wrong) + missing,
-        sum(_error_excess(run, requirements) for run in wrong) + FAILED * missing,
+        sum(_compute_error_excess_decades(run, requirements) for run in wrong) + FAILED * missing,
         math.exp(sum(logs) / len(logs)) if logs and not missing else math.nan,
     )
 
@@ -276,7 +276,7 @@ def score_settings(
     ]
 
 
-def _error_excess(run: RunRecord, requirements: Requirements) -> float:
+def _compute_error_excess_decades(run: RunRecord, requirements: Requirements) -> float:
     """Return by how many decades the error of a run is above the requirement; `FAILED` at most."""
     error = run.error_move_max
     if not math.isfinite(error) or run.steps_done < run.steps_planned:

@@ -66,7 +66,7 @@ def make_controller_space(scenario: Scenario) -> SearchSpace:
     )
 
 
-def own_options(scenario: Scenario) -> Options:
+def make_unchanged_options(scenario: Scenario) -> Options:
     """Return the options that leave the scenario's controller as it is."""
     table = scenario.files["scenario"]["controller"]
     horizons = {key: table[key] for key in ("prediction_horizon", "control_horizon")}
@@ -75,7 +75,9 @@ def own_options(scenario: Scenario) -> Options:
 
 def change_controller(scenario: Scenario, options: Options) -> Scenario:
     """Return the scenario with other weights and horizons of its controller."""
-    heading, increment, N_p, N_c = (_as_number(options[key]) for key in own_options(scenario))
+    heading, increment, N_p, N_c = (
+        _convert_to_number(options[key]) for key in make_unchanged_options(scenario)
+    )
     table = scenario.files["scenario"]["controller"]
     *position, turn = table["output_weight"]
     values: dict[str, Any] = {
@@ -94,7 +96,7 @@ def change_controller(scenario: Scenario, options: Options) -> Scenario:
     return copy_scenario_with_values(scenario, values, f"scenario {scenario.name}")
 
 
-def _as_number(value: object) -> float:
+def _convert_to_number(value: object) -> float:
     """Return a value as a number; it is one by its range."""
     assert isinstance(value, int | float), "of a range"
     return value
@@ -114,13 +116,13 @@ def draw_realisations(
     numbers: Sequence[int | None] = seas or [None]
     for number in numbers:
         for at in range(seed, seed + count):
-            env = put_in_sea(scenario, Realisation(number, at)).environment
+            env = change_sea_of_scenario(scenario, Realisation(number, at)).environment
             drawn = env.draw_wind_and_waves_at_stages(steps, scenario.sample_s, SUBSTEPS)
             found.append(Realisation(number, at, drawn))
     return found
 
 
-def put_in_sea(scenario: Scenario, sea: Realisation) -> Scenario:
+def change_sea_of_scenario(scenario: Scenario, sea: Realisation) -> Scenario:
     """Return the scenario in one sea; the noise of its sensors stays."""
     weather = scenario.files["scenario"]["environment"]
     if sea.number is not None:
@@ -138,8 +140,8 @@ def rate_controller(
     changed = change_controller(scenario, options)
     shares, wear = [], []
     for sea in seas:
-        loop = put_in_sea(changed, sea).truncate(steps)
-        share, travel = _run_loop(loop, sea.drawn)
+        loop = change_sea_of_scenario(changed, sea).truncate(steps)
+        share, travel = _run_loop_in_sea(loop, sea.drawn)
         shares.append(share)
         wear.append(travel * 3600.0 / (loop.steps * loop.sample_s))
     # A ship whose state is no number is off station.
@@ -147,7 +149,7 @@ def rate_controller(
     return LoopScore(float(share), float(mean))
 
 
-def _run_loop(scenario: Scenario, drawn: WeatherDraw) -> tuple[float, float]:
+def _run_loop_in_sea(scenario: Scenario, drawn: WeatherDraw) -> tuple[float, float]:
     """Run a closed loop with `SOLVER`; return largest share of the station and force travel."""
     workspace = open_workspace(SOLVER)
     cell = Cell(
@@ -167,7 +169,7 @@ def _run_loop(scenario: Scenario, drawn: WeatherDraw) -> tuple[float, float]:
     )
 
 
-def find_front(trials: Sequence[Trial[LoopScore]]) -> list[Trial[LoopScore]]:
+def find_pareto_front(trials: Sequence[Trial[LoopScore]]) -> list[Trial[LoopScore]]:
     """Return the trials that no other beats in offset and wear, by growing offset."""
     front: list[Trial[LoopScore]] = []
     for trial in sorted(trials, key=lambda t: (t.score.share, t.score.wear_per_h)):

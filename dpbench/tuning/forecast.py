@@ -22,7 +22,7 @@ from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.workers.child import has_compiled_kernels
 from dpbench.errors import ResultsError
 from dpbench.solvers.contract import Options
-from dpbench.tuning.campaigns import plan_settings, runs_by_settings, score_settings
+from dpbench.tuning.campaigns import group_runs_by_settings, plan_settings, score_settings
 from dpbench.tuning.request import SearchRequest, make_request
 from dpbench.tuning.search import Score, SettingsSearch, split_into_batches
 
@@ -112,7 +112,7 @@ def _repeat_finished_batches(
         except ResultsError as error:
             # Its runs are in parts yet, without a table.
             raise _NotFinishedError from error
-        runs = runs_by_settings(Records(results).all_runs, request.training)
+        runs = group_runs_by_settings(Records(results).all_runs, request.training)
         finished_s.append(estimate_run_seconds(cells, count_slots(None), STATED_RATES))
         wall_s.append(results.suite.get("wall_s", finished_s[-1]))
         return score_settings(settings, runs, request.solver.requirements)

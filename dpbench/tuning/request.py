@@ -35,7 +35,7 @@ from dpbench.tuning.campaigns import (
     DEFAULT,
     TunedProblem,
     TunedSolver,
-    load_problem,
+    load_tuned_problem,
     refuse_overlap,
 )
 from dpbench.tuning.search import SearchSpace, make_space
@@ -102,19 +102,21 @@ def make_request(
     """Return the checked request of a search; parameters and errors as in `tune_solver`."""
     if solver_module is not None:
         load_plugin_solver_from_file(solver_module)
-    _check_numbers(trials, steps, seed, error_move)
-    solver, given = _read_start(solver)
-    tuned = _choose_call(solver, route, policy, Requirements(error_move=error_move), solver_module)
+    _refuse_bad_numbers(trials, steps, seed, error_move)
+    solver, given = _parse_start(solver)
+    tuned = _choose_call_mode(
+        solver, route, policy, Requirements(error_move=error_move), solver_module
+    )
     if has_preset_or_tolerance(solver, name) or not re.fullmatch(r"[\w-]{1,80}", name, re.ASCII):
         allowed = f"letters, digits, _ and -; no preset of {solver}"
         raise InputError("--name", "", repr(name)[:90], allowed)
     space = make_space(solver, ranges, widened, given)
-    start = space.with_types(given) if given else None
+    start = space.convert_to_range_types(given) if given else None
     native = tuned.route == "native"
     adapter = get_native_adapter(solver) if native else get_qpsolvers_adapter(solver)
-    _check_options(adapter, space, start)
-    learned = [load_problem(one, steps) for one in training or TRAINING]
-    other = [load_problem(one, steps) for one in test or TEST]
+    _refuse_bad_options(adapter, space, start)
+    learned = [load_tuned_problem(one, steps) for one in training or TRAINING]
+    other = [load_tuned_problem(one, steps) for one in test or TEST]
     refuse_overlap(learned, other)
     return SearchRequest(
         tuned,
@@ -126,12 +128,12 @@ def make_request(
         seed,
         name,
         Path(out) if out is not None else Path("results") / f"tune-{solver}",
-        _describe_searched(adapter, space),
+        _describe_searched_options(adapter, space),
         _list_remarks(policy, [*learned, *other], space, start),
     )
 
 
-def _read_start(choice: str) -> tuple[str, Options]:
+def _parse_start(choice: str) -> tuple[str, Options]:
     """Return solver and options of a choice such as `osqp[rho=1.6]`; InputError for a grid."""
     solver, _ = split_into_solver_and_options_text(choice)
     points = expand_option_grid(parse_options_of_choice(choice), f"solver {solver}")
@@ -156,7 +158,7 @@ def _list_remarks(
     return remarks + [f"your settings lie at the edge of the searched range, {e}" for e in edges]
 
 
-def _check_numbers(trials: int, steps: int, seed: int, error_move: float) -> None:
+def _refuse_bad_numbers(trials: int, steps: int, seed: int, error_move: float) -> None:
     """Raise InputError for an impossible number of trials, steps, seed or error limit."""
     require_integer_at_least("--trials", trials, 1)
     require_integer_at_least("--steps", steps, 0)
@@ -165,7 +167,7 @@ def _check_numbers(trials: int, steps: int, seed: int, error_move: float) -> Non
         raise InputError("--error", "", error_move, "a number above 0")
 
 
-def _choose_call(
+def _choose_call_mode(
     solver: str,
     route: Route | None,
     policy: Policy,
@@ -185,14 +187,14 @@ def _choose_call(
     return TunedSolver(solver, chosen, policy, requirements, solver_module)
 
 
-def _check_options(adapter: _Adapter, space: SearchSpace, start: Options | None) -> None:
+def _refuse_bad_options(adapter: _Adapter, space: SearchSpace, start: Options | None) -> None:
     """Raise SettingsError where the solver lacks an option, or refuses one or an end of a range."""
     for share in (0.0, 1.0):
         resolve_settings_to_options(space.options_at(np.full(len(space.ranges), share)), adapter)
     resolve_settings_to_options(start or {}, adapter)
 
 
-def _describe_searched(adapter: _Adapter, space: SearchSpace) -> list[str]:
+def _describe_searched_options(adapter: _Adapter, space: SearchSpace) -> list[str]:
     """Describe the options that are searched, and the iteration limits, searched or not."""
     target = None if adapter.make_settings is None else adapter.make_settings()
     names = [] if target is None else list_public_settings_attributes(target)

@@ -66,7 +66,7 @@ class OptionRange:
             value = self.low + share * (self.high - self.low)
         if self.is_whole:
             return round(value)
-        return min(max(_round(value), self.low), self.high)
+        return min(max(_round_to_digits(value), self.low), self.high)
 
     def share_of(self, value: float) -> float:
         """Return the share of the range at which a value is, 0 or 1 for one outside."""
@@ -82,9 +82,9 @@ class OptionRange:
             return ""
         low, high = self.low, self.high
         if share > 0.5:
-            high = _round(high * _WIDER) if self.is_logarithmic else high + width
+            high = _round_to_digits(high * _WIDER) if self.is_logarithmic else high + width
         elif self.is_logarithmic and not self.is_whole:
-            low = _round(low / _WIDER)
+            low = _round_to_digits(low / _WIDER)
         else:
             low = max(low - width, min(low, int(self.is_whole)))
         if (low, high) == (self.low, self.high):
@@ -93,7 +93,7 @@ class OptionRange:
         return f"{self.name} = {value:g}: widen it by --widen '{wider}'"
 
 
-def _round(value: float) -> float:
+def _round_to_digits(value: float) -> float:
     """Round a number to `_DIGITS` significant digits."""
     return float(f"{value:.{_DIGITS}g}")
 
@@ -116,7 +116,7 @@ class SearchSpace:
         }
         return {**self.fixed, **searched}
 
-    def with_types(self, options: Options) -> Options:
+    def convert_to_range_types(self, options: Options) -> Options:
         """Return options whose numbers are of the type of their range, whole or not."""
         decimal = {own.name for own in self.ranges if not own.is_whole}
         return {
@@ -155,7 +155,7 @@ def make_space(
     record = find_solver_record(solver)
     found: dict[str, OptionRange] = {}
     if not ranges:
-        stated = _stated_ranges()
+        stated = _read_stated_ranges()
         usual = stated.get(solver) or stated.get(record.module)
         if usual is None and not widened:
             allowed = f"one of {', '.join(sorted(stated))}; or --range 'OPTION=[LEAST,LARGEST]'"
@@ -164,12 +164,12 @@ def make_space(
     for option, texts in (("--range", ranges), ("--widen", widened)):
         for text in texts:
             given = parse_options_of_choice(f"{solver}[{text}]")
-            found |= {name: _check_range(option, name, ends) for name, ends in given.items()}
+            found |= {name: _parse_range(option, name, ends) for name, ends in given.items()}
     fixed = {name: value for name, value in (own or {}).items() if name not in found}
     return SearchSpace(tuple(found.values()), fixed)
 
 
-def _check_range(option: str, name: str, ends: object) -> OptionRange:
+def _parse_range(option: str, name: str, ends: object) -> OptionRange:
     """Return a range from a list of two numbers; InputError for anything else."""
     numbers = ends if isinstance(ends, list) else []
     known = all(isinstance(x, int | float) and not isinstance(x, bool) for x in numbers)
@@ -179,7 +179,7 @@ def _check_range(option: str, name: str, ends: object) -> OptionRange:
 
 
 @cache
-def _stated_ranges() -> dict[str, dict[str, list[Any]]]:
+def _read_stated_ranges() -> dict[str, dict[str, list[Any]]]:
     """Read the ranges of all solvers' settings that a search tries."""
     return tomllib.loads(Path(__file__).with_name("ranges.toml").read_text(encoding="utf-8"))
 

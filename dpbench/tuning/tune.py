@@ -21,11 +21,11 @@ from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.tuning.campaigns import (
     TunedSolver,
     count_steps_of_settings,
+    group_runs_by_settings,
     measure_settings,
-    runs_by_settings,
+    name_step_times_ns,
     score_runs,
     score_settings,
-    step_times_ns,
 )
 from dpbench.tuning.request import BEST, TRIALS, SearchRequest, make_request
 from dpbench.tuning.search import Score, SettingsSearch, Trial, split_into_batches
@@ -96,7 +96,7 @@ class Tuning:
                 role.title,
                 run.sequence,
                 name,
-                _step_time_text(run),
+                _format_step_time(run),
                 format_error(run.error_move_max),
                 "yes" if is_right(run, limit) else "no",
             )
@@ -173,9 +173,9 @@ class Tuning:
         return f"{head}[settings.{name}]\n{solver.name} = {{ {options} }}\n"
 
 
-def _step_time_text(run: RunRecord) -> str:
+def _format_step_time(run: RunRecord) -> str:
     """Format the step time that a run is ranked by, with its name unless it is the p99."""
-    name, time_ns = next(iter(step_times_ns(run).items()))
+    name, time_ns = next(iter(name_step_times_ns(run).items()))
     return format_time(time_ns) if name == "p99" else f"{name} {format_time(time_ns)}"
 
 
@@ -308,7 +308,7 @@ def _make_search(
         place = request.folder / f"batch-{next(numbers):02d}"
         progress.plan(len(settings) + 1)
         runs = measure_settings(tuned, problems, settings, place, progress, wait_s=wait_s)
-        return score_settings(settings, runs_by_settings(runs, problems), tuned.requirements)
+        return score_settings(settings, group_runs_by_settings(runs, problems), tuned.requirements)
 
     return SettingsSearch(request.space, evaluate, request.seed)
 
@@ -330,7 +330,7 @@ def _measure_roles(
     )
     roles = []
     for title, problems in (("training", request.training), ("test", request.test)):
-        found = runs_by_settings(runs, problems)
+        found = group_runs_by_settings(runs, problems)
         own = {name: found[format_options_as_toml(options)] for name, options in named.items()}
         roles.append(TunedRole(title, {name: found[name] for name in presets} | own))
     return tuple(roles)

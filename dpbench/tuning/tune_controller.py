@@ -30,12 +30,12 @@ from dpbench.tuning.controllers import (
     LoopScore,
     Realisation,
     change_controller,
+    change_sea_of_scenario,
     choose_controller,
     draw_realisations,
-    find_front,
+    find_pareto_front,
     make_controller_space,
-    own_options,
-    put_in_sea,
+    make_unchanged_options,
     rate_controller,
 )
 from dpbench.tuning.search import Trial, TrialSearch
@@ -80,7 +80,7 @@ class ControllerTuning:
     @property
     def table(self) -> pd.DataFrame:
         """Table with a row for each trial: options, share, wear_per_h, kind."""
-        front = {trial.name for trial in find_front(self.trials)}
+        front = {trial.name for trial in find_pareto_front(self.trials)}
         kinds = {trial.name: "front" if trial.name in front else "tried" for trial in self.trials}
         kinds |= {self.trial_of_own_controller.name: "own"} | {self.chosen.name: "chosen"}
         rows = [{**t.options, **asdict(t.score), "kind": kinds[t.name]} for t in self.trials]
@@ -139,11 +139,11 @@ class _KeptTrials:
         if whole != text:
             write_text_atomically(path, whole)
 
-    def find(self, name: str) -> LoopScore | None:
+    def find_stored_score(self, name: str) -> LoopScore | None:
         """Return the stored score of a trial by its name; None where it is not finished."""
         return self._scores.get(name)
 
-    def add(self, name: str, score: LoopScore) -> None:
+    def store_score(self, name: str, score: LoopScore) -> None:
         """Store the score of a finished trial on disk, by the trial's name."""
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps([name, score.share, score.wear_per_h]) + "\n")
@@ -180,13 +180,15 @@ def tune_controller(
     """
     base = load_scenario(scenario)
     numbers = _parse_seas(seas)
-    _check_numbers(trials, realisations, margin, steps, seed)
+    _refuse_bad_numbers(trials, realisations, margin, steps, seed)
     steps = min(steps or base.steps, base.steps)
     name = base.name.replace("@", "_")
     folder = Path("results") / f"tune-{name}" if out is None else Path(out)
     for number in numbers:
-        put_in_sea(base, Realisation(number, 0))
-    kept = _KeptTrials(folder / "trials.jsonl", _search_digest(base, numbers, realisations, steps))
+        change_sea_of_scenario(base, Realisation(number, 0))
+    kept = _KeptTrials(
+        folder / "trials.jsonl", _compute_search_digest(base, numbers, realisations, steps)
+    )
     bar = progress or Silent()
     searched = draw_realisations(base, numbers, 0, realisations, steps)
     other = draw_realisations(base, numbers, realisations, realisations, steps)
@@ -194,19 +196,19 @@ def tune_controller(
 
     def rate(options: Options, at: Sequence[Realisation], role: str) -> LoopScore:
         name = f"{role}{format_options_as_toml(options)}"
-        score = kept.find(name)
+        score = kept.find_stored_score(name)
         if score is None:
             score = rate_controller(base, options, at, steps)
-            kept.add(name, score)
+            kept.store_score(name, score)
         bar.advance(len(at) * steps, f"{role}{_describe_score(score)}")
         return score
 
-    own = own_options(base)
+    own = make_unchanged_options(base)
     first = Trial(own, np.empty(0), rate(own, searched, ""))
     search = TrialSearch[LoopScore](
         make_controller_space(base),
         lambda settings: [rate(options, searched, "") for options in settings],
-        find_front,
+        find_pareto_front,
         seed,
     )
     search.run(trials)
@@ -247,7 +249,9 @@ def _parse_seas(text: str) -> list[int]:
     return [int(word) for word in words]
 
 
-def _check_numbers(trials: int, realisations: int, margin: float, steps: int, seed: int) -> None:
+def _refuse_bad_numbers(
+    trials: int, realisations: int, margin: float, steps: int, seed: int
+) -> None:
     """Raise InputError for an impossible number of trials or realisations, margin or seed."""
     require_integer_at_least("--trials", trials, 1)
     require_integer_at_least("--realisations", realisations, 1)
@@ -257,7 +261,9 @@ def _check_numbers(trials: int, realisations: int, margin: float, steps: int, se
         raise InputError("--margin", "", margin, "a number above 0, at most 1")
 
 
-def _search_digest(base: Scenario, seas: Sequence[int], realisations: int, steps: int) -> str:
+def _compute_search_digest(
+    base: Scenario, seas: Sequence[int], realisations: int, steps: int
+) -> str:
     """Return a digest of everything that the score of a trial depends on."""
     content = json.dumps([base.files, list(seas), realisations, steps], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()

@@ -29,7 +29,7 @@ def entry(name: str = "t", seconds: float = 1e-3, **more: Any) -> dict[str, Any]
 
 def run_of(*entries: dict[str, Any], **failed: str) -> BenchmarkRun:
     """A run of pytest."""
-    return BenchmarkRun.of(entries, failed)
+    return BenchmarkRun.from_json_entries(entries, failed)
 
 
 def verdicts(base: BenchmarkRun, head: BenchmarkRun, **options: bool) -> tuple[str, bool]:
@@ -53,7 +53,7 @@ def verdicts(base: BenchmarkRun, head: BenchmarkRun, **options: bool) -> tuple[s
 )
 def test_complaints_of_a_machine(changed: dict[str, float], text: str) -> None:
     """Each limit of a quiet machine has its words; what is hidden is no complaint."""
-    assert MachineState.read(QUIET | changed).complaints() == ([text] if text else [])
+    assert MachineState.from_stored_state(QUIET | changed).complaints() == ([text] if text else [])
 
 
 @pytest.mark.parametrize("side", [0, 1])

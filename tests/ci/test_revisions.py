@@ -13,7 +13,7 @@ import pytest
 
 from dpbench.ci import plugin, revisions
 from dpbench.ci.benchmarks import BenchmarkRun, list_imported_files
-from dpbench.ci.revisions import Measured, check_imports, main, measure_by_turns
+from dpbench.ci.revisions import Measured, main, measure_by_turns, require_imports_of_own_files
 from dpbench.errors import InputError
 
 pytest.importorskip("pytest_benchmark", reason="is of the extra ci")
@@ -35,7 +35,9 @@ def stub_runs(
         stats = {"min": seconds[tree.name], "q1": seconds[tree.name], "rounds": 9}
         info = {"reference_ns": 4e4, "machine": machine}
         entry = {"fullname": "t", "stats": stats, "extra_info": info}
-        return Measured(BenchmarkRun.of([entry], failed if tree.name == "head" else {}))
+        return Measured(
+            BenchmarkRun.from_json_entries([entry], failed if tree.name == "head" else {})
+        )
 
     monkeypatch.setattr(revisions, "measure_tree", measure)
     return order
@@ -118,10 +120,12 @@ def test_a_file_is_of_the_innermost_tree(trees: tuple[Path, Path]) -> None:
     """A worktree of the base may lie in the head; one tree may be compared with itself."""
     head, base = trees[1], trees[1] / "old"
     files = (str(base / "src" / "it.py"),)
-    check_imports((base, head), (BenchmarkRun(imported=files), BenchmarkRun()))
-    check_imports((base, base), (BenchmarkRun(imported=files), BenchmarkRun(imported=files)))
+    require_imports_of_own_files((base, head), (BenchmarkRun(imported=files), BenchmarkRun()))
+    require_imports_of_own_files(
+        (base, base), (BenchmarkRun(imported=files), BenchmarkRun(imported=files))
+    )
     with pytest.raises(InputError, match=r"head: imports .*it\.py: give each tree"):
-        check_imports((base, head), (BenchmarkRun(), BenchmarkRun(imported=files)))
+        require_imports_of_own_files((base, head), (BenchmarkRun(), BenchmarkRun(imported=files)))
 
 
 def test_of_installed_packages_only_the_top_is_listed() -> None:
@@ -140,14 +144,14 @@ def test_one_installed_copy_for_both_trees_is_bad_input(
     both = BenchmarkRun(
         imported=(str(site / "numpy" / "__init__.py"), str(site / "it" / "__init__.py"))
     )
-    check_imports(trees, (both, both))
+    require_imports_of_own_files(trees, (both, both))
     for tree in trees:
-        check_imports(trees, (both, both))
+        require_imports_of_own_files(trees, (both, both))
         (tree / folder / "it").mkdir(parents=True)
         (tree / folder / "it" / "__init__.py").touch()
     with pytest.raises(InputError, match=r"both import .*it/__init__\.py: give each tree"):
-        check_imports(trees, (both, both))
-    check_imports(trees, (both, BenchmarkRun(imported=both.imported[:1])))
+        require_imports_of_own_files(trees, (both, both))
+    require_imports_of_own_files(trees, (both, BenchmarkRun(imported=both.imported[:1])))
 
 
 @pytest.mark.slow

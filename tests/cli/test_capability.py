@@ -8,7 +8,7 @@ import pytest
 from dpbench.bench.capability import frontier
 from dpbench.bench.capability.frontier import FROM_DEG, Capability, WindLimit
 from dpbench.bench.sequences.sequence_file import load_sequence
-from dpbench.cli.capability import table_lines
+from dpbench.cli.capability import format_wind_table
 from dpbench.scenario.problem_files import find_problem_path
 from dpbench.scenario.scenario import load_vessel
 from dpbench.solvers import table
@@ -73,7 +73,7 @@ def test_many_groups_are_told_by_the_worst() -> None:
         for i, case in enumerate(["intact", *"abcde"])
     }
     capability = Capability("osv", None, held, dict.fromkeys(held, ()), ())
-    lines = table_lines(capability, load_vessel("osv"))
+    lines = format_wind_table(capability, load_vessel("osv"))
     (head,) = (line for line in lines if line.startswith(" from"))
     assert head.split() == ["from", "intact", "worst", "failure"]
     assert "15.0" in next(line for line in lines if line.startswith("   0°"))

@@ -27,7 +27,7 @@ def up_to(monkeypatch: pytest.MonkeyPatch, offset_m: float) -> None:
 
 def read_stored_text(name: str) -> str:
     """Return the text for a library vessel."""
-    return check_ship.vessel_text(find_problem_path("vessels", name), load_vessel(name))
+    return check_ship.describe_checked_vessel(find_problem_path("vessels", name), load_vessel(name))
 
 
 @pytest.mark.parametrize("name", list_shipped_problem_names("vessels"))
@@ -64,7 +64,7 @@ def test_a_scenario_fits_a_dozen_lines_of_a_terminal(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     up_to(monkeypatch, 1.7)
-    lines = check_ship.scenario_text(name, load_scenario(name)).splitlines()
+    lines = check_ship.describe_checked_scenario(name, load_scenario(name)).splitlines()
     assert len(lines) <= 12
     assert max(map(len, lines)) <= 80
 
@@ -97,7 +97,7 @@ def test_a_drift_beyond_linear_damping_has_no_number(monkeypatch: pytest.MonkeyP
     """By D alone MSS osv would drift at 22 m/s ahead and 6 sideways; 0.2 of Froude is 5.7 m/s."""
     up_to(monkeypatch, 1.0)
     ship = replace(load_vessel("osv"), drag=None)
-    text = check_ship.vessel_text(find_problem_path("vessels", "osv"), ship)
+    text = check_ship.describe_checked_vessel(find_problem_path("vessels", "osv"), ship)
     assert "> 5.7 m/s          > 5.7 m/s          0.296 °/s" in text
     assert "holds > 5.7 m/s of current abeam" in text
 
@@ -107,13 +107,14 @@ def test_a_weather_that_is_too_much_is_named(
 ) -> None:
     """417 kN of sway force: a mean of 330 kN is 79 % of it, one of 500 kN cannot be held."""
     up_to(monkeypatch, 1.0)
-    assert "simulated mean force: 11%, 79%, 14% of the limits\n" in check_ship.scenario_text(
-        "extreme", load_scenario("extreme")
+    assert (
+        "simulated mean force: 11%, 79%, 14% of the limits\n"
+        in check_ship.describe_checked_scenario("extreme", load_scenario("extreme"))
     )
     text = find_problem_path("scenarios", "extreme").read_text(encoding="utf-8")
     path = tmp_path / "worse.toml"
     path.write_text(text.replace("330.0", "500.0"), encoding="utf-8")
-    assert "120%, 14% of the limits - it cannot hold" in check_ship.scenario_text(
+    assert "120%, 14% of the limits - it cannot hold" in check_ship.describe_checked_scenario(
         path, load_scenario(path)
     )
 
@@ -125,7 +126,7 @@ def test_thrusters_show_what_they_make_together(monkeypatch: pytest.MonkeyPatch)
     thrusters = ThrusterSet((*mains, Thruster("bow", "tunnel", 18.0, 0.0, 200e3, 10.0)))
     low, high = thrusters.least_and_largest_force_by_axis()
     ship = replace(load_vessel("osv"), thrusters=thrusters, tau_min=low, tau_max=high)
-    text = check_ship.vessel_text(find_problem_path("vessels", "osv"), ship)
+    text = check_ship.describe_checked_vessel(find_problem_path("vessels", "osv"), ship)
     assert "\nlargest force         -200..400 kN       ±44.4 kN           ±800 kN·m\n" in text
     assert "\nwith other forces     -200..400 kN       ±200 kN            ±" in text
     assert "1 m/s sideways needs 143 kN of 44.4; holds 0.5" in text

@@ -12,7 +12,12 @@ from hypothesis import strategies as st
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.cli.main import main
-from dpbench.cli.own_ship import OwnShip, scenario_text, suite_text, vessel_text
+from dpbench.cli.own_ship import (
+    OwnShip,
+    render_scenario_file,
+    render_suite_file,
+    render_vessel_file,
+)
 from dpbench.scenario.hull_files import read_hull_from_mss_file
 from dpbench.scenario.own_ship import (
     DP_NUMBERS,
@@ -104,9 +109,9 @@ def test_any_ship_that_is_allowed_becomes_files_that_are(
     )
     folder = tmp_path_factory.mktemp("own")
     texts = {
-        "own.toml": vessel_text(OwnShip("own", own, vessel, like, None), "a command"),
-        "sea.toml": scenario_text("own", vessel, number, chosen=False),
-        "suite.toml": suite_text("own", "sea.toml", vessel, number),
+        "own.toml": render_vessel_file(OwnShip("own", own, vessel, like, None), "a command"),
+        "sea.toml": render_scenario_file("own", vessel, number, chosen=False),
+        "suite.toml": render_suite_file("own", "sea.toml", vessel, number),
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")

@@ -13,7 +13,13 @@ from rich.console import Console
 
 from dpbench.cli import check_ship, doctor
 from dpbench.cli.main import _CALLS, main
-from dpbench.cli.terminal import WIDTH, ProgressBar, format_entry, make_report_table, print_wrapped
+from dpbench.cli.terminal import (
+    WIDTH,
+    ProgressBar,
+    format_heading_and_paragraphs,
+    make_report_table,
+    print_wrapped,
+)
 from dpbench.report.table import Table
 from tests.cli.conftest import Say
 
@@ -139,7 +145,9 @@ def test_a_line_is_broken_at_spaces_and_a_path_is_not(capsys: pytest.CaptureFixt
     said = capsys.readouterr().out
     assert_readable(said)
     assert path in said.splitlines()[-1]
-    assert format_entry("daqp", ["word " * 30]).splitlines()[1].startswith("    word")
+    assert (
+        format_heading_and_paragraphs("daqp", ["word " * 30]).splitlines()[1].startswith("    word")
+    )
 
 
 @pytest.mark.slow
@@ -147,7 +155,7 @@ def test_doctor_puts_a_long_fact_beside_its_name(monkeypatch: pytest.MonkeyPatch
     machine: dict[str, Any] = {"load_average": [], "memory_GiB": 8, "kernel": "k", "python": "p"}
     versions = {f"library{i}": "1.0" for i in range(20)}
     monkeypatch.setattr(doctor, "describe_machine", lambda: machine | {"versions": versions})
-    said = "\n".join(doctor.doctor_lines())
+    said = "\n".join(doctor.describe_machine_and_clock())
     assert_readable(said)
     assert f"\n{' ' * 32}library" in said
 

@@ -13,7 +13,7 @@ import pytest
 
 import dpbench
 from dpbench.bench.record import schema
-from dpbench.cli.arguments import parser
+from dpbench.cli.arguments import make_parser
 from dpbench.solvers.table import TABLE
 from sitegen import columns, command_line, library, notebook, python_names, solvers, toml_keys
 from tests.docs.markdown_blocks import DOCS, PAGES, blocks_of
@@ -38,7 +38,7 @@ def _defined(file: str) -> set[str]:
 @cache
 def _commands() -> tuple[Mapping[str, object], Callable[[list[str]], object]]:
     """The commands, and what reads a command line."""
-    return command_line.commands(), parser(defaultdict(lambda: lambda arguments: 0)).parse_args
+    return command_line.commands(), make_parser(defaultdict(lambda: lambda arguments: 0)).parse_args
 
 
 @pytest.mark.parametrize(("page", "file", "name"), PLACES)

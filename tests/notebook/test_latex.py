@@ -5,7 +5,7 @@ import math
 import pandas as pd
 import pytest
 
-from dpbench.notebook.latex import escape_text, format_cell, make_tabular
+from dpbench.notebook.latex import escape_latex, format_latex_cell, make_tabular
 
 
 @pytest.mark.parametrize(
@@ -31,7 +31,7 @@ from dpbench.notebook.latex import escape_text, format_cell, make_tabular
     ],
 )
 def test_a_value_is_a_cell(value: object, cell: str) -> None:
-    assert format_cell(value) == cell
+    assert format_latex_cell(value) == cell
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_a_value_is_a_cell(value: object, cell: str) -> None:
     ],
 )
 def test_a_text_is_escaped(text: str, latex: str) -> None:
-    assert escape_text(text) == latex
+    assert escape_latex(text) == latex
 
 
 def test_numbers_are_to_the_right_of_a_table() -> None:

@@ -20,8 +20,8 @@ from dpbench.analysis.verdict.verdict import State as Verdict
 from dpbench.bench.plan.suite import FormulationName, RouteName
 from dpbench.bench.record.cell import OUTCOMES, Cell, Formulation, Units
 from dpbench.bench.run.backup import FALLBACKS
-from dpbench.cli.check_ship import ship_lines
-from dpbench.cli.doctor import doctor_lines
+from dpbench.cli.check_ship import format_limits_by_axis
+from dpbench.cli.doctor import describe_machine_and_clock
 from dpbench.cli.listing import list_table
 from dpbench.qp.random_sequence import FAMILIES
 from dpbench.qp.referee.optimum import Kind
@@ -123,7 +123,7 @@ def test_every_head_of_a_comparison_is_explained(table: Table) -> None:
 
 
 def test_what_check_says_of_a_ship_is_explained() -> None:
-    axes, *rows, sideways = ship_lines(load_vessel("supply_fs99"))
+    axes, *rows, sideways = format_limits_by_axis(load_vessel("supply_fs99"))
     names = {row[:22].strip() for row in rows}
     assert len(names) == 5
     assert {*names, *axes.split(), "drift at full"} <= _spoken()
@@ -132,7 +132,7 @@ def test_what_check_says_of_a_ship_is_explained() -> None:
 
 @pytest.mark.slow
 def test_what_doctor_says_is_explained() -> None:
-    lines = [line for line in doctor_lines() if not line.startswith(" ")]
+    lines = [line for line in describe_machine_and_clock() if not line.startswith(" ")]
     names = {re.split(r":| {2,}", line)[0] for text in lines for line in text.splitlines()[:1]}
     assert {"memory", "quiet means", "harness"} <= names
     assert names <= _spoken()

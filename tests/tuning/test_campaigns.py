@@ -17,9 +17,9 @@ from dpbench.tuning.campaigns import (
     FAILED,
     TunedProblem,
     TunedSolver,
+    format_suite_as_toml,
     score_runs,
     score_settings,
-    suite_text,
 )
 
 LIMIT = Requirements(error_move=1e-2)
@@ -84,7 +84,7 @@ def test_what_was_not_run_is_no_success() -> None:
 def test_the_suite_has_all_settings_on_all_sequences() -> None:
     """Names of any kind stay the same in TOML."""
     options = {"mode": "ROBUST", "mu0": 1e-5}
-    text = suite_text(SOLVER, PROBLEMS, [options], ["default", "high"])
+    text = format_suite_as_toml(SOLVER, PROBLEMS, [options], ["default", "high"])
     suite = SuiteFile.model_validate(tomllib.loads(text))
     assert suite.solvers[0] == "hpipm" and parse_options_of_choice(suite.solvers[1]) == options
     assert suite.recorded[0].sequence == 'C:\\"a"é.npz'

@@ -173,7 +173,7 @@ def test_own_options_that_are_not_searched_are_fixed() -> None:
         "rho": 10.0,
         "max_iter": 10,
     }
-    assert type(space.with_types(own)["rho"]) is float
+    assert type(space.convert_to_range_types(own)["rho"]) is float
     assert space.point_of(own).tolist() == [0.5, 0.5]
 
 

@@ -16,8 +16,8 @@ from dpbench.tuning.controllers import (
     change_controller,
     choose_controller,
     draw_realisations,
-    find_front,
-    own_options,
+    find_pareto_front,
+    make_unchanged_options,
     rate_controller,
 )
 from dpbench.tuning.search import Trial
@@ -36,7 +36,7 @@ def _read_rows(folder: Path) -> list[dict[str, str]]:
 
 def test_the_front_has_what_nothing_beats_in_both() -> None:
     trials = [_trial(*score) for score in [(0.5, 9), (0.9, 2), (0.6, 9), (0.3, 12), (0.7, 5)]]
-    assert [trial.score.share for trial in find_front(trials)] == [0.3, 0.5, 0.7, 0.9]
+    assert [trial.score.share for trial in find_pareto_front(trials)] == [0.3, 0.5, 0.7, 0.9]
 
 
 @pytest.mark.parametrize(("margin", "share"), [(0.8, 0.7), (0.4, 0.3), (0.1, 0.3)])
@@ -50,14 +50,14 @@ def test_least_wear_within_the_margin_is_chosen_else_the_least_offset(
 @pytest.mark.parametrize("name", ["weather", "thrusters", "thrusters_cascade", "paper_tight"])
 def test_factors_of_one_leave_the_controller_as_it_is(name: str) -> None:
     scenario = load_scenario(name)
-    assert change_controller(scenario, own_options(scenario)).files == scenario.files
+    assert change_controller(scenario, make_unchanged_options(scenario)).files == scenario.files
 
 
 def test_a_larger_increment_weight_wears_less_in_the_same_sea() -> None:
     """The offset is that of the exactly solved loop; a slower controller lets the ship off more."""
     scenario = load_scenario("weather")
     seas = draw_realisations(scenario, [], 0, 1, 200)
-    own = own_options(scenario)
+    own = make_unchanged_options(scenario)
     first = rate_controller(scenario, own, seas, 200)
     exact = compute_station_metrics(scenario, solve_loop_exactly(scenario.truncate(200)), 200)
     assert first.share == pytest.approx(

@@ -13,7 +13,7 @@ from dpbench.analysis.suites.capability import CapabilityResult
 from dpbench.analysis.suites.consequence import LOST, ConsequenceAnalysis
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.capability.frontier import FROM_DEG, INTACT
-from dpbench.report.capability_text import time_held_text
+from dpbench.report.capability_text import describe_time_held
 from dpbench.report.formats import format_rounded_down, significant
 from dpbench.report.ship_text import list_losses
 from dpbench.scenario.scenario import Scenario
@@ -158,4 +158,4 @@ def _analysis_findings(
     for analysis in analyses:
         own = analysis.spans[analysis.spans["group"] == group]
         if _scenario_of(analysis) in scenarios and (own["state"] == LOST).any():
-            yield f"by the consequence analysis it can be held {time_held_text(own)}"
+            yield f"by the consequence analysis it can be held {describe_time_held(own)}"

@@ -25,8 +25,8 @@ from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
 from dpbench.files.writing import write_bytes_to_file_or_pipe
 from dpbench.report.capability_text import (
-    consequence_solver_text,
     describe_capability,
+    describe_consequence_solver,
     describe_losses_held,
     describe_unanswered_qps,
 )
@@ -204,7 +204,7 @@ def _fill_statement(
         sources=[file["source"] for file in files if file.get("source")],
         held=_describe_held(plots, analyses),
         losses=find_open_losses(records, data.ships, plots, analyses),
-        consequence_solver=consequence_solver_text(records, c.solver),
+        consequence_solver=describe_consequence_solver(records, c.solver),
         caption=caption,
         unmet=describe_unmet(ships, known),
         compared=[

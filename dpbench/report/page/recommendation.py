@@ -18,7 +18,7 @@ from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.cell import Configuration
 from dpbench.errors import InputError, format_allowed_names
-from dpbench.report.capability_text import consequence_solver_text, describe_unanswered_qps
+from dpbench.report.capability_text import describe_consequence_solver, describe_unanswered_qps
 from dpbench.report.embedded_text import describe_embedded_cost
 from dpbench.report.formats import (
     format_error,
@@ -157,7 +157,7 @@ def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> s
         heads = {"pass": "Use", "borderline": "Borderline:"}
         opening = f"{heads.get(chosen.state, 'Nothing contradicts')} {call}"
     lacks = "" if chosen.state == "pass" else f"; {Recommendation.why(chosen)}"
-    both = consequence_solver_text(data.records, c.solver)
+    both = describe_consequence_solver(data.records, c.solver)
     return (
         f"{both + ' ' if both else ''}{opening}: right on every step of "
         f"{describe_judged_runs(chosen)}{_describe_infeasible_steps(data, c)}, "

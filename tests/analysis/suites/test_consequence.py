@@ -10,7 +10,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN, consequence_analyses
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_step_columns
-from dpbench.report.capability_text import consequence_solver_text, describe_unanswered_qps
+from dpbench.report.capability_text import describe_consequence_solver, describe_unanswered_qps
 from dpbench.report.topics.capability import build_consequence_topic
 from tests.result_folder import StepsInMemory
 
@@ -179,17 +179,19 @@ def test_another_solver_for_the_consequence_analysis_is_named_beside_that_of_the
     storm: Records,
 ) -> None:
     """The fastest one that is right on all QPs; nothing where it is the same."""
-    assert consequence_solver_text(storm, "quadprog") == ""
+    assert describe_consequence_solver(storm, "quadprog") == ""
     wanted = "MPC: osqp; consequence analysis: quadprog."
-    assert consequence_solver_text(storm, "osqp") == wanted
+    assert describe_consequence_solver(storm, "osqp") == wanted
 
 
 def test_without_a_consequence_analysis_no_solver_for_it_is_named(records: Any) -> None:
     records.loop("daqp")
-    assert consequence_solver_text(records.view(), "daqp") == ""
+    assert describe_consequence_solver(records.view(), "daqp") == ""
 
 
 def test_where_no_solver_is_right_on_all_qps_of_the_analysis_that_is_said(records: Any) -> None:
     silent = view(records, {"daqp": {"board B": [[TRUE, TRUE, SILENT, SILENT]]}})
     none = "no solver that was run answers all its QPs rightly"
-    assert consequence_solver_text(silent, "daqp") == f"MPC: daqp; consequence analysis: {none}."
+    assert (
+        describe_consequence_solver(silent, "daqp") == f"MPC: daqp; consequence analysis: {none}."
+    )
