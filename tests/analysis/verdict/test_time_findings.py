@@ -9,11 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.lateness import LateTimings
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.time_findings import (
     find_hidden_work,
+    find_own_times_ns,
     find_slow_loops,
     judge_times,
     p99_ns,
@@ -203,6 +205,20 @@ def test_few_timings_prove_no_late_p99(
         expected = [("few timings", rounds)]
     assert [(found.kind, found.steps) for found in findings] == expected
     assert figures["p99_ns"] == (3e6 if slow else 3e5)
+
+
+@pytest.mark.parametrize(
+    ("switches", "expected"),
+    [(math.nan, [3.0] * 4), (8, [3.0] * 4), (7, [1.0, 3.0, 3.0, 3.0]), (1, [1.0, 2.0, 4.0, 9.0])],
+)
+def test_own_times_of_two_timings_by_hand(switches: float, expected: list[float]) -> None:
+    """Four steps with a median of 3; each two switches may have hit one of the slowest."""
+    run: Any = SimpleNamespace(
+        outcome="finished", involuntary_switches=switches, voluntary_switches=0
+    )
+    k, algo_ns = np.arange(4), np.array([4.0, 1.0, 9.0, 2.0])
+    times = StepTimes(k, algo_ns, None, np.full(4, 2), 9.0, np.array([3.0, 3.0]))
+    assert find_own_times_ns(run, times).tolist() == expected
 
 
 def _waiting_replay(records: Any, ns: int, waits: list[float], **columns: Any) -> None:
