@@ -72,7 +72,7 @@
 #define NEAR ROUNDING_OF(1e-8)          /* a row so near its limit may be active */
 #define STEEP REAL(1e-4)                /* an active row nearer to the others leans on them */
 #define SETTLED ROUNDING_OF(1e-12)      /* a smaller correction leaves nothing to correct */
-#define SHARE REAL(0.1)           /* of the worst violation, by which others are still brought in */
+#define SHARE REAL(0.2)           /* of the worst violation, by which others are still brought in */
 #define ON_LIMIT ROUNDING_OF(1e-13) /* an active row so near its limit needs no refinement */
 #define LOST ROUNDING_OF(3e-8)       /* nor does a gradient that rounding may have changed by less */
 #define SMALL ROUNDING_OF(1e-9)         /* allowed in a row, and in the gradient of 1 + |q| */
@@ -321,16 +321,17 @@ static void drop_row(active_set *s, int k) {
         for (int c = 0; c < k; c++) to[c] = from[c];
         as_real x = from[k];
         for (int c = k; c < r; c++) {
-            const as_real y = from[c + 1];
-            to[c] = cosine[c] * x + sine[c] * y;
-            x = cosine[c] * y - sine[c] * x;
+            const as_real y = from[c + 1], p = cosine[c], q = sine[c];
+            to[c] = p * x + q * y;
+            x = p * y - q * x;
         }
         const as_real y = 1 / from[r + 1], h = root(x * x + y * y);
-        cosine[r] = x / h;
-        sine[r] = y / h;
+        const as_real p = x / h, q = y / h, next = s->T[r + 1];
+        cosine[r] = p;
+        sine[r] = q;
         to[r] = 1 / h;
-        s->T[r] = cosine[r] * last + sine[r] * s->T[r + 1];
-        last = cosine[r] * s->T[r + 1] - sine[r] * last;
+        s->T[r] = p * last + q * next;
+        last = p * next - q * last;
     }
 }
 
@@ -468,15 +469,17 @@ static void write_point(active_set *s) {
 /* ---- violated rows ------------------------------------------------------------------------- */
 
 /* How far row i, at v, is beyond a limit, over its length and less the rounding of the limit. */
-static as_real violation(const active_set *s, int i, as_real v) {
+SINGLE static as_real violation(const active_set *s, int i, as_real v) {
     const as_real over = v - s->high[i], under = s->low[i] - v;
     return s->unit[i] * (over > under ? over - VIOLATED * size_of(s->high[i])
                                       : under - VIOLATED * size_of(s->low[i]));
 }
 
-static void insert(active_set_view *found, int i, as_real by) {
+/* A few for few variables: where a look is cheap, another one saves rows that would be dropped again. */
+static void insert(active_set *s, int i, as_real by) {
+    active_set_view *found = &s->found;
     int k = found->count;
-    if (k < ACTIVE_SET_CANDIDATES) found->count++;
+    if (k <= s->n / 4 && k < ACTIVE_SET_CANDIDATES) found->count++;
     else if (by <= found->by[--k]) return;
     for (; k > 0 && found->by[k - 1] < by; k--) {
         found->by[k] = found->by[k - 1];
@@ -486,23 +489,22 @@ static void insert(active_set_view *found, int i, as_real by) {
     found->rows[k] = i;
 }
 
-/* Look at a row that is near a limit or beyond one. */
+/* Look at a row that is not active, or cannot be, and is near a limit or beyond one. */
 RARE static void look_at(active_set *s, int i, as_real noise, as_real close) {
     active_set_view *found = &s->found;
     const as_real v = s->z[i], low = s->low[i], high = s->high[i], u = s->unit[i];
-    if (s->side[i] != NEITHER && low < high) return;
     if ((v - high) * u < -close && (low - v) * u < -close) return;
     found->crossed |= has_crossed_limits(s, i);
     if (s->side[i] != NEITHER) return;
     found->near = 1;
     found->equal |= low == high;
     const as_real by = violation(s, i, v);
-    if (by > noise) insert(found, i, by);
+    if (by > noise) insert(s, i, by);
 }
 
-/* As most rows are; those with a NaN or crossed limits are not. */
-static int is_far_from_limits(as_real v, as_real low, as_real high, as_real far) {
-    return high - v > far && v - low > far;
+/* Whether a row is active or far from its limits, as most are; with a NaN or crossed limits none is. */
+static int is_no_news(const active_set *s, int i, as_real v, as_real low, as_real high, as_real far) {
+    return (high - v > far && v - low > far) || (s->side[i] != NEITHER && low < high);
 }
 
 static void look(active_set *s, as_real noise, as_real close) {
@@ -513,10 +515,10 @@ static void look(active_set *s, as_real noise, as_real close) {
     const int N = s->n + s->m;
     int i = 0;
     for (; i + 1 < N; i += 2, z += 2, low += 2, high += 2) {
-        if (!is_far_from_limits(*z, *low, *high, far)) look_at(s, i, noise, close);
-        if (!is_far_from_limits(z[1], low[1], high[1], far)) look_at(s, i + 1, noise, close);
+        if (!is_no_news(s, i, *z, *low, *high, far)) look_at(s, i, noise, close);
+        if (!is_no_news(s, i + 1, z[1], low[1], high[1], far)) look_at(s, i + 1, noise, close);
     }
-    if (i < N && !is_far_from_limits(*z, *low, *high, far)) look_at(s, i, noise, close);
+    if (i < N && !is_no_news(s, i, *z, *low, *high, far)) look_at(s, i, noise, close);
 }
 
 /* λ := the ray by which row j contradicts the active rows that it combines; T keeps that of before. */
@@ -638,13 +640,15 @@ static int is_steep(active_set *s) {
     return 0;
 }
 
-/* Whether the active rows are at their limits, z of a given length, and multipliers have their signs. */
-static int is_settled(const active_set *s, as_real length) {
+/* Whether the active rows are at their limits, z of a given length, and multipliers have their signs,
+ * as restore_signs leaves them. */
+static int is_settled(const active_set *s, as_real length, int moved) {
     for (int k = 0; k < s->count; k++) {
         const int i = s->active[k];
         const as_real g = limit_of(s, i), off = size_of(s->z[i] - g);
         if (!(off * s->unit[i] <= ON_LIMIT * length + TINY)) return 0;
-        if (off > SMALL * REAL(1e-3) * (1 + size_of(g)) || has_wrong_sign(s, i, s->lam[i])) return 0;
+        if (off > SMALL * REAL(1e-3) * (1 + size_of(g))) return 0;
+        if (moved && has_wrong_sign(s, i, s->lam[i])) return 0;
     }
     return 1;
 }
@@ -684,7 +688,7 @@ static int search(active_set *s) {
     const int sure = !s->refine || (!s->found.near && length <= 2 * size && !is_steep(s) &&
                                        s->loss * largest_of(s->q, s->n) <= LOST);
     for (int again = 0; again < 2 && sure; again++) {
-        if (is_settled(s, length)) return s->iterations;
+        if (is_settled(s, length, again + s->iterations)) return s->iterations;
         if (again == 0) settle(s);
     }
     return UNREFINED;
