@@ -34,11 +34,6 @@ class Status(IntEnum):
     UNKNOWN = 8
 
     @property
-    def explanation_for_report(self) -> str:
-        """Explanation of the status for the report, with the likely cause."""
-        return _SENTENCES[self]
-
-    @property
     def is_usable(self) -> bool:
         """Return whether a finite answer with this status is applied, as an unfinished one is."""
         return self in _USABLE
@@ -54,19 +49,6 @@ class Status(IntEnum):
         return self in (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
 
 
-_SENTENCES = {
-    Status.SOLVED: "The solver claims an optimum within its tolerances.",
-    Status.INACCURATE: "The solver stopped near an optimum, outside its tolerances; "
-    "tighter scaling or looser tolerances are the usual remedy.",
-    Status.MAX_ITERATIONS: "The iteration limit was reached; raise it or loosen the tolerances.",
-    Status.TIME_LIMIT: "The solver's own time limit was reached.",
-    Status.PRIMAL_INFEASIBLE: "The solver claims that no point satisfies the constraints.",
-    Status.DUAL_INFEASIBLE: "The solver claims that the problem is unbounded.",
-    Status.NUMERICAL_ERROR: "A factorisation or line search broke down; bad scaling is the "
-    "usual cause.",
-    Status.ERROR: "The library raised an exception or refused the problem.",
-    Status.UNKNOWN: "The library's answer has no documented meaning, or makes no claim.",
-}
 _UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
 _USABLE = _UNFINISHED | {Status.SOLVED, Status.UNKNOWN}
 

@@ -34,7 +34,7 @@ class CountedSolver:
     error_move : largest error of the first move; failed_steps : steps without a claimed optimum.
     compiler : name and version.
     desk_p99_ns : p99 of the same steps on the desk, NaN if they were not timed there.
-    desk_error_move, desk_mode : of that replay; NaN and "" without one.
+    desk_error_move : of that replay; NaN without one.
     """
 
     solver: str
@@ -53,7 +53,6 @@ class CountedSolver:
     compiler: str
     desk_p99_ns: float
     desk_error_move: float
-    desk_mode: str
 
 
 @dataclass(frozen=True)
@@ -142,7 +141,6 @@ def _count_of(records: Records, run: dict[str, Any], compiler: str) -> CountedSo
         compiler=compiler,
         desk_p99_ns=nan if desk is None else desk[1],
         desk_error_move=nan if desk is None else desk[0].error_move_max,
-        desk_mode="" if desk is None else f"{desk[0].route} {desk[0].policy}",
         **{name: run[f"{name}_bytes"] for name in ("code", "constants", "static", "heap", "stack")},
     )
 
