@@ -109,12 +109,22 @@ MOST_NAMES = 6  # A list of more names is cut to the nearest
 _NEAREST = 3
 
 
+def find_nearest_names(text: str, known: Iterable[str], *, likeness: float = 0.0) -> list[str]:
+    """Return at most three names, the nearest to `text` first, without regard to case.
+
+    likeness : the least that a name must have, 0 to 1 (`difflib.get_close_matches`).
+    """
+    names = {name.lower(): name for name in known}
+    # A text of a megabyte would be compared letter by letter.
+    near = get_close_matches(text[:80].lower(), names, n=_NEAREST, cutoff=likeness)
+    return [names[name] for name in near]
+
+
 def format_allowed_names(text: str, known: Sequence[str], *, listing: str = "") -> str:
     """Return as text all known names, or the three nearest to `text` and what lists all."""
     if len(known) <= MOST_NAMES:
         return f"one of {', '.join(known)}"
-    # A text of a megabyte would be compared letter by letter.
-    near = get_close_matches(text[:80], known, n=_NEAREST, cutoff=0.0)
+    near = find_nearest_names(text, known)
     rest = f"{', '.join(near)}, … {len(known) - len(near)} more"
     return f"{rest}: `{listing}`" if listing else rest
 

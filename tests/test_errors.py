@@ -4,7 +4,13 @@ import pickle
 
 import pytest
 
-from dpbench.errors import InputError, SituationError, SolverUnavailableError, format_allowed_names
+from dpbench.errors import (
+    InputError,
+    SituationError,
+    SolverUnavailableError,
+    find_nearest_names,
+    format_allowed_names,
+)
 from dpbench.solvers import table
 from dpbench.solvers.table import Availability, require_solver_available
 
@@ -27,6 +33,12 @@ def test_a_long_list_is_cut_to_the_nearest_three(listing: str, end: str) -> None
     *near, rest = format_allowed_names("tern", NAMES, listing=listing).split(", ")
     assert near[:2] == ["turn", "turning"] and near[2] in NAMES
     assert rest == f"… 4 more{end}"
+
+
+def test_a_name_in_capitals_is_near_the_same_in_small_letters() -> None:
+    """Else "DAQP" has no letter in common with "daqp"."""
+    assert find_nearest_names("TURN", NAMES)[0] == "turn"
+    assert find_nearest_names("tern", ["TURN", *NAMES[:3]], likeness=0.6) == ["TURN"]
 
 
 def test_a_long_list_is_cut_for_a_name_like_no_other() -> None:

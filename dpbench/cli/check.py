@@ -5,14 +5,13 @@ Each kind imports its own work, so that an error appears before anything heavy i
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dpbench.bench.progress import Progress
-from dpbench.errors import InputError
+from dpbench.errors import InputError, find_nearest_names
 from dpbench.scenario import problem_files as problems
 from dpbench.scenario.tables.scenario_file import ScenarioFile
 from dpbench.scenario.tables.vessel_file import VesselFile
@@ -61,7 +60,7 @@ def _make_unknown_name_error(name: str) -> InputError:
     """Make the error for a name that `dpbench check` does not find, with the nearest ones."""
     kinds = (*problems.KINDS, problems.SEQUENCES)
     names = [known for kind in kinds for known in problems.list_shipped_problem_names(kind)]
-    near = difflib.get_close_matches(name, names, n=3)
+    near = find_nearest_names(name, names, likeness=0.6)
     hint = f"e.g. {', '.join(near)}; " if near else ""
     shown = repr(name if len(name) <= 80 else f"{name[:77]}...")
     return InputError("check", "", shown, f"{hint}{CHECKED}; `dpbench list` has the names")

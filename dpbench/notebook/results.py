@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from dpbench.analysis.records.records import Records
 from dpbench.analysis.verdict.fastest import best_verdict_by_solver
 from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.design import load_stability_records
@@ -22,6 +23,7 @@ from dpbench.notebook.latex import make_tabular
 from dpbench.notebook.plots import ResultPlots
 from dpbench.report.csv_tables import read_table, write_tables
 from dpbench.report.formats import plural
+from dpbench.report.verdict_text import describe_disturbed_times
 
 if TYPE_CHECKING:
     from dpbench.report.report import Report
@@ -39,13 +41,14 @@ class Results(result_folder.Results):
 
     The report's are made at first use, and are what `dpbench report` writes into `tables/`. In a
     folder without `steps.parquet`, such as `results/reference`, they are read from there; what
-    needs the steps raises ResultsError.
+    needs the steps raises ResultsError. A notebook shows the recommendation, and what disturbed the
+    times.
 
     Examples
     --------
     >>> results = load_results("results/smoke")
-    >>> results
-    <Results smoke: 16 runs of 4 solvers>
+    >>> len(results.runs), results.runs["solver"].nunique()
+    (16, 4)
     >>> list(results.verdict().columns)[:3]
     ['solver', 'route', 'policy']
     """
@@ -161,7 +164,8 @@ class Results(result_folder.Results):
     def __repr__(self) -> str:
         runs = plural(len(self.runs), "run")
         solvers = plural(self.runs["solver"].nunique(), "solver")
-        return f"<Results {self.suite.get('name', self.folder.name)}: {runs} of {solvers}>"
+        state = f"; the machine was {self._disturbed}" if self._disturbed else ""
+        return f"<Results {self.suite.get('name', self.folder.name)}: {runs} of {solvers}{state}>"
 
     def _repr_html_(self) -> str | None:
         """Return the recommendation and each solver's best settings as HTML; None without steps."""
@@ -173,7 +177,13 @@ class Results(result_folder.Results):
             self._full_report.data, best_verdict_by_solver(self._full_report.data.verdicts)
         )
         title = str(self.suite.get("name", self.folder.name))
-        return make_html_table(HEAD, rows, title=title, note=self.answer)
+        state = f" The machine was {self._disturbed}." if self._disturbed else ""
+        return make_html_table(HEAD, rows, title=title, note=f"{self.answer}{state}")
+
+    @cached_property
+    def _disturbed(self) -> str:
+        """Disturbance of the timed replays, as in `report.md`; "" on a quiet machine."""
+        return describe_disturbed_times(Records(self))
 
     @cached_property
     def _full_report(self) -> Report:

@@ -10,7 +10,7 @@ from dpbench.analysis.records.run_record import RunRecord, group_by
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS
 from dpbench.analysis.times.contrasts import PairedComparison
-from dpbench.analysis.times.machine import largest_by_name
+from dpbench.analysis.times.machine import largest_by_name, timed_runs, total_disturbance
 from dpbench.analysis.verdict.fastest import (
     MOST_OWN,
     SolverChoice,
@@ -310,6 +310,12 @@ def describe_disturbance(disturbance: Disturbance) -> str:
     """Describe whether other programs disturbed the timing: "quiet", or disturbed by what."""
     complaints = disturbance.complaints()
     return f"disturbed: {join_with_and(complaints)}" if complaints else "quiet"
+
+
+def describe_disturbed_times(records: Records) -> str:
+    """Describe what disturbed the timed replays, with what to do; "" on a quiet machine."""
+    state = describe_disturbance(total_disturbance(timed_runs(records)))
+    return "" if state == "quiet" else f"{state}: times are better measured again"
 
 
 def describe_calibration(p50_ns: dict[str, float]) -> str:

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -122,11 +123,26 @@ def test_hard_steps_lie_in_their_runs(results: Results) -> None:
 
 def test_results_say_what_they_are(results: Results) -> None:
     solvers = results.runs["solver"].nunique()
-    assert repr(results) == f"<Results synthetic: {len(results.runs)} runs of {solvers} solvers>"
+    name = f"<Results synthetic: {len(results.runs)} runs of {solvers} solvers"
+    assert repr(results).startswith(name)
     html = results._repr_html_()
     assert "<script" not in html and "style" not in html
     assert all(f"<td>{solver}</td>" in html for solver in results.ladder()["solver"])
     assert results.answer.split(":")[0] in html
+
+
+@pytest.mark.parametrize("switches", [0, 67])
+def test_results_name_what_disturbed_their_times(results: Results, switches: int) -> None:
+    """As `report.md`, in text and in HTML; a quiet machine is not mentioned."""
+    quiet = dict.fromkeys(
+        ["disturbed_rounds", "counting_disturbed", "steal_s", "throttle_events"], 0
+    )
+    runs = results.runs.assign(**quiet, replay_s=1.0, involuntary_switches=switches)
+    shown = replace(results, runs=runs)
+    warning = "the machine was disturbed: 67 involuntary context switches a second: times are"
+    for text in (repr(shown), shown._repr_html_()):
+        assert (warning in text.replace("The machine", "the machine")) == (switches > 0)
+        assert ("disturbed" in text) == (switches > 0)
 
 
 @pytest.mark.slow

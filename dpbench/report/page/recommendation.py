@@ -7,7 +7,7 @@ from math import isnan
 from typing import Any
 
 from dpbench.analysis.times.contrasts import find_faster_inconclusive, paired_comparison
-from dpbench.analysis.times.machine import shortest_wait_ns, timed_runs, total_disturbance
+from dpbench.analysis.times.machine import shortest_wait_ns
 from dpbench.analysis.verdict.fastest import (
     SolverChoice,
     choose_solver,
@@ -33,7 +33,7 @@ from dpbench.report.ship_text import ShipSummary, summarise_ships
 from dpbench.report.verdict_text import (
     NOBODY,
     describe_deployment,
-    describe_disturbance,
+    describe_disturbed_times,
     describe_findings,
     describe_judged_runs,
     describe_paired_times,
@@ -132,10 +132,10 @@ def build_recommendation(
 def _describe_machine(data: PageData, machine: Mapping[str, Any]) -> str:
     """Name the machine, and what disturbed it; "" for nothing."""
     name = f"{machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} cores"
-    disturbed = describe_disturbance(total_disturbance(timed_runs(data.records)))
+    disturbed = describe_disturbed_times(data.records)
     return (
         f"Machine: {name}, {machine.get('python', '')}. Times hold for it alone."
-        + f" It was {disturbed}: times are better measured again." * (disturbed != "quiet")
+        + f" It was {disturbed}." * bool(disturbed)
     )
 
 
