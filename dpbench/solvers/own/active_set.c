@@ -90,10 +90,12 @@ static int is_infinite(as_real x) { return x - x != REAL(0); } /* or NaN */
 #if defined(__clang__) && __SIZEOF_POINTER__ == 4
 #define KERNEL __attribute__((noinline))
 #define SINGLE __attribute__((always_inline))
+#define SELDOM __attribute__((noinline, minsize)) /* as small as can be */
 #define FOR_SIZE
 #else
 #define KERNEL
 #define SINGLE
+#define SELDOM
 #endif
 #ifdef __GNUC__
 #define RARE __attribute__((noinline, cold)) /* its registers are not those of the loop around it */
@@ -348,7 +350,7 @@ static void write_combination(active_set *s) {
 
 /* Refine the combination R of active rows for row j, and T, once; returns the square of the distance
  * of row j from them in the norm of P⁻¹: y = c_j − Σ R_k c_k is formed and yᵀP⁻¹y taken. */
-static as_real refine_combination(active_set *s, int j) {
+SELDOM static as_real refine_combination(active_set *s, int j) {
     const int n = s->n, w = s->count;
     as_real *y = s->r, *x = s->e, *more = s->r_low;
     for (int again = 0;; again++) {
@@ -376,7 +378,7 @@ static void clear_set(active_set *s) {
 }
 
 /* Make row i active with a multiplier, unless it is, has no such limit, or leans on the others. */
-static void add_to_start(active_set *s, int i, int side, as_real lam) {
+SELDOM static void add_to_start(active_set *s, int i, int side, as_real lam) {
     if (s->side[i] != NEITHER || s->count == s->n || is_infinite(side > 0 ? s->high[i] : s->low[i]))
         return;
     write_entries(s, i);
@@ -388,7 +390,7 @@ static void add_to_start(active_set *s, int i, int side, as_real lam) {
 }
 
 /* Factorise the set anew, without rows that lost their limit or lean on the others now. */
-static void renew_set(active_set *s) {
+SELDOM static void renew_set(active_set *s) {
     const int w = s->count;
     s->count = 0;
     for (int k = 0; k < w; k++) {
@@ -400,7 +402,7 @@ static void renew_set(active_set *s) {
     }
 }
 
-static void add_equalities(active_set *s) {
+SELDOM static void add_equalities(active_set *s) {
     for (int i = 0; i < s->n + s->m; i++)
         if (s->low[i] == s->high[i]) add_to_start(s, i, 1, 0);
 }
@@ -522,7 +524,7 @@ static void look(active_set *s, as_real noise, as_real close) {
 }
 
 /* λ := the ray by which row j contradicts the active rows that it combines; T keeps that of before. */
-static int write_ray(active_set *s, int j, as_real side) {
+SELDOM static int write_ray(active_set *s, int j, as_real side) {
     const as_real rounding = VIOLATED * larger(1, largest_of(s->R, s->count));
     for (int k = 0; k < s->count; k++) {
         as_real *lam = s->lam + s->active[k];
@@ -654,7 +656,7 @@ static int is_settled(const active_set *s, as_real length, int moved) {
 }
 
 /* Move z and λ so that what the active rows miss by rounding is corrected. */
-static void settle(active_set *s) {
+SELDOM static void settle(active_set *s) {
     for (int k = 0; k < s->count; k++)
         s->R[k] = s->z[s->active[k]] - limit_of(s, s->active[k]);
     substitute_forward(s->L, s->R, s->count);
@@ -703,7 +705,7 @@ int active_set_solve(active_set *s) {
     return ending;
 }
 
-void active_set_place_step(active_set *s, as_real *reals, int *integers) {
+SELDOM void active_set_place_step(active_set *s, as_real *reals, int *integers) {
     const int n = s->n, N = n + s->m;
     as_real **const vectors[] = {
         &s->q, &s->base, &s->R, &s->T, &s->r, &s->e,
