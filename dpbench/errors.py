@@ -5,9 +5,10 @@ failure is never an exception that leaves the run: it is a `Status` in a record.
 """
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
 from numbers import Integral
+from os import PathLike
 
 
 class DpbenchError(Exception):
@@ -55,10 +56,20 @@ def require_integer_at_least(argument: str, value: int, least: int) -> None:
         raise InputError(argument, "", value, f"a whole number, {least} or more")
 
 
+def require_name_or_file(argument: str, value: object, file: str) -> None:
+    """Raise TypeError for what is neither a name nor the path of such a file."""
+    if not isinstance(value, str | PathLike):
+        raise TypeError(f"{argument}: found {value!r}; allowed: a name or {file}")
+
+
 def require_lists_of_names(**given: object) -> None:
     """Raise TypeError for a text or a single object where a list of names belongs; None passes."""
     for option, value in given.items():
-        if isinstance(value, str) or not (value is None or isinstance(value, Iterable)):
+        is_list = isinstance(value, Iterable) and not isinstance(value, str)
+        if is_list and isinstance(value, Collection):
+            for name in value:
+                require_name_or_file(option, name, "a file in the list")
+        elif not (value is None or is_list):
             allowed = f"a list of names, such as [{value!r}]"
             raise TypeError(f"{option}: found {value!r}; allowed: {allowed}")
 

@@ -43,7 +43,7 @@ from dpbench.bench.tabulate import RequestedRuns, is_tabulated, refuse_other_sel
 from dpbench.bench.workers.jobs import CellJob, Result, count_steps, group_by_source
 from dpbench.bench.workers.scratch import clear_scratch_folders
 from dpbench.bench.workers.worker import make_source
-from dpbench.errors import InputError, ResultsError, require_lists_of_names
+from dpbench.errors import InputError, ResultsError, require_lists_of_names, require_name_or_file
 from dpbench.locks import WaitLimit
 from dpbench.solvers.table import find_solver_availability
 
@@ -333,6 +333,7 @@ def run_campaign(
     ------
     InputError : for a bad suite, scenario, solver, job count or engine, or a folder with finished
         runs that are not requested, before anything runs.
+    TypeError : for a suite or sequence that is neither a name nor a path, or a name for a list.
     BusyError : the machine was busy longer than `wait_s`; finished cells are kept.
 
     Examples
@@ -348,6 +349,10 @@ def run_campaign(
         "policies": policies,
     }
     require_lists_of_names(**chosen)
+    if suite is not None:
+        require_name_or_file("suite", suite, "a TOML file; a scenario's in `scenarios=[...]`")
+    if sequence is not None:
+        require_name_or_file("sequence", sequence, "a .npz file or a folder")
     asked = RunRequest(
         suite=None if suite is None else str(suite),
         sequence=None if sequence is None else str(sequence),

@@ -31,7 +31,7 @@ from dpbench.bench.run.backup import FALLBACKS
 from dpbench.bench.run.closed_loop import record_closed_loop
 from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.bench.run.replay import ReplayRun
-from dpbench.bench.run.timed_solver import TimedSolver
+from dpbench.bench.run.timed_solver import TimedSolver, list_failure_descriptions
 from dpbench.bench.sequences.sequence_file import as_sequence
 from dpbench.display import make_html_field_table
 from dpbench.errors import InputError, require_integer_at_least
@@ -121,6 +121,7 @@ class Run:
             "answers verified": format_share(row["true_share"]),
             "reported solved but not verified": self._unverified_text or "0",
             "failed steps": format_count(row["failed_steps"]),
+            "failures": row["outcome_detail"],
             "largest error of the first move": format_error(row["error_move_max"]),
             f"median step time{note and f', {note}'}": time,
         }
@@ -336,7 +337,8 @@ def _make_run(
 ) -> Run:
     """Make a run with its table of steps and its summary row from judged answers."""
     steps = make_step_columns(cell, evaluated)
-    outcome = Outcome("finished", "", workspace.form, *timed_solver.size)
+    detail = "; ".join(list_failure_descriptions(timed_solver.details))
+    outcome = Outcome("finished", detail, workspace.form, *timed_solver.size)
     row = make_run_row("in-process", cell, outcome, Availability(True), "", evaluated, steps)
     return Run(
         make_step_rows("in-process", steps),

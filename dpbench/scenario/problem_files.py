@@ -184,17 +184,17 @@ def validate_settings_as_model(document: dict[str, Any], model: type[_Model], wh
         key = ".".join(keys)
         if first["type"] == "extra_forbidden":
             if new := getattr(model, "refused_keys", {}).get(key):
-                raise InputError(where, key, "an old name", f"{new}, its name now") from error
+                raise InputError(where, key, "an old name", f"{new}, its name now") from None
             allowed = format_allowed_names(
                 keys[-1], _list_allowed_keys_of_nested_table(model, keys[:-1])
             )
-            raise InputError(where, key, "an unknown key", allowed) from error
+            raise InputError(where, key, "an unknown key", allowed) from None
         if first["type"] == "missing":
-            raise InputError(where, key, "nothing", "this key is required") from error
+            raise InputError(where, key, "nothing", "this key is required") from None
         message = str(first["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
         value = first["input"]
         found = f"keys {', '.join(value)}" if isinstance(value, dict) else repr(value)[:200]
-        raise InputError(where, key, found, message) from error
+        raise InputError(where, key, found, message) from None
 
 
 def _list_allowed_keys_of_nested_table(model: type[BaseModel], keys: list[str]) -> list[str]:

@@ -10,7 +10,12 @@ import numpy as np
 
 from dpbench.arrays import Matrix, Vector
 from dpbench.display import format_numbers_with_units, make_html_field_table
-from dpbench.errors import InputError, UnknownNameError, require_integer_at_least
+from dpbench.errors import (
+    InputError,
+    UnknownNameError,
+    require_integer_at_least,
+    require_name_or_file,
+)
 from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.reference import ReferenceFilter, build_smoothed_reference_table
@@ -211,12 +216,14 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
 
     A relative path is looked for in the folder `beside` first, then in the working folder. Raises
     InputError : one line naming file, key, what was found and what is allowed.
+    TypeError : neither a name nor a path.
 
     Examples
     --------
     >>> load_scenario("paper").steps
     1000
     """
+    require_name_or_file("scenario", name_or_path, "a TOML file")
     name, at, other = str(name_or_path).partition("@")
     path = find_problem_path("scenarios", name, beside)
     scenario = read_toml_as_model(path, ScenarioFile)
@@ -224,7 +231,7 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
     try:
         vessel_path = find_problem_path("vessels", vessel, beside=path.parent)
     except InputError as error:
-        raise UnknownNameError(str(path), "vessel", repr(vessel), error.allowed) from error
+        raise UnknownNameError(str(path), "vessel", repr(vessel), error.allowed) from None
     files: ScenarioDocuments = {
         "name": f"{path.stem}@{vessel_path.stem}" if other else path.stem,
         "scenario": scenario.model_dump(),

@@ -28,8 +28,8 @@ class NativeAdapter:
 
     record : its row in the table, with its abilities on route native.
     workspace : makes a workspace of this record.
-    list_options : the names of the library's settings; None where they are those of
-        `make_settings`, or are unknown and not checked.
+    list_options : the names of the library's settings, in a mapping with their defaults; None where
+        they are those of `make_settings`, or are unknown and not checked.
     make_settings : a new settings object of the library that takes options as attributes, None
         where it takes them otherwise.
     """
@@ -148,10 +148,10 @@ def list_public_settings_attributes(settings: Any) -> list[str]:
     return [n for n in names if n != "verbose" and not callable(getattr(settings, n))]
 
 
-def list_keyword_parameters(module: str, name: str, *besides: str) -> list[str]:
-    """List the keyword parameters of a library's function or class, except those in `besides`."""
-    function = attrgetter(name)(import_module(module))
-    return [key for key in signature(function).parameters if key not in besides]
+def list_keyword_parameters(module: str, name: str, *besides: str) -> dict[str, object]:
+    """Return default by name of a library's keyword parameters, except those in `besides`."""
+    parameters = signature(attrgetter(name)(import_module(module))).parameters
+    return {key: one.default for key, one in parameters.items() if key not in besides}
 
 
 def import_all_adapters(

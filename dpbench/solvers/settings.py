@@ -5,6 +5,7 @@ record (`make_tolerance_presets`), for both routes.
 """
 
 from collections.abc import Iterable, Mapping
+from numbers import Real
 from typing import Any
 
 from dpbench.errors import SettingsError, format_allowed_names
@@ -31,7 +32,12 @@ def resolve_settings_to_options(
         return dict(find_options_of_preset(settings, name))
     target = None if adapter.make_settings is None else adapter.make_settings()
     if adapter.list_options is not None:
-        refuse_unknown_option_names(name, settings, adapter.list_options())
+        options = adapter.list_options()
+        refuse_unknown_option_names(name, settings, options)
+        defaults = options if isinstance(options, Mapping) else {}
+        _refuse_text_and_limits_below_zero(
+            name, settings, {**adapter.record.levels.get(MID, {}), **defaults}
+        )
     elif target is not None:
         refuse_unknown_option_names(name, settings, list_public_settings_attributes(target))
     if target is not None:
@@ -110,6 +116,22 @@ def refuse_unknown_option_names(
             if key not in known:
                 allowed = format_allowed_names(key, known) if known else "no settings"
                 raise SettingsError(f"settings of {solver}", key[:80], "an unknown key", allowed)
+
+
+def _refuse_text_and_limits_below_zero(
+    solver: str, settings: Mapping[str, object], defaults: Mapping[str, object]
+) -> None:
+    """Raise SettingsError for a text in place of a number, or a limit of iterations below zero.
+
+    Libraries without a settings object raise in each solve, or return any point as solved.
+    """
+    for key, value in settings.items():
+        if not isinstance(default := defaults.get(key), Real) or isinstance(default, bool):
+            continue
+        below = "iter" in key and isinstance(value, Real) and value < 0
+        if isinstance(value, str) or below:
+            allowed = "0 or more" if below else "a number"
+            raise SettingsError(f"settings of {solver}", key, repr(value)[:80], allowed)
 
 
 def _set_options_or_refuse_values(solver: str, settings: Mapping[str, object], target: Any) -> None:

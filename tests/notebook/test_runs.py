@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -17,9 +18,11 @@ from dpbench import (
     certify,
     condense,
     load_scenario,
+    load_sequence,
     open_workspace,
     record_sequence,
     replay,
+    run_campaign,
     run_closed_loop,
 )
 
@@ -89,6 +92,16 @@ def test_names_are_taken_where_objects_are(loop: Run, replayed: Run) -> None:
         replay("paper-30-5", "daqp", repeats=2.5)  # type: ignore[arg-type] # what is tested
     with pytest.raises(TypeError, match="steps: found '9'; allowed: a whole number, 1 or more"):
         run_closed_loop("paper", "daqp", steps="9")  # type: ignore[arg-type] # what is tested
+    with pytest.raises(TypeError, match=r"suite: found <Scenario .*: a name or a TOML file; a sc"):
+        run_campaign(load_scenario("paper"))
+    with pytest.raises(TypeError, match=r"sequence: found 3; allowed: a name or a \.npz file or"):
+        run_campaign(sequence=3)
+    with pytest.raises(TypeError, match=r"scenarios: found <Scenario .*: a name or a file in the"):
+        run_campaign("smoke", scenarios=[load_scenario("paper")])
+    with pytest.raises(TypeError, match=r"scenario: found \{\}; allowed: a name or a TOML file"):
+        load_scenario({})
+    with pytest.raises(TypeError, match="sequence: found 3; allowed: a name or"):
+        load_sequence(3)
     with pytest.raises(TypeError, match="solver: found 3; allowed: the name of a solver"):
         open_workspace(3)  # type: ignore[arg-type] # the mistake that is tested
 
@@ -141,6 +154,16 @@ def test_an_inaccurate_run_says_so_first(loop: Run, clipped: Run) -> None:
     assert repr(clipped).startswith("<Inaccurate run of unconstrained_clipped")
     assert repr(loop).startswith("<Run of daqp") and "100 % verified" in repr(loop)
     assert "warning" not in _Cells(loop._repr_html_()).cells
+
+
+def test_what_only_the_library_refuses_is_in_the_outcome(replayed: Run) -> None:
+    """Such as a value that it reads at the first step: its words, with their number."""
+    sequence = record_sequence(load_scenario("paper").truncate(12))
+    run = replay(sequence, open_workspace("daqp", settings={"cycle_tol": [1]}), repeats=1)
+    assert re.fullmatch(r"\d+ × TypeError: an integer is required", run.summary["outcome_detail"])
+    assert run.summary["outcome_detail"] in _Cells(run._repr_html_()).cells
+    assert replayed.summary["outcome_detail"] == ""
+    assert "failures" not in _Cells(replayed._repr_html_()).cells
 
 
 def test_the_time_of_a_replay_is_the_least_over_its_rounds(loop: Run) -> None:

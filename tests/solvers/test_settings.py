@@ -150,6 +150,23 @@ def test_a_value_of_the_wrong_kind_is_refused(solver):
         open_workspace(solver, settings={key: "many"})
 
 
+@pytest.mark.parametrize("route", ["native", "qpsolvers"])
+@pytest.mark.parametrize(
+    ("key", "value", "allowed"),
+    [("primal_tol", "1e-7", "a number"), ("iter_limit", -3, "0 or more")],
+)
+def test_a_value_that_fails_each_solve_is_refused_at_opening(route, key, value, allowed):
+    """By its defaults where the library has no settings object."""
+    with pytest.raises(SettingsError, match=f"daqp: {key}: found {value!r}; allowed: {allowed}"):
+        open_workspace("daqp", route=route, settings={key: value})
+
+
+def test_a_tolerance_is_no_text_where_the_library_has_no_defaults():
+    """By the presets of the solver's record."""
+    with pytest.raises(SettingsError, match="cvxopt: feastol: found '1e-7'; allowed: a number"):
+        open_workspace("cvxopt", settings={"feastol": "1e-7"})
+
+
 def test_an_unknown_name_is_refused(installed):
     with pytest.raises(SettingsError, match=r"'hihg'; allowed: default \| low \| mid \| high"):
         open_workspace(installed, settings="hihg")

@@ -43,6 +43,7 @@ Doubt = Literal[
     "perhaps late timings",
     "perhaps past the deadline",
     "no closed loop",
+    "no loop but studied ones",
     "no replay",
 ]
 Near = Literal["p99 borderline", "p95 borderline", "deadline borderline", "loop borderline"]

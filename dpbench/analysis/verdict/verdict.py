@@ -25,6 +25,7 @@ from dpbench.analysis.verdict.findings import (
     LATE,
     NEAR,
     OWN_DOING,
+    Doubt,
     Finding,
     State,
     finding_on_worst,
@@ -42,7 +43,8 @@ class Verdict:
     near : times within their uncertainty of a limit.
     gaps : where its solver's reference was judged and this configuration was not, or not whole.
     refusal : why it was not run at all.
-    loops, replays, windows : how many of its runs were judged.
+    loops, replays, windows : how many of its runs were judged; is_beside_study : whether its folder
+        has a study, whose loops are judged apart.
     steps : the steps with a judged answer; error_move : their largest error of the first move.
     p99_ns : largest p99 of the algorithmic step time, in the replay or window `p99_run`.
     p50_ns : on the sequence `timed_on`, of those replayed whole the one of the worst p99, or of the
@@ -63,6 +65,7 @@ class Verdict:
     loops: int = 0
     replays: int = 0
     windows: int = 0
+    is_beside_study: bool = False
     steps: int = 0
     error_move: float = math.nan
     failed_steps: int = 0
@@ -90,7 +93,8 @@ class Verdict:
     @property
     def missing(self) -> tuple[Finding, ...]:
         """Findings that bar a pass but are no failure: doubts, times near a limit, missing runs."""
-        no_loop = () if self.loops else (Finding("no closed loop"),)
+        kind: Doubt = "no loop but studied ones" if self.is_beside_study else "no closed loop"
+        no_loop = () if self.loops else (Finding(kind),)
         no_replay = () if self.replays or self.windows else (Finding("no replay"),)
         return (*self.doubts, *self.near, *self.gaps, *no_loop, *no_replay)
 
@@ -191,6 +195,7 @@ def judge_configuration(
         loops=len(ran) - len(replays),
         replays=sum(not run.window_of for run in replays),
         windows=sum(run.window_of > 0 for run in replays),
+        is_beside_study=bool(records.study),
         steps=sum(_count_judged_steps(run) for run in ran),
         error_move=maximum_of_known([run.error_move_max for run in ran]),
         failed_steps=sum(_count_or_zero(run.failed_steps) for run in ran),

@@ -129,7 +129,7 @@ def refuse_invalid_own_settings(suite: SuiteFile, choices: Iterable[str], where:
             _refuse_unaccepted_options(solver, parse_options_of_choice(choice))
         except SettingsError as error:
             key = f"{solver}[{error.key}]"
-            raise SettingsError(where, key, error.found, error.allowed) from error
+            raise SettingsError(where, key, error.found, error.allowed) from None
     for name, solvers in suite.settings.items():
         for solver, options in solvers.items():
             where = f"suite: settings.{name}.{solver}"
@@ -138,7 +138,7 @@ def refuse_invalid_own_settings(suite: SuiteFile, choices: Iterable[str], where:
                 for point in expand_option_grid(options, where):
                     _refuse_unaccepted_options(solver, point)
             except (SettingsError, UnknownNameError) as error:
-                raise type(error)(where, error.key, error.found, error.allowed) from error
+                raise type(error)(where, error.key, error.found, error.allowed) from None
             if has_preset:
                 where = f"suite: settings.{name}"
                 raise InputError(where, "", "the name of a preset", "a name of its own")
@@ -204,7 +204,7 @@ def _resolve_solvers(key: str, names: Sequence[str]) -> list[str]:
         return _expand_solver_choices(names)
     except InputError as error:
         place = f"{key}: {error.key}" if error.key else key
-        raise type(error)("suite", place, error.found, error.allowed) from error
+        raise type(error)("suite", place, error.found, error.allowed) from None
 
 
 def _expand_solver_choices(names: Sequence[str]) -> list[str]:

@@ -331,7 +331,7 @@ def name_file_in_errors(path: Path, *, chosen: bool = False) -> Iterator[None]:
         if place not in places:
             raise
         where = f"{places[place]}{colon}{key}"
-        raise type(error)(where, error.key, error.found, error.allowed) from error
+        raise type(error)(where, error.key, error.found, error.allowed) from None
 
 
 _OTHER_FILES = {"limits": "a vessel", "environment": "a scenario", "controller": "a scenario"}

@@ -10,7 +10,8 @@ import math
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -32,6 +33,8 @@ STEP_SHARE = 0.25
 """Share of a cell's run time that one step may take."""
 MOST_HANGS = 3
 """Hanging steps after which a run ends."""
+MOST_FAILURES = 3
+"""Different reasons of failures that the outcome of a run names."""
 HANG_DETAIL = "did not return and was killed"
 _OF_WORKSPACE = frozenset({"setup", "update", "solve", "read"})
 _OWN = slice(PHASES.index(SOLVER_PHASES[0]), PHASES.index(SOLVER_PHASES[-1]) + 1)
@@ -270,6 +273,14 @@ class TimedSolver:
         answer = Solution.without_point(n, m, Status.TIME_LIMIT, HANG_DETAIL)
         self._count_status_detail(HANG_DETAIL)
         return self._formulated.solution(answer)
+
+
+def list_failure_descriptions(counts: Mapping[str, int]) -> list[str]:
+    """Describe a solver's failures by count and the library's words, the most frequent first."""
+    named = Counter(counts).most_common(MOST_FAILURES)
+    others = sum(counts.values()) - sum(count for _, count in named)
+    words = [f"{count} × {text}" for text, count in named]
+    return [*words, f"{others} × other words"] if others else words
 
 
 def record_answer(log: AnswerLog, r: int, k: int, solution: Solution, waited_ns: int) -> None:

@@ -38,7 +38,7 @@ from dpbench.bench.record.npz import (
     read_stored_text,
     write_npz,
 )
-from dpbench.errors import InputError
+from dpbench.errors import InputError, require_name_or_file
 from dpbench.files.opening import parse_json
 from dpbench.qp.program import (
     CONSTANT,
@@ -157,6 +157,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
     Raises
     ------
     InputError : for a bad file, or one without units in SI.
+    TypeError : for what is neither a name nor a path.
 
     Examples
     --------
@@ -165,6 +166,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
     """
     if units not in ("scaled", "si"):
         raise InputError("load_sequence", "units", repr(units), '"scaled" or "si"')
+    require_name_or_file("sequence", name_or_path, "a .npz file")
     path = resolve_sequence_path(name_or_path)
     recorded = load_recorded(path)
     if units == "scaled":

@@ -7,8 +7,7 @@ small JSON verdict, and never prints.
 import gc
 import os
 import warnings
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from multiprocessing.connection import Connection
@@ -41,7 +40,13 @@ from dpbench.bench.run.footprint import (
     reset_peak_memory,
 )
 from dpbench.bench.run.replay import PREROLL, ReplayRun
-from dpbench.bench.run.timed_solver import MOST_HANGS, STEP_SHARE, TimedSolver, raise_at_step_limit
+from dpbench.bench.run.timed_solver import (
+    MOST_HANGS,
+    STEP_SHARE,
+    TimedSolver,
+    list_failure_descriptions,
+    raise_at_step_limit,
+)
 from dpbench.bench.sequences.source import choose_source_file, is_readable, read_replay
 from dpbench.bench.workers.orphans import has_children
 from dpbench.bench.workers.shared_status import (
@@ -63,8 +68,6 @@ from dpbench.solvers.table import (
 )
 
 Hang = tuple[int, int]  # Round, 0 in a closed loop, and step in which a process hung
-MOST_FAILURES = 3
-"""Different reasons of failures that the outcome of a run names."""
 
 
 def disable_gc_and_warnings() -> None:
@@ -265,14 +268,6 @@ def _make_outcome(
     detail = "; ".join(filter(None, [*details, describe_truncated_output()]))
     outcome = "timed_out" if stopped else "finished"
     return Outcome(outcome, detail, workspace.form, *timed_solver.size, process_peak_bytes())
-
-
-def list_failure_descriptions(counts: Mapping[str, int]) -> list[str]:
-    """Describe a solver's failures by count and the library's words, the most frequent first."""
-    named = Counter(counts).most_common(MOST_FAILURES)
-    others = sum(counts.values()) - sum(count for _, count in named)
-    words = [f"{count} × {text}" for text, count in named]
-    return [*words, f"{others} × other words"] if others else words
 
 
 @dataclass(frozen=True)

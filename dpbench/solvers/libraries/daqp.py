@@ -189,4 +189,4 @@ class DaqpWorkspace(NativeWorkspace):
         return z.copy(), dual[n:], dual[:n]
 
 
-NATIVE = NativeAdapter(RECORD, DaqpWorkspace, lambda: list(import_module("daqp").Model().settings))
+NATIVE = NativeAdapter(RECORD, DaqpWorkspace, lambda: dict(import_module("daqp").Model().settings))

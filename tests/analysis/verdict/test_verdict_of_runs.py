@@ -197,6 +197,13 @@ def test_unfinished_runs_are_doubts(records: Any) -> None:
     ]
 
 
+def test_loops_of_a_study_are_named_beside_a_missing_loop(records: Any) -> None:
+    records.replay("daqp", median_us=20.0)
+    records.sea("daqp", 0, 0, {"sea": 1.0})
+    (timed,) = _all(records)
+    assert [finding.kind for finding in timed.missing] == ["no loop but studied ones"]
+
+
 def test_kinds_of_runs_that_are_missing(records: Any) -> None:
     records.replay("daqp", median_us=20.0)
     records.loop("scs")

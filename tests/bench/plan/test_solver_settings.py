@@ -1,6 +1,7 @@
 """Settings of one's own in a suite and on the command line, from the text to the cells."""
 
 from pathlib import Path
+from traceback import format_exception
 
 import pytest
 
@@ -134,8 +135,9 @@ def test_a_mistake_in_a_suite_is_named(
     suite: str, old: str, new: str, kind: type[DpbenchError], message: str
 ) -> None:
     Path(suite).write_text(Path(suite).read_text().replace(old, new))
-    with pytest.raises(kind, match=rf"own\.toml: .*{message}"):
+    with pytest.raises(kind, match=rf"own\.toml: .*{message}") as raised:
         RunRequest(suite).make_plan()
+    assert "".join(format_exception(raised.value)).count("Traceback") == 1
 
 
 @pytest.mark.parametrize(

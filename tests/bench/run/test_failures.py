@@ -2,7 +2,7 @@
 
 import pytest
 
-from dpbench.bench.workers.worker import list_failure_descriptions
+from dpbench.bench.run.timed_solver import list_failure_descriptions
 
 
 @pytest.mark.parametrize(
