@@ -15,8 +15,14 @@ if TYPE_CHECKING:
     from dpbench.bench.sequences.export import export_sequence as export_sequence
     from dpbench.bench.sequences.sequence_file import load_sequence as load_sequence
     from dpbench.bench.sequences.sequence_file import save_sequence as save_sequence
+    from dpbench.errors import CertificateError as CertificateError
     from dpbench.errors import DpbenchError as DpbenchError
     from dpbench.errors import InputError as InputError
+    from dpbench.errors import PolicyError as PolicyError
+    from dpbench.errors import ResultsError as ResultsError
+    from dpbench.errors import SettingsError as SettingsError
+    from dpbench.errors import SolverUnavailableError as SolverUnavailableError
+    from dpbench.errors import UnknownNameError as UnknownNameError
     from dpbench.mpc.condensed_qp import CondensedQP as CondensedQP
     from dpbench.notebook.names import list_scenarios as list_scenarios
     from dpbench.notebook.names import list_sequences as list_sequences
@@ -51,7 +57,8 @@ _NAMES = {
     "bench.run.exact_loop": "record_sequence",
     "bench.sequences.export": "export_sequence",
     "bench.sequences.sequence_file": "load_sequence save_sequence",
-    "errors": "DpbenchError InputError",
+    "errors": "CertificateError DpbenchError InputError PolicyError ResultsError SettingsError "
+    "SolverUnavailableError UnknownNameError",
     "mpc.condensed_qp": "CondensedQP",
     "notebook.names": "list_scenarios list_sequences list_solvers list_suites",
     "notebook.results": "Results load_results",

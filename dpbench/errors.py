@@ -97,23 +97,54 @@ class ShapeError(InputError):
 
 
 class UnknownNameError(InputError):
-    """A vessel, scenario, suite, solver or setting that does not exist."""
+    """A vessel, scenario, suite, solver or setting that does not exist.
+
+    Examples
+    --------
+    >>> issubclass(UnknownNameError, InputError)
+    True
+    """
 
 
 class SettingsError(InputError):
-    """A solver setting that the solver does not have or does not accept."""
+    """A solver setting that the solver does not have or does not accept.
+
+    Examples
+    --------
+    >>> raise SettingsError("settings of daqp", "iter_limit", -3, "0 or more")
+    Traceback (most recent call last):
+    dpbench.errors.SettingsError: settings of daqp: iter_limit: found -3; allowed: 0 or more
+    """
 
 
 class PolicyError(InputError):
-    """A solver interface, or way of starting each solve, that a solver does not offer."""
+    """A solver interface, or way of starting each solve, that a solver does not offer.
+
+    Examples
+    --------
+    >>> issubclass(PolicyError, InputError)
+    True
+    """
 
 
 class SolverUnavailableError(SituationError):
-    """A solver whose library is missing or fails to import, with the reason."""
+    """A solver whose library is missing or fails to import, with the reason.
+
+    Examples
+    --------
+    >>> issubclass(SolverUnavailableError, InputError)
+    True
+    """
 
 
 class ResultsError(InputError):
-    """A result folder or file that is missing, damaged or of an unknown format version."""
+    """A result folder or file that is missing, damaged or of an unknown format version.
+
+    Examples
+    --------
+    >>> issubclass(ResultsError, InputError)
+    True
+    """
 
 
 MOST_NAMES = 6  # A list of more names is cut to the nearest
@@ -150,4 +181,10 @@ def warn_of_outdated_name(where: str, old: str, new: str) -> None:
 
 
 class CertificateError(DpbenchError):
-    """A QP whose optimum could not be proven in exact arithmetic although it has one."""
+    """A QP whose optimum could not be proven in exact arithmetic although it has one.
+
+    Examples
+    --------
+    >>> issubclass(CertificateError, DpbenchError)
+    True
+    """

@@ -72,7 +72,8 @@ def tabulate_effects(study: Study) -> Table | None:
         "realisation together. Intervals hold at 95 % for each cell alone; the units are the "
         "realisations, or the points where each is run once; in 10 of 10: all have one sign. "
         "Step times are of closed loops, which "
-        "are measured beside each other: take a difference of a few percent from a replay."
+        "are measured beside each other: take a difference of a few percent from a replay, and one "
+        "that has no interval, which is left out here."
     )
     if len(whole) > MOST_ROWS:
         note += " All rows: tables/study_effects.csv."

@@ -118,7 +118,8 @@ class Effect:
 def study_effects(study: Study) -> tuple[Effect, ...]:
     """Return the effect of every factor on every measure, configuration by configuration.
 
-    A factor that no two comparable runs vary in has none.
+    A factor that no two comparable runs vary in has none, and no step time without an interval: one
+    timing of each step of one loop shows the load of the machine.
     """
     factors = _find_factors(study.points)
     pairings = {factor: _pair_levels(study.points, factor) for factor in factors}
@@ -134,9 +135,14 @@ def study_effects(study: Study) -> tuple[Effect, ...]:
                 Effect(configuration.name, ", ".join(factor), measure, measured)
                 for factor in factors
                 for measured in found[factor]
-                if measured.difference.pairs
+                if measured.difference.pairs and _is_told_from_noise(measure, measured.difference)
             ]
     return tuple(effects)
+
+
+def _is_told_from_noise(measure: Measure, difference: PairedDifference) -> bool:
+    """Return whether a difference has an interval, or is of what other programs do not change."""
+    return measure != STEP_TIME or math.isfinite(difference.mean.low)
 
 
 def _find_factors(points: pd.DataFrame) -> list[tuple[str, ...]]:

@@ -147,6 +147,16 @@ def test_other_measures_are_of_all_runs() -> None:
     assert study.step_time == "raw_p99_ns"
 
 
+def test_a_step_time_without_an_interval_has_no_effect() -> None:
+    """One loop a level: its timings show the machine's load, its errors the factor."""
+    points = [{HORIZON: 20}, {HORIZON: 60}]
+    study = _study(points, np.array([[1.0], [2.0]]), seas=1)
+    (error,) = _effects(study).values()
+    assert error.difference.mean.value == 1.0 and np.isinf(error.difference.mean.low)
+    assert _effects(study, STEP_TIME) == {}
+    assert len(_effects(_study(points, np.ones((2, 8))), STEP_TIME)) == 1
+
+
 def test_a_slope_that_no_sea_changes_is_constant() -> None:
     """The seas differ by metres, the wind changes nothing: no interval of a rounding error."""
     points = [{WIND: float(w)} for w in range(12)]
