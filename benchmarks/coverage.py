@@ -25,15 +25,15 @@ from scipy.signal import lfilter
 from scipy.special import log_ndtr, ndtri
 
 from dpbench.analysis.compare.pairs import Pair
-from dpbench.analysis.compare.times import compare_times, compute_time_ratios
+from dpbench.analysis.compare.times import compare_times_and_shared_factors, compute_log_time_ratios
 from dpbench.analysis.statistics import (
     Interval,
-    paired_ratio,
-    percentile_interval,
-    pooled_mean,
-    upper_bound_of_none,
+    bound_probability_after_no_event,
+    estimate_paired_time_ratio,
+    estimate_percentile_interval,
+    estimate_pooled_ratio,
 )
-from dpbench.analysis.suites.study import paired_difference
+from dpbench.analysis.suites.study import compute_paired_difference
 
 METHOD = Path(__file__).parents[1] / "docs" / "method.md"
 MARKERS = ("<!-- coverage -->", "<!-- /coverage -->")
@@ -123,17 +123,17 @@ def draw_study(
         pd.DataFrame(np.where(keep & (rng.uniform(size=own.shape) >= lost / 2), values, np.nan))
         for values in (own, reference)
     )
-    found = paired_difference(one.stack().dropna(), other.stack().dropna())
+    found = compute_paired_difference(one.stack().dropna(), other.stack().dropna())
     both = (one.notna() & other.notna()).any(axis=1).to_numpy()
-    return float(truth[both].mean()), found.mean
+    return float(truth[both].mean()), found.mean_interval
 
 
 def draw_none(rng: Random, count: int) -> tuple[float, Interval]:
     """The bound of a share of which none was found, of the share for which it is most often wrong:
     just above the bound."""
-    truth = 1.001 * upper_bound_of_none(count)
+    truth = 1.001 * bound_probability_after_no_event(count)
     found = rng.uniform(size=count) < truth
-    high = 1.0 if found.any() else upper_bound_of_none(count)
+    high = 1.0 if found.any() else bound_probability_after_no_event(count)
     return truth, Interval(float(found.mean()), 0.0, high)
 
 
@@ -175,7 +175,11 @@ def draw_ratio(rng: Random, steps: tuple[int, ...], correlation: float) -> tuple
     """The ratio of two solvers over one sequence or several, true 1.2."""
     logs = [math.log(1.2) + 0.1 * draw_steps(rng, one, correlation) for one in steps]
     ones = [np.ones(len(one)) for one in logs]
-    return 1.2, (paired_ratio(np.exp(logs[0]), ones[0]) if len(logs) == 1 else pooled_mean(logs))
+    return 1.2, (
+        estimate_paired_time_ratio(np.exp(logs[0]), ones[0])
+        if len(logs) == 1
+        else estimate_pooled_ratio(logs)
+    )
 
 
 def draw_percentile(
@@ -183,7 +187,7 @@ def draw_percentile(
 ) -> tuple[float, Interval]:
     """A percentile of lognormal step times."""
     times = np.exp(0.3 * draw_steps(rng, steps, correlation))
-    found = percentile_interval(times, percent)
+    found = estimate_percentile_interval(times, percent)
     # An end that the steps do not reach holds everything on its side.
     high = found.high if found.low == 0.0 else min(found.high, 1e300)
     return math.exp(0.3 * float(ndtri(percent / 100.0))), Interval(found.value, found.low, high)
@@ -213,14 +217,14 @@ STEPS: dict[str, dict[str, Draw]] = {
 }
 
 
-# Comparisons of two runs, through `compute_time_ratios` and `compare_times`.
+# Comparisons of two runs, through `compute_log_time_ratios` and `compare_times_and_shared_factors`.
 
 CONFIGURATIONS, ROUNDS, STEPS_OF_TABLE = 12, 6, 100
 SEQUENCE = "paper"
 
 
 class SimulatedRecords:
-    """The step times of one run, in the form in which `compute_time_ratios` reads them."""
+    """The step times of one run, in the form in which `compute_log_time_ratios` reads them."""
 
     has_steps = True
 
@@ -244,11 +248,11 @@ class SimulatedRecords:
             )
             self.runs.append(_simulated_run(number, 5e4 * machine))
 
-    def counting_steps(self, run: Any, columns: object) -> pd.DataFrame:
+    def read_counting_step_table(self, run: Any, columns: object) -> pd.DataFrame:
         """The step rows of a run."""
         return self._steps[run.solver]
 
-    def is_ranked(self, run: Any) -> bool:
+    def has_comparable_times(self, run: Any) -> bool:
         """All of them are."""
         return True
 
@@ -258,7 +262,7 @@ def _simulated_run(number: int, kernel_ns: float) -> Any:
     words |= {"mode": "replay", "solver": f"{number}", "route": "native", "policy": "fresh"}
     words |= {"settings": "default", "units": "scaled", "formulation": "condensed_box"}
     kernels = dict.fromkeys(("reference_kernel_ns", "load_kernel_ns"), kernel_ns)
-    numbers = {"steps_planned": STEPS_OF_TABLE, "window_of": 0}
+    numbers = {"steps_planned": STEPS_OF_TABLE, "steps_searched_for_hardest": 0}
     return SimpleNamespace(**words, **kernels, **numbers, options="")
 
 
@@ -269,11 +273,11 @@ def compare_once(rng: Random, planted: float, *, disturbed: bool) -> tuple[bool,
     one = SimulatedRecords(rng, np.ones(CONFIGURATIONS), disturbed=disturbed)
     other = SimulatedRecords(rng, truth, disturbed=disturbed)
     pairs = [Pair(*both) for both in zip(one.runs, other.runs, strict=True)]
-    timings = compute_time_ratios(cast(Any, one), cast(Any, other), pairs)
+    timings = compute_log_time_ratios(cast(Any, one), cast(Any, other), pairs)
     why = {SEQUENCE: "both runs were disturbed" if disturbed else ""}
-    found, _ = compare_times(timings, 0.05, 0.05, why)
+    found, _ = compare_times_and_shared_factors(timings, 0.05, 0.05, why)
     assessments = [compared.assessment for compared in found]
-    held = all(a.ratio.spans(t) for a, t in zip(assessments, truth, strict=True))
+    held = all(a.ratio.contains(t) for a, t in zip(assessments, truth, strict=True))
     claimed = [a.verdict in ("slower", "faster") for a in assessments]
     return held, any(claimed[1:]), claimed[0] and planted > 0.0
 
@@ -301,7 +305,7 @@ def rows(rng: Random, draws: int, tables: int) -> Iterator[Row]:
         for case, draw in cases.items():
             found = [draw(rng) for _ in range(draws)]
             stated = [one for one in found if math.isfinite(one[1].high)]
-            held = float(np.mean([i.spans(t) for t, i in stated])) if stated else math.nan
+            held = float(np.mean([i.contains(t) for t, i in stated])) if stated else math.nan
             yield Row(kind, case, draws, len(stated), held)
     yield from comparison_rows(rng, tables)
 

@@ -69,7 +69,7 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     """Run faults in one campaign and return the state of each solver with the reason for it."""
     # Imported here, so that the variables for threads are set before NumPy loads.
     from dpbench import load_results, run_campaign
-    from dpbench.analysis.verdict.fastest import best_verdict_by_solver
+    from dpbench.analysis.verdict.fastest import list_best_verdict_of_each_solver
     from dpbench.report.report import Report
     from dpbench.report.verdict_text import describe_findings
     from dpbench.solvers.table import load_plugin_solver_from_file
@@ -85,8 +85,11 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     solvers = _list([*faults, TWIN, *BESIDE])
     suite.write_text(SUITE.format(solvers=solvers, loops=loops), encoding="utf-8")
     verdicts = Report.from_results(load_results(run_campaign(suite, folder / "out"))).data.verdicts
-    best = {v.configuration.solver: v for v in best_verdict_by_solver(verdicts)}
-    return {name: (v.state, describe_findings(v.causes or v.missing)) for name, v in best.items()}
+    best = {v.configuration.solver: v for v in list_best_verdict_of_each_solver(verdicts)}
+    return {
+        name: (v.state, describe_findings(v.causes or v.findings_that_bar_pass))
+        for name, v in best.items()
+    }
 
 
 def _list(names: Sequence[str]) -> str:

@@ -42,7 +42,7 @@ class Interval:
     low: float
     high: float
 
-    def spans(self, number: float) -> bool:
+    def contains(self, number: float) -> bool:
         """Return whether the interval contains `number`; an undefined one contains every number."""
         return not (self.low > number or self.high < number)
 
@@ -67,45 +67,54 @@ class MeanEstimate:
     skew: float = 0.0
 
     @property
-    def is_supported(self) -> bool:
+    def has_error_estimate(self) -> bool:
         """True if the mean has a positive standard error and a degree of freedom."""
         return self.error > 0.0 and self.df >= 1.0
 
     @property
-    def interval(self) -> Interval:
+    def confidence_interval(self) -> Interval:
         """The mean with its 95 % confidence interval: Student's t, corrected for skewness."""
-        if not self.is_supported:
+        if not self.has_error_estimate:
             return Interval(self.value, -math.inf, math.inf)
         quantile = float(stdtrit(self.df, TAILS[1]))
-        below = max(quantile, self._invert_skew(quantile))
-        above = max(quantile, -self._invert_skew(-quantile))
+        below = max(quantile, self._invert_correction_for_skewness(quantile))
+        above = max(quantile, -self._invert_correction_for_skewness(-quantile))
         return Interval(
             self.value, self.value - self.error * below, self.value + self.error * above
         )
 
-    def p_above(self, bound: float) -> float:
+    def compute_p_value_of_mean_above(self, bound: float) -> float:
         """Return the one-sided p-value of "the mean is larger than `bound`"; 1 if unsupported."""
-        if not self.is_supported:
+        if not self.has_error_estimate:
             return 1.0
         distance = (self.value - bound) / self.error
         return float(
-            max(stdtr(self.df, -distance), stdtr(self.df, -self._transform_skew(distance)))
+            max(stdtr(self.df, -distance), stdtr(self.df, -self._correct_t_for_skewness(distance)))
         )
 
-    def p_below(self, bound: float) -> float:
+    def compute_p_value_of_mean_below(self, bound: float) -> float:
         """Return the one-sided p-value of "the mean is smaller than `bound`"; 1 if unsupported."""
-        return MeanEstimate(-self.value, self.error, self.df, -self.skew).p_above(-bound)
+        return MeanEstimate(
+            -self.value, self.error, self.df, -self.skew
+        ).compute_p_value_of_mean_above(-bound)
 
-    def p_beyond(self, bound: float) -> float:
+    def compute_p_value_of_mean_beyond(self, bound: float) -> float:
         """Return the two-sided p-value of "the mean is farther than `bound` from 0"."""
-        return min(1.0, 2.0 * min(self.p_above(bound), self.p_below(-bound)))
+        return min(
+            1.0,
+            2.0
+            * min(
+                self.compute_p_value_of_mean_above(bound),
+                self.compute_p_value_of_mean_below(-bound),
+            ),
+        )
 
-    def _transform_skew(self, statistic: float) -> float:
+    def _correct_t_for_skewness(self, statistic: float) -> float:
         """Correct a t statistic for skewness, by Hall's cubic transformation."""
         skew = SKEW_SHARE * self.skew
         return statistic + skew * statistic**2 / 3 + skew**2 * statistic**3 / 27 + skew / 6
 
-    def _invert_skew(self, quantile: float) -> float:
+    def _invert_correction_for_skewness(self, quantile: float) -> float:
         """Return the t statistic whose correction for skewness is this quantile."""
         skew = SKEW_SHARE * self.skew
         if abs(skew) < 1e-9:
@@ -113,7 +122,7 @@ class MeanEstimate:
         return 3.0 / skew * (math.cbrt(1.0 + skew * (quantile - skew / 6)) - 1.0)
 
 
-def adjust_holm(p: Floats) -> Floats:
+def adjust_p_values_by_holm(p: Floats) -> Floats:
     """Adjust p-values for multiple tests by Holm's step-down Bonferroni method (1979)."""
     order = np.argsort(p, kind="stable")
     factors = np.arange(len(p), 0, -1)
@@ -122,7 +131,7 @@ def adjust_holm(p: Floats) -> Floats:
     return adjusted
 
 
-def upper_bound_of_none(count: float) -> float:
+def bound_probability_after_no_event(count: float) -> float:
     """Return the 95 % upper bound of a probability after `count` trials without an event.
 
     The rule of three (Hanley & Lippman-Hand 1983).
@@ -130,19 +139,19 @@ def upper_bound_of_none(count: float) -> float:
     return min(1.0, 3.0 / count) if count > 0 else 1.0
 
 
-def has_interval_support(steps: int) -> bool:
+def is_long_enough_for_interval(steps: int) -> bool:
     """Return whether a number of consecutive steps suffices for a confidence interval."""
     return steps >= LEAST_STEPS
 
 
-def estimate_mean(values: Floats) -> MeanEstimate:
+def estimate_mean_of_series(values: Floats) -> MeanEstimate:
     """Estimate the mean of a series (K,), its error from the means of consecutive parts.
 
     Parts that follow each other resemble each other: the error is widened by their correlation as
     for a first-order autoregression, after adding what so few parts underestimate.
     """
     mean, size = float(values.mean()), float(np.abs(values).max())
-    if not has_interval_support(len(values)):
+    if not is_long_enough_for_interval(len(values)):
         return MeanEstimate(mean)
     away = np.array([part.mean() for part in np.array_split(values, PARTS)]) - mean
     squares = float(away @ away)
@@ -154,7 +163,7 @@ def estimate_mean(values: Floats) -> MeanEstimate:
     return MeanEstimate(mean, math.sqrt(variance), PARTS - 1)
 
 
-def percentile_interval(values: Floats, percent: float) -> Interval:
+def estimate_percentile_interval(values: Floats, percent: float) -> Interval:
     """Estimate a percentile of step times with its 95 % interval; NaN for too few steps.
 
     The share of steps beyond the percentile has an error from `PARTS` parts; as many independent
@@ -165,9 +174,9 @@ def percentile_interval(values: Floats, percent: float) -> Interval:
     if not has_enough_samples_for_percentile(steps, percent):
         return UNKNOWN
     value = float(np.percentile(values, percent))
-    if not has_interval_support(steps):
+    if not is_long_enough_for_interval(steps):
         return Interval(value, 0.0, np.inf)
-    found = estimate_mean((values > value).astype(np.float64))
+    found = estimate_mean_of_series((values > value).astype(np.float64))
     widened = found.error * float(stdtrit(found.df, TAILS[1]) / ndtri(TAILS[1]))
     effect = max(LEAST_VARIANCE, widened**2 * steps / (share * (1.0 - share)))
     alone = steps / effect
@@ -183,17 +192,17 @@ def percentile_interval(values: Floats, percent: float) -> Interval:
     )
 
 
-def select_long_sequences(logs: Sequence[Floats]) -> list[Floats]:
+def select_long_series(logs: Sequence[Floats]) -> list[Floats]:
     """Return the step series long enough for a confidence interval; all if none is."""
-    return [one for one in logs if has_interval_support(len(one))] or list(logs)
+    return [one for one in logs if is_long_enough_for_interval(len(one))] or list(logs)
 
 
-def paired_ratio(slower: Floats, faster: Floats) -> Interval:
+def estimate_paired_time_ratio(slower: Floats, faster: Floats) -> Interval:
     """Return the geometric mean ratio of two step time arrays (K,) with its 95 % interval."""
-    return pooled_mean([np.log(slower / faster)])
+    return estimate_pooled_ratio([np.log(slower / faster)])
 
 
-def pooled_mean(logs: Sequence[Floats]) -> Interval:
+def estimate_pooled_ratio(logs: Sequence[Floats]) -> Interval:
     """Return the geometric mean of time ratios over sequences, from logs, with 95 % interval.
 
     logs : by sequence, the log ratios of its steps; only long sequences count where there are any,
@@ -201,18 +210,18 @@ def pooled_mean(logs: Sequence[Floats]) -> Interval:
     """
     if not logs or not all(map(len, logs)):
         return UNKNOWN
-    means = [estimate_mean(one) for one in select_long_sequences(logs)]
+    means = [estimate_mean_of_series(one) for one in select_long_series(logs)]
     errors = np.array([one.error for one in means])
     fourth = float((errors**4 / np.array([max(1.0, one.df) for one in means])).sum())
     pooled = MeanEstimate(
         float(np.mean([one.value for one in means])),
         float(np.linalg.norm(errors)) / len(means),
         float((errors**2).sum()) ** 2 / fourth if fourth > 0.0 else 0.0,
-    ).interval
+    ).confidence_interval
     return Interval(*np.exp([pooled.value, pooled.low, pooled.high]).tolist())
 
 
-def resampled_error(values: Floats, block: int) -> float:
+def bootstrap_error_of_mean(values: Floats, block: int) -> float:
     """Return the standard error of a mean by bootstrap over blocks of consecutive steps.
 
     Blocks are drawn independently (Politis & Romano 1992), so the variances of their sums add up.

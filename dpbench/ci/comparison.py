@@ -21,8 +21,8 @@ from rich.text import Text
 from dpbench.analysis.compare.evidence import (
     Assessment,
     Prior,
-    assess_ratios,
-    remove_machine_factor,
+    assess_time_ratios,
+    remove_factor_shared_by_group,
 )
 from dpbench.analysis.statistics import Interval
 from dpbench.ci import MARGIN
@@ -275,8 +275,10 @@ def _assess_ratios_together(
     logs, own = np.array([one for one, _ in estimates]), np.array([one for _, one in estimates])
     groups = ["plain" if np.isnan(kernel) else "kernel" for kernel in kernels]
     solvers = [both[0][1].solver for both in measured.values()]
-    evidence = remove_machine_factor(logs, own, groups, NOISE, 0.0 * kernels, subjects=solvers)
-    return dict(zip(measured, assess_ratios(evidence, margin, ALPHA), strict=True))
+    evidence = remove_factor_shared_by_group(
+        logs, own, groups, NOISE, 0.0 * kernels, subjects=solvers
+    )
+    return dict(zip(measured, assess_time_ratios(evidence, margin, ALPHA), strict=True))
 
 
 def _estimate_mean_log_ratio(both: Sequence[tuple[Benchmark, Benchmark]]) -> tuple[float, float]:

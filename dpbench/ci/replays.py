@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.run_record import build_records
-from dpbench.analysis.verdict.requirements import Requirements, is_right
+from dpbench.analysis.records.run_record import build_run_records
+from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
 from dpbench.bench.sequences.recording import thin_sequence
 from dpbench.bench.sequences.sequence_file import as_sequence
 from dpbench.ci.benchmarks import WRONG_ANSWERS
@@ -128,8 +128,8 @@ def _open_solver(solver: Workspace | str | Path, options: dict[str, Any]) -> Wor
 
 def _fail_on_wrong_answers(run: Run, requirements: Requirements) -> None:
     """Fail the test where a replay does not meet the requirements, with what was found."""
-    (record,) = build_records(pd.DataFrame([run.summary]))
-    if is_right(record, requirements):
+    (record,) = build_run_records(pd.DataFrame([run.summary]))
+    if is_right_on_every_step(record, requirements):
         return
     found = (
         f"largest error of the first move {record.error_move_max:.2g} "

@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import Answers, count_answers
+from dpbench.analysis.suites.capability import Answers, count_answers_by_run
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability.frontier import (
     FROM_DEG,
@@ -85,7 +85,7 @@ def _judge_solvers(
     with ProgressBar(transient=True, quiet=quiet) as bar:
         folder = run_campaign(suite, out / "run", solvers=solvers, may_leave_out=True, progress=bar)
     records = Records(load_results(folder))
-    return count_answers(records, [run for run in records.runs if run.default_route])
+    return count_answers_by_run(records, [run for run in records.runs if run.default_route])
 
 
 def save_rose_figure(capability: Capability, vessel: Vessel, path: Path) -> None:

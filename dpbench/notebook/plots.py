@@ -139,9 +139,9 @@ class ResultPlots:
 
         Raises InputError where no replay was timed.
         """
-        from dpbench.analysis.times.solver_tables import time_table
+        from dpbench.analysis.times.solver_tables import tabulate_best_times
 
-        table, limits = _require_rows(time_table(self._data)), self._data.requirements
+        table, limits = _require_rows(tabulate_best_times(self._data)), self._data.requirements
         if _is_matplotlib_chosen(backend):
             draw = _import_matplotlib_charts().draw_deadline_chart
         else:
@@ -153,9 +153,12 @@ class ResultPlots:
 
         Raises InputError where no replay was timed.
         """
-        from dpbench.analysis.times.solver_tables import level_table
+        from dpbench.analysis.times.solver_tables import tabulate_tolerance_levels
 
-        table, limits = _require_rows(level_table(self._data)), self._data.requirements
+        table, limits = (
+            _require_rows(tabulate_tolerance_levels(self._data)),
+            self._data.requirements,
+        )
         if _is_matplotlib_chosen(backend):
             return _import_matplotlib_charts().draw_accuracy(table, limits.error_move)
         from dpbench.report.charts.overview import draw_accuracy
@@ -225,10 +228,10 @@ def _convert_to_labelled_curves(runs: tuple[JudgedRun, ...]) -> list[Any]:
 
 def _make_step_rows(steps: pd.DataFrame) -> pd.DataFrame:
     """Return time [µs], error, iterations and active limits of each step, for a plot."""
-    from dpbench.analysis.records.run_steps import counting_rows, run_steps
+    from dpbench.analysis.records.run_steps import extract_counting_rows, yield_merged_steps_by_run
     from dpbench.report.charts.steps import NO_ANSWER
 
-    ((_, run),) = run_steps(counting_rows(steps))
+    ((_, run),) = yield_merged_steps_by_run(extract_counting_rows(steps))
     return pd.DataFrame(
         {
             "k": run.k,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.verdict.fastest import best_verdict_by_solver
+from dpbench.analysis.verdict.fastest import list_best_verdict_of_each_solver
 from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.design import load_stability_records
 from dpbench.bench.record import result_folder
@@ -174,7 +174,8 @@ class Results(result_folder.Results):
         from dpbench.report.documents.markdown import HEAD, make_solver_rows
 
         rows = make_solver_rows(
-            self._full_report.data, best_verdict_by_solver(self._full_report.data.verdicts)
+            self._full_report.data,
+            list_best_verdict_of_each_solver(self._full_report.data.verdicts),
         )
         title = str(self.suite.get("name", self.folder.name))
         state = f" The machine was {self._disturbed}." if self._disturbed else ""

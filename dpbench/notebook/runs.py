@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.records.run_record import build_records
+from dpbench.analysis.records.run_record import build_run_records
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.judge.answer_caching import is_answer_cached
 from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_loop_log
@@ -169,7 +169,7 @@ class Run:
         """Results of the controller itself: the ship of the exactly solved closed loop."""
         if self.scenario is None:
             return ShipSummary()
-        (run,) = build_records(pd.DataFrame([self.summary]))
+        (run,) = build_run_records(pd.DataFrame([self.summary]))
         return summarise_ships([ShipResult(run.scenario, run)])
 
     def _describe_control(self) -> dict[str, str]:

@@ -11,11 +11,11 @@ from dpbench.analysis.suites.consequence import (
     HELD,
     LOST,
     ConsequenceAnalysis,
-    answers_in_all,
-    consequence_analyses,
-    largest_share,
+    build_consequence_analyses,
+    find_largest_share_of_sample,
+    select_configurations_in_all_analyses,
 )
-from dpbench.analysis.verdict.fastest import deployment_blocker
+from dpbench.analysis.verdict.fastest import explain_deployment_blocker
 from dpbench.bench.capability.frontier import INTACT
 from dpbench.report.formats import format_rounded_down
 
@@ -30,8 +30,8 @@ def describe_capability(plot: CapabilityResult) -> Iterator[str]:
     if len(failed):
         worst = failed.nsmallest(1, "wind_mps").iloc[0]
         wording += f"; after the loss of {worst['case']} {_format_least_wind(failed)}"
-    if plot.notation:
-        yield f"{plot.notation}."
+    if plot.capability_numbers_text:
+        yield f"{plot.capability_numbers_text}."
     yield f"{wording} (DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides)."
 
 
@@ -71,12 +71,14 @@ def describe_consequence_solver(records: Records, solver: str) -> str:
 
     The configuration that answers all QPs rightly and takes the least share of a sample counts.
     """
-    own = answers_in_all(consequence_analyses(records))
-    right = {name: of_it for name, of_it in own.items() if all(a.is_all_right for a in of_it)}
+    own = select_configurations_in_all_analyses(build_consequence_analyses(records))
+    right = {
+        name: of_it for name, of_it in own.items() if all(a.has_only_right_answers for a in of_it)
+    }
     if not own or any(of_it[0].solver == solver for of_it in right.values()):
         return ""
-    deployable = [name for name in right if not deployment_blocker(right[name][0].solver)]
-    shares = {name: largest_share(right[name]) for name in deployable}
+    deployable = [name for name in right if not explain_deployment_blocker(right[name][0].solver)]
+    shares = {name: find_largest_share_of_sample(right[name]) for name in deployable}
     best = min(shares, key=lambda name: (math.isnan(shares[name]), shares[name]), default="")
     other = best or "no solver that was run answers all its QPs rightly"
     return f"MPC: {solver}; consequence analysis: {other}."
@@ -89,8 +91,12 @@ def describe_required_force(analysis: ConsequenceAnalysis) -> str:
 
 def describe_unanswered_qps(records: Records, solver: str) -> str:
     """State how many QPs of consequence analyses a solver leaves unanswered; "" for none."""
-    best = [a.best[solver] for a in consequence_analyses(records) if solver in a.best]
-    silent, asked = sum(a.unanswered for a in best), sum(a.asked for a in best)
+    best = [
+        a.best_answers_by_solver[solver]
+        for a in build_consequence_analyses(records)
+        if solver in a.best_answers_by_solver
+    ]
+    silent, asked = sum(a.unanswered_count for a in best), sum(a.asked for a in best)
     infeasible = sum(a.infeasible - a.refused for a in best)
     if not silent:
         return ""

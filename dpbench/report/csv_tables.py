@@ -7,15 +7,18 @@ from pathlib import Path
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
-from dpbench.analysis.suites.study_tables import tabulate_behind, tabulate_points
-from dpbench.analysis.times.solver_tables import (
-    experiment_table,
-    hard_step_table,
-    ratio_table,
-    time_table,
-    verdict_table,
+from dpbench.analysis.suites.study_tables import (
+    tabulate_differences_from_reference,
+    tabulate_study_points,
 )
-from dpbench.analysis.verdict.ship_results import ship_table
+from dpbench.analysis.times.solver_tables import (
+    tabulate_best_times,
+    tabulate_experiment_verdicts,
+    tabulate_hard_steps,
+    tabulate_time_ratios,
+    tabulate_verdicts,
+)
+from dpbench.analysis.verdict.ship_results import tabulate_ship_results
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.errors import ResultsError
@@ -40,22 +43,22 @@ def build_tables(
     results: Results, data: PageData, recommendation: Recommendation, topics: Sequence[Topic]
 ) -> dict[str, pd.DataFrame]:
     """Build all tables of the report as data frames by name; some may be empty."""
-    verdicts, ladder = verdict_table(data), time_table(data).drop(columns="id")
+    verdicts, ladder = tabulate_verdicts(data), tabulate_best_times(data).drop(columns="id")
     if len(verdicts):
-        why = [recommendation.why(verdict) for verdict in data.verdicts.all]
+        why = [recommendation.why(verdict) for verdict in data.verdicts.all_verdicts]
         verdicts.insert(list(verdicts).index("verdict") + 1, "why", why)
     times = [name for name in ladder.columns if name.endswith("_ms")]
     ladder[times] = 1e3 * ladder[times]
     tables = {
-        "ships": ship_table(data.ships),
+        "ships": tabulate_ship_results(data.ships),
         "runs": results.runs.drop(columns="cell"),
         "verdicts": verdicts,
-        "experiments": experiment_table(data),
-        "hard_steps": hard_step_table(data, data.thinned_runs),
+        "experiments": tabulate_experiment_verdicts(data),
+        "hard_steps": tabulate_hard_steps(data, data.thinned_runs),
         "ladder": ladder.rename(columns={n: f"{n.removesuffix('_ms')}_us" for n in times}),
-        "paired_ratios": ratio_table(data),
-        "study_behind": tabulate_behind(data.studies),
-        "study_points": tabulate_points(data.studies),
+        "paired_ratios": tabulate_time_ratios(data),
+        "study_behind": tabulate_differences_from_reference(data.studies),
+        "study_points": tabulate_study_points(data.studies),
         "study_effects": build_effects_table(data.studies),
     }
     # Those of a study are written as numbers above.

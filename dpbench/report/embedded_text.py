@@ -85,7 +85,7 @@ def describe_embedded_cost(
     results: EmbeddedResults, requirements: Requirements, solver: str
 ) -> str:
     """State what a solver costs on an embedded core; "" where that was not counted."""
-    largest = results.find_largest(solver)
+    largest = results.find_largest_count_of_solver(solver)
     if largest is None or largest[1].error_move > requirements.error_move:
         return ""
     sequence, one = largest
@@ -125,9 +125,9 @@ def yield_ranking_sentences(
     apart = f"where both p99 differ by more than {100 * (APART - 1):.0f} %"
     alike = []
     for sequence in sequences:
-        if len(sequence.desk_ranks) < 2:
+        if len(sequence.desk_rank_by_solver) < 2:
             continue
-        pairs = sequence.find_disagreements(requirements.error_move)
+        pairs = sequence.find_pairs_ranked_otherwise(requirements.error_move)
         if not pairs:
             alike.append(name_sequence_and_core(sequence))
             continue

@@ -9,10 +9,10 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.machine import (
-    calibration_medians,
-    delayed_runs,
-    timed_runs,
-    total_disturbance,
+    find_largest_median_by_test_solver,
+    select_delayed_loops,
+    select_timed_replays,
+    sum_disturbances,
 )
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
@@ -64,10 +64,10 @@ class Report:
         folder, see `load_stability_records`, `load_capability_plots` and
         `load_counted_steps_of_folder`.
         """
-        records, requirements = Records(results), Requirements.of(results.suite)
+        records, requirements = Records(results), Requirements.from_suite(results.suite)
         data = PageData.from_verdicts(records, judge_solvers(records, requirements), counted)
         named = results.suite.get("report", {}).get("baseline")
-        if named not in {v.configuration.solver for v in data.verdicts.all if v.steps}:
+        if named not in {v.configuration.solver for v in data.verdicts.all_verdicts if v.steps}:
             named = None  # a part of the suite was run, without it
         recommendation = build_recommendation(data, results.machine, baseline or named)
         topics = build_topics(
@@ -113,9 +113,11 @@ class Report:
             rows.append(("solvers", f"{count_solvers(verdicts)}."))
             rows += [("options", line) for line in describe_own_settings(verdicts)]
         records = self.data.records
-        disturbance = total_disturbance(timed_runs(records) or delayed_runs(records))
+        disturbance = sum_disturbances(
+            select_timed_replays(records) or select_delayed_loops(records)
+        )
         if disturbance.seconds > 0:
             rows.append(("machine", f"{describe_disturbance(disturbance)}."))
-        if medians := calibration_medians(records.calibration):
+        if medians := find_largest_median_by_test_solver(records.calibration):
             rows.append(("harness", f"{describe_calibration(medians)}."))
         return rows if can_draw() else [*rows, ("figures", f"{NOT_DRAWN}.")]

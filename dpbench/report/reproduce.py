@@ -7,7 +7,12 @@ from pathlib import Path
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.paper import PAPER, Law, find_paper_runs, paper_figure_data
+from dpbench.analysis.suites.paper import (
+    PAPER,
+    Law,
+    read_laws_in_paper_scenario,
+    tabulate_paper_figure,
+)
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.design import Designs, compute_linear_record
 from dpbench.bench.progress import Progress
@@ -75,7 +80,7 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     """
     results = load_results(runs)
     records = Records(results)
-    scenario = records.scenario(PAPER)
+    scenario = records.build_scenario(PAPER)
     # How far off the ship is brought back from takes a quarter of a minute more: suite `standard`.
     designs = Designs((compute_linear_record(scenario),)) if scenario is not None else None
     topic = build_paper_topic(records, designs)
@@ -83,7 +88,7 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     if topic is None or scenario is None:
         nothing = f"nothing is reproduced: no loop of the paper's case was finished; see {runs}"
         return Reproduction((nothing,), tuple(remarks), complete=False)
-    _write_paper_figures(folder, topic, find_paper_runs(records), scenario)
+    _write_paper_figures(folder, topic, read_laws_in_paper_scenario(records), scenario)
     write_bytes_atomically(folder / "claims.csv", encode_csv(topic.tables[0].frame))
     write_text_atomically(folder / "claims.md", _make_claims_document(topic, results))
     judged = judge_claims(records)
@@ -114,7 +119,7 @@ def _write_paper_figures(
         name = f"figure{number}_{short}"
         for kind in FORMATS:
             write_bytes_atomically(folder / f"{name}.{kind}", encode_figure(figure.chart, kind))
-        data = pd.concat([paper_figure_data(short, law, scenario) for law in laws])
+        data = pd.concat([tabulate_paper_figure(short, law, scenario) for law in laws])
         write_bytes_atomically(folder / f"{name}.csv", encode_csv(data))
 
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.run.exact_loop import HEADING_DEG
 from dpbench.report.formats import format_share, join_with_and, plural, significant
@@ -44,7 +44,7 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
     known = [ship for ship in ships if ship.state != "not run"]
     if not known:
         return ShipSummary(text=NOT_RUN)
-    lost = [ship for ship in known if ship.has_left]
+    lost = [ship for ship in known if ship.has_left_station]
     opening = f"{BANNER}{_name_failures(lost)}, whatever the solver"
     warning = f"{opening}: {_describe_lost(lost)}." if lost else ""
     sentences = [
@@ -59,7 +59,7 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
 
 def list_losses(run: RunRecord) -> list[tuple[float, list[str]]]:
     """Return the time [s] and the names of each loss of thrusters in the scenario of a run."""
-    faults = (run.scenario_files or {}).get("scenario", {}).get("faults") or ()
+    faults = (run.scenario_documents or {}).get("scenario", {}).get("faults") or ()
     return [(fault["at_s"], [*map(str, fault["lost"])]) for fault in faults if fault.get("lost")]
 
 
@@ -82,7 +82,7 @@ def _name_failures(lost: Sequence[ShipResult]) -> str:
 
 def _describe_lost(lost: Sequence[ShipResult]) -> str:
     """Describe when and how far lost ships leave their station, those of a study together."""
-    by_study = group_by((ship for ship in lost if ship.run.study), lambda ship: ship.run.study)
+    by_study = group_by_key((ship for ship in lost if ship.run.study), lambda ship: ship.run.study)
     alone = sorted(
         (ship for ship in lost if not ship.run.study),
         key=lambda ship: -ship.run.exact_offset_max_m / ship.run.station_radius_m,
@@ -119,7 +119,7 @@ def describe_ship(ship: ShipResult) -> str:
     run = ship.run
     if ship.state == "not run":
         return f"`{ship.name}`: not run"
-    left = f" (at {significant(run.exact_left_s)} s)" if ship.has_left else ""
+    left = f" (at {significant(run.exact_left_s)} s)" if ship.has_left_station else ""
     return (
         f"`{ship.name}`: {ship.state}{left}; largest offset "
         f"{significant(run.exact_offset_max_m)} m at {significant(run.exact_offset_max_s)} s, last "
@@ -202,11 +202,12 @@ def _has_loss(ship: ShipResult) -> bool:
 def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
     """Name the ships on station that are still moving away at the end, or come near its limits."""
     kept = sorted(
-        (ship for ship in known if ship.state == "on station"), key=lambda ship: -ship.used_share
+        (ship for ship in known if ship.state == "on station"),
+        key=lambda ship: -ship.used_share_of_station_limits,
     )
     moving = [ship for ship in kept if ship.is_moving_away and not _has_loss(ship)]
     rising = [ship for ship in kept if ship.is_moving_away and _has_loss(ship)]
-    near = [ship for ship in kept if ship.used_share >= NEAR_SHARE]
+    near = [ship for ship in kept if ship.used_share_of_station_limits >= NEAR_SHARE]
     sentences = []
     if moving:
         sentences.append(
@@ -222,8 +223,9 @@ def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
         )
     if near:
         up_to = "up to " if len(near) > 1 else ""
+        share = format_share(near[0].used_share_of_station_limits)
         sentences.append(
-            f"The margin is small: the ship reaches {up_to}{format_share(near[0].used_share)} of "
+            f"The margin is small: the ship reaches {up_to}{share} of "
             f"the limits of its station in {_name_ships(near)}."
         )
     return sentences
@@ -264,7 +266,7 @@ def _describe_limits(known: Sequence[ShipResult]) -> list[str]:
         return ["No limit is ever active: the QPs were never hard."]
     if low == high:
         return [f"Limits are active in {low} of the steps."]
-    by_name = group_by(known, lambda ship: ship.run.study or ship.name)
+    by_name = group_by_key(known, lambda ship: ship.run.study or ship.name)
     shares = {name: max(s.run.exact_active_share for s in own) for name, own in by_name.items()}
     never = [ship for name, own in by_name.items() if shares[name] == 0.0 for ship in own]
     return [

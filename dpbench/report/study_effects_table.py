@@ -11,7 +11,7 @@ from dpbench.analysis.suites.study_effects import (
     STEP_TIME,
     Effect,
     Measure,
-    study_effects,
+    compute_study_effects,
 )
 from dpbench.report.formats import MISSING, significant
 from dpbench.report.table import Table
@@ -35,29 +35,29 @@ def build_effects_table(studies: Sequence[Study]) -> pd.DataFrame:
     """Tabulate every effect of all studies with the ends of its 95 % interval, as `COLUMNS`."""
     rows = [
         (
-            *(study.name, effect.configuration, effect.factor, effect.levels),
+            *(study.name, effect.configuration, effect.factor, effect.levels_text),
             *(effect.measured.change.start, effect.measured.change.end),
             *(
                 _name_measure(effect.measure, study),
                 effect.measure.unit,
                 *convert_effect_and_interval(effect),
             ),
-            *(_interval_text(effect), effect.measure.convert(effect.measured.median)),
-            *(effect.measured.same_sign, _count_units(effect)),
-            *(effect.difference.pairs, effect.difference.points),
+            *(_interval_text(effect), effect.measure.convert(effect.measured.median_change)),
+            *(effect.measured.count_with_sign_of_median, _count_units(effect)),
+            *(effect.mean_difference.pairs, effect.mean_difference.points),
         )
         for study in studies
-        for effect in study_effects(study)
+        for effect in compute_study_effects(study)
     ]
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
 def tabulate_effects(study: Study) -> Table | None:
     """Return the table of what each factor changes, a row per configuration and change."""
-    units = "realisations" if study.replicates > 1 else "points"
+    units = "realisations" if study.seas_per_point > 1 else "points"
     rows: dict[tuple[str, str, str], dict[str, str]] = {}
-    for effect in study_effects(study):
-        key = (effect.factor, effect.levels, effect.configuration)
+    for effect in compute_study_effects(study):
+        key = (effect.factor, effect.levels_text, effect.configuration)
         row = rows.setdefault(key, dict(zip(_KEYS, key, strict=True)))
         row[make_head_of_measure(effect.measure, study)] = _format_effect(effect, units)
     if not rows:
@@ -83,7 +83,7 @@ def tabulate_effects(study: Study) -> Table | None:
 
 def _name_measure(measure: Measure, study: Study) -> str:
     """Return the name of a measure; of the step time, with its percentile."""
-    return _WHAT[study.step_time] if measure == STEP_TIME else measure.name
+    return _WHAT[study.step_time_column] if measure == STEP_TIME else measure.name
 
 
 def make_head_of_measure(measure: Measure, study: Study) -> str:
@@ -97,8 +97,8 @@ def convert_effect_and_interval(effect: Effect) -> tuple[float, float, float]:
     An effect that is the same in every realisation has no interval: its width would be that of
     `NOTHING`.
     """
-    mean, convert = effect.difference.mean, effect.measure.convert
-    if effect.difference.is_constant:
+    mean, convert = effect.mean_difference.mean_interval, effect.measure.convert
+    if effect.mean_difference.is_constant:
         value = 0.0 if abs(mean.value) <= NOTHING else mean.value
         return convert(value), np.nan, np.nan
     if not np.isfinite(mean.low):
@@ -108,14 +108,14 @@ def convert_effect_and_interval(effect: Effect) -> tuple[float, float, float]:
 
 def _interval_text(effect: Effect) -> str:
     """Return whether an effect has an interval, and if it has none, why."""
-    if not np.isfinite(effect.difference.mean.low):
+    if not np.isfinite(effect.mean_difference.mean_interval.low):
         return "none"
-    return "in every realisation" if effect.difference.is_constant else "95 %"
+    return "in every realisation" if effect.mean_difference.is_constant else "95 %"
 
 
 def _count_units(effect: Effect) -> int:
     """Return how many realisations an interval is over, or points where each is run once."""
-    return len(effect.measured.units) or effect.difference.points
+    return len(effect.measured.units) or effect.mean_difference.points
 
 
 def _format_effect(effect: Effect, units: str) -> str:
@@ -123,10 +123,14 @@ def _format_effect(effect: Effect, units: str) -> str:
     value, low, high = (
         significant(0.0 if abs(n) < 1e-4 else n, 2) for n in convert_effect_and_interval(effect)
     )
-    if not np.isfinite(effect.difference.mean.low):
+    if not np.isfinite(effect.mean_difference.mean_interval.low):
         return f"{value} (no interval)"
-    if effect.difference.is_constant:
+    if effect.mean_difference.is_constant:
         return f"{value} in every realisation"
     count = len(effect.measured.units)
-    agreed = f" in {count} of {count} {units}" if effect.measured.same_sign == count else ""
+    agreed = (
+        f" in {count} of {count} {units}"
+        if effect.measured.count_with_sign_of_median == count
+        else ""
+    )
     return f"{value} [{low}, {high}]{agreed}"

@@ -6,22 +6,26 @@ from collections.abc import Sequence
 from math import isnan
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS
 from dpbench.analysis.times.contrasts import PairedComparison
-from dpbench.analysis.times.machine import largest_by_name, timed_runs, total_disturbance
+from dpbench.analysis.times.machine import (
+    find_largest_by_name,
+    select_timed_replays,
+    sum_disturbances,
+)
 from dpbench.analysis.verdict.fastest import (
     MOST_OWN,
     SolverChoice,
-    best_verdict_by_own_settings,
-    best_verdict_by_solver,
     find_solver_record_or_none,
     group_own_settings,
+    list_best_verdict_of_each_solver,
+    list_best_verdict_of_own_settings,
 )
 from dpbench.analysis.verdict.findings import STATES, Finding, State
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import Verdict, Verdicts, outcome_cause
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts, explain_outcome
 from dpbench.bench.judge.calibration import is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.bench.record.result_folder import MachineDescription
@@ -68,12 +72,15 @@ _OTHERS: tuple[State, ...] = ("borderline", "late", "fail", "inconclusive", "not
 
 def count_solvers(verdicts: Verdicts) -> str:
     """State how many solvers pass, and name those that are late, fail or are inconclusive."""
-    if not verdicts.references:
+    if not verdicts.verdicts_on_references:
         return NOBODY
-    best = {verdict.configuration.solver: verdict for verdict in best_verdict_by_solver(verdicts)}
+    best = {
+        verdict.configuration.solver: verdict
+        for verdict in list_best_verdict_of_each_solver(verdicts)
+    }
     groups: dict[State, list[str]] = {name: [] for name in ("pass", *_OTHERS)}
     otherwise = []
-    for reference in verdicts.references:
+    for reference in verdicts.verdicts_on_references:
         solver = reference.configuration.solver
         groups[best[solver].state].append(solver)
         if best[solver].state == "pass" and reference.state != "pass":
@@ -88,7 +95,7 @@ def count_solvers(verdicts: Verdicts) -> str:
 
 def describe_own_settings(verdicts: Verdicts) -> list[str]:
     """State the verdict on each settings of one's own, and the best of each grid."""
-    own = best_verdict_by_own_settings(verdicts)
+    own = list_best_verdict_of_own_settings(verdicts)
     modes = [len(alike) for alike in group_own_settings(verdicts).values()]
     shown = zip(own[:MOST_OWN], modes, strict=False)
     lines = [_describe_verdict_on_settings(verdict, count) for verdict, count in shown]
@@ -113,7 +120,7 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: int) -> str:
     name = f"{_name_own_settings(verdict)} ({c.route} {c.policy}{best})"
     if verdict.refusal:
         return f"{name}: {verdict.state}: {verdict.refusal}."
-    findings = verdict.causes or verdict.missing
+    findings = verdict.causes or verdict.findings_that_bar_pass
     why = f": {strip_markdown(describe_finding(findings[0]))}" if findings else ""
     return (
         f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
@@ -126,7 +133,7 @@ def describe_best_of_grids(own: Sequence[Verdict]) -> list[str]:
 
     Also the options of which it has the least or largest value that was tried.
     """
-    grids = group_by(own, lambda v: (v.configuration.solver, tuple(_format_options_by_name(v))))
+    grids = group_by_key(own, lambda v: (v.configuration.solver, tuple(_format_options_by_name(v))))
     return [
         _describe_best_of_grid(points) for points in grids.values() if len(points) >= LEAST_POINTS
     ]
@@ -201,9 +208,9 @@ def explain_no_recommendation(
             "No solver that can be deployed passes; "
             f"{recommendation.faster.configuration.label} does: {recommendation.because}."
         )
-    if not any(row.has_steps for row in view.select(mode="replay", units="scaled")):
+    if not any(row.has_steps for row in view.select_runs(mode="replay", units="scaled")):
         return "Nothing is recommended, as no replay left a step, so nothing is timed."
-    states = {verdict.state for verdict in verdicts.all}
+    states = {verdict.state for verdict in verdicts.all_verdicts}
     if "inconclusive" in states:
         return "Nothing is recommended while the verdict on a solver is inconclusive."
     return "Nothing is recommended: no solver passes in any configuration that was run."
@@ -255,7 +262,7 @@ def describe_finding(finding: Finding) -> str:
         **words,
         where=name_experiment(first),
         experiments=_name_experiments(finding.runs),
-        detail=outcome_cause(first),
+        detail=explain_outcome(first),
         outcome=first.outcome,
         planned=format_count(first.steps_planned),
         done=plural(first.steps_done, "step"),
@@ -280,7 +287,7 @@ def describe_answer(steps: RunSteps, at: int) -> str:
 
 def name_experiment(row: RunRecord) -> str:
     """Name the scenario, replay or hardest steps that a run solved."""
-    if row.window_of:
+    if row.steps_searched_for_hardest:
         return f"the hardest steps of `{row.scenario}`"
     if row.mode == "replay":
         return f"the replay of `{row.sequence}`"
@@ -290,8 +297,12 @@ def name_experiment(row: RunRecord) -> str:
 def _name_experiments(rows: Sequence[RunRecord]) -> str:
     """List scenarios and replays of some runs as text."""
     loops = [f"`{row.scenario}`" for row in rows if row.mode != "replay"]
-    windows = [f"`{row.scenario}`" for row in rows if row.window_of]
-    replays = [f"`{row.sequence}`" for row in rows if row.mode == "replay" and not row.window_of]
+    windows = [f"`{row.scenario}`" for row in rows if row.steps_searched_for_hardest]
+    replays = [
+        f"`{row.sequence}`"
+        for row in rows
+        if row.mode == "replay" and not row.steps_searched_for_hardest
+    ]
     if replays:
         word = "replay" if len(replays) == 1 else "replays"
         loops.append(f"the {word} of {' and '.join(replays)}")
@@ -314,7 +325,7 @@ def describe_disturbance(disturbance: Disturbance) -> str:
 
 def describe_disturbed_times(records: Records) -> str:
     """Describe what disturbed the timed replays, with what to do; "" on a quiet machine."""
-    state = describe_disturbance(total_disturbance(timed_runs(records)))
+    state = describe_disturbance(sum_disturbances(select_timed_replays(records)))
     return "" if state == "quiet" else f"{state}: times are better measured again"
 
 
@@ -361,7 +372,7 @@ def list_disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
 
 def list_switching_solvers(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
     """List the solvers that cause context switches themselves, as label and text."""
-    own = largest_by_name(
+    own = find_largest_by_name(
         (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows
     )
     wording = ", ".join(f"{name}: {significant(a_step, 2)} a step" for name, a_step in own.items())

@@ -14,7 +14,7 @@ from typing import Any
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.requirements import Requirements, is_right
+from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.plan import plan_suite
@@ -253,7 +253,7 @@ def score_runs(
     runs: Sequence[RunRecord], defaults: Sequence[RunRecord], requirements: Requirements
 ) -> Score:
     """Return the score of runs with the same settings, beside those with default settings."""
-    wrong = [run for run in runs if not is_right(run, requirements)]
+    wrong = [run for run in runs if not is_right_on_every_step(run, requirements)]
     missing = len(defaults) - len(runs)
     default = {run.sequence: run for run in defaults}
     logs = [math.log(_compute_time_ratio(run, default[run.sequence])) for run in runs if not wrong]

@@ -10,7 +10,7 @@ from itertools import count
 from pathlib import Path
 
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.requirements import Requirements, is_right
+from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
 from dpbench.bench.plan.run_request import NO_P99
 from dpbench.bench.progress import Progress, Silent
 from dpbench.files.writing import write_text_atomically
@@ -44,7 +44,7 @@ class TunedRole:
     def summarise_best_settings(self, requirements: Requirements) -> str:
         """State whether the best settings are right, and their step time beside the presets."""
         best = self.runs[BEST]
-        wrong = sum(not is_right(run, requirements) for run in best)
+        wrong = sum(not is_right_on_every_step(run, requirements) for run in best)
         if wrong:
             return f"inaccurate on {wrong} of {len(best)}"
         parts = ["accurate"]
@@ -98,7 +98,7 @@ class Tuning:
                 name,
                 _format_step_time(run),
                 format_error(run.error_move_max),
-                "yes" if is_right(run, limit) else "no",
+                "yes" if is_right_on_every_step(run, limit) else "no",
             )
             for role in self.roles
             for runs in zip(*role.runs.values(), strict=True)

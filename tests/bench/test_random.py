@@ -76,14 +76,17 @@ def test_a_lie_is_a_row(results: Results) -> None:
 def test_sound_solvers_have_no_false_claim(results: Results) -> None:
     claims = RandomClaims(Records(results))
     for solver in ("quadprog", "daqp"):
-        tally = claims.tally_by("solver")[(solver,)]
-        assert tally.wrong == 0 and tally.nothing == 0
+        tally = claims.sum_tallies_by_columns("solver")[(solver,)]
+        assert tally.wrong_count == 0 and tally.nothing == 0
         assert tally.steps == tally.right_claims + tally.right_refusals
-    assert claims.tally_by("solver", "family")["daqp", "infeasible_steps"].right_refusals == 2 * 2
+    assert (
+        claims.sum_tallies_by_columns("solver", "family")["daqp", "infeasible_steps"].right_refusals
+        == 2 * 2
+    )
 
 
 def test_every_step_is_counted_once(results: Results) -> None:
-    tally = RandomClaims(Records(results)).tally_by("solver")[("faulty",)]
+    tally = RandomClaims(Records(results)).sum_tallies_by_columns("solver")[("faulty",)]
     seen = (
         tally.right_claims
         + tally.false_claims

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.run_steps import counting_rows, run_steps
+from dpbench.analysis.records.run_steps import extract_counting_rows, yield_merged_steps_by_run
 from dpbench.files.writing import write_file_set_into_folder
 from dpbench.report.csv_tables import TABLES, build_tables
 from dpbench.report.page.recommendation import Recommendation
@@ -38,7 +38,7 @@ def test_runs_are_those_of_the_parquet_file(written: Any) -> None:
 
 
 def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
-    verdicts = written.report.data.verdicts.all
+    verdicts = written.report.data.verdicts.all_verdicts
     table = _table(written.folder, "verdicts")
     assert len(table) == len(verdicts)
     for row, verdict in zip(table.to_dict("records"), verdicts, strict=True):
@@ -57,7 +57,7 @@ def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
 
 def test_hard_steps_are_the_largest_of_each_run(written: Any) -> None:
     hard = _table(written.folder, "hard_steps")
-    steps = dict(run_steps(counting_rows(written.results.steps)))
+    steps = dict(yield_merged_steps_by_run(extract_counting_rows(written.results.steps)))
     assert set(hard["by"]) == {"time", "iterations", "error"}
     assert hard.groupby(["run_id", "by"]).size().max() == 5
     first = hard.drop_duplicates(["run_id", "by"]).set_index(["run_id", "by"])

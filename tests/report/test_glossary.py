@@ -44,7 +44,7 @@ from dpbench.solvers.settings import LEVELS
 from tests.report.conftest import of_seas
 
 CHANGED = FigureChange(
-    SimpleNamespace(label="daqp", a=SimpleNamespace(mode="replay", problem="paper")),
+    SimpleNamespace(configuration_label="daqp", a=SimpleNamespace(mode="replay", problem="paper")),
     DONE,
     (2.0, 2.0),
     (1.0, 1.0),
@@ -52,7 +52,9 @@ CHANGED = FigureChange(
 )
 TIMED = SimpleNamespace(
     timing=SimpleNamespace(
-        pair=SimpleNamespace(label="daqp", a=SimpleNamespace(solver="daqp", problem="paper")),
+        pair=SimpleNamespace(
+            configuration_label="daqp", a=SimpleNamespace(solver="daqp", problem="paper")
+        ),
         median_ns=(1e3, 2e3),
         steps=10,
         rounds=2,

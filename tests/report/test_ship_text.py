@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from dpbench import load_results, open_workspace, run_closed_loop
-from dpbench.analysis.verdict.ship_results import ship_results
+from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.cli.main import main
 from dpbench.report.documents.markdown import make_report_markdown
 from dpbench.report.report import Report
@@ -56,7 +56,7 @@ scenario = "ship.toml"
 
 
 def _summary(records: Any) -> ShipSummary:
-    return summarise_ships(ship_results(records.view()))
+    return summarise_ships(find_ship_results(records.view()))
 
 
 def test_a_lost_ship_is_a_banner_with_when_and_how_far(records: Any) -> None:
@@ -92,7 +92,7 @@ def test_a_failure_is_named_where_every_lost_ship_left_after_one(
 
 def test_a_ship_that_turns_away_or_comes_back_is_lost_too(records: Any) -> None:
     records.loop("daqp", "turn", exact_left_s=3.0, exact_heading_max_deg=40.0)
-    (ship,) = ship_results(records.view())
+    (ship,) = find_ship_results(records.view())
     assert ship.state == "leaves and returns"
     told = _summary(records).warning
     assert "in `turn` it leaves its station (5 m, 5°) at 3.00 s and returns; largest offset" in told
@@ -165,7 +165,7 @@ def test_the_longest_loop_of_a_scenario_counts_whichever_solver_ran_it(records: 
     records.loop("osqp", "rough", steps=60)
     records.loop("daqp", "rough", steps=90, done=3, outcome="crashed", **LOST)
     records.loop("unconstrained_clipped", "rough", steps=70, formulation="none")
-    assert [ship.state for ship in ship_results(records.view())] == ["leaves"]
+    assert [ship.state for ship in find_ship_results(records.view())] == ["leaves"]
 
 
 def test_a_ship_on_its_way_and_one_without_a_loop_are_said_to_be(records: Any) -> None:
@@ -301,7 +301,7 @@ def test_every_surface_says_that_the_margin_is_small(tmp_path: Path, capsys: Any
 def test_the_largest_offset_in_a_study_has_its_point(records: Any) -> None:
     for point, sea, offset_m in ((0, 1, 1.5), (3, 2, 2.5), (4, 1, 2.0)):
         records.sea("daqp", point, sea, {"N_p": 20.0}, exact_offset_max_m=offset_m)
-    text = summarise_ships(ship_results(records.view())).text
+    text = summarise_ships(find_ship_results(records.view())).text
     assert "largest offset 2.50 m at point 3, sea 2 of `seas` at 0.300 s, " in text
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.run_record import RunRecord, build_records
+from dpbench.analysis.records.run_record import RunRecord, build_run_records
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.plan.suite import SuiteFile
 from dpbench.bench.record.schema import convert_to_run_columns
@@ -34,7 +34,7 @@ def _run(settings: str, sequence: str, time_ns: float, **columns: Any) -> RunRec
     usual = {"run_id": f"{settings} {sequence}", "mode": "replay", "outcome": "finished"}
     counts = {"steps_planned": 30, "steps_done": 30, "failed_steps": 0, "error_move_max": 1e-6}
     row = usual | counts | {"settings": settings, "sequence": sequence, "algo_max_ns": time_ns}
-    (record,) = build_records(convert_to_run_columns(pd.DataFrame([row | columns])))
+    (record,) = build_run_records(convert_to_run_columns(pd.DataFrame([row | columns])))
     return record
 
 

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from dpbench import load_results
-from dpbench.analysis.records.run_record import RunRecord, build_records
+from dpbench.analysis.records.run_record import RunRecord, build_run_records
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.schema import convert_to_run_columns
 from dpbench.cli.main import main
@@ -77,7 +77,7 @@ class _Campaigns:
             run = {"settings": name, "run_id": name, "algo_p50_ns": 1e6 / self._runs}
             accurate = {"failed_steps": 0, "error_move_max": 1e-9}
             rows += [done | run | accurate | {"sequence": one.name} for one in problems]
-        return build_records(convert_to_run_columns(pd.DataFrame(rows)))
+        return build_run_records(convert_to_run_columns(pd.DataFrame(rows)))
 
 
 @pytest.mark.parametrize(("at", "tried", "left"), [(2, 8, "4 of 12 settings to try"), (3, 12, "")])

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.compare.pairs import Pair, cell_key
+from dpbench.analysis.compare.pairs import Pair, pick_identifying_columns
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.bench.judge.rules import mask_decided_steps, mask_failed_steps
@@ -69,62 +69,75 @@ class FigureChange:
     change: Change
 
     @property
-    def row(self) -> dict[str, Any]:
+    def table_row(self) -> dict[str, Any]:
         """Table row: run identity, name of the compared quantity, its ranges in A and B, change."""
         ranges = dict(zip(("a_low", "a_high", "b_low", "b_high"), self.a + self.b, strict=True))
         figure = {"figure": self.measure.column}
-        return cell_key(self.pair.a) | figure | ranges | {"change": self.change}
+        return pick_identifying_columns(self.pair.a) | figure | ranges | {"change": self.change}
 
 
-def compare_figures(
+def compare_accuracy_and_control(
     a: Records, b: Records, pairs: Sequence[Pair], margin: float
 ) -> list[FigureChange]:
     """Compare accuracy and control of each pair of runs A and B: worse, better or same."""
     answers = []
     for pair in pairs:
-        for measure, in_a, in_b, repeats in _compare_figures(a, b, pair):
-            change = _classify_change(measure, in_a, in_b, margin) if repeats else "not comparable"
+        for measure, in_a, in_b, repeats in _yield_compared_ranges(a, b, pair):
+            change = (
+                _classify_change_of_range(measure, in_a, in_b, margin)
+                if repeats
+                else "not comparable"
+            )
             answers.append(FigureChange(pair, measure, in_a, in_b, change))
     return answers
 
 
-def _compare_figures(
+def _yield_compared_ranges(
     a: Records, b: Records, pair: Pair
 ) -> Iterator[tuple[Measure, Range, Range, bool]]:
     """Yield each accuracy or control quantity of a pair of runs: both ranges, if comparable."""
     outcomes = pair.a.outcome, pair.b.outcome
     if pair.a.outcome != pair.b.outcome:
         by_clock = set(outcomes) in BY_CLOCK
-        in_a, in_b = (_point_range(ORDER.index(outcome)) for outcome in outcomes)
+        in_a, in_b = (_make_range_of_number(ORDER.index(outcome)) for outcome in outcomes)
         yield OUTCOME, in_a, in_b, not by_clock
         if not by_clock:
             return
     if not (pair.a.has_steps or pair.b.has_steps):
         return
-    steps = [view.counting_steps(run, _STEPS) for view, run in ((a, pair.a), (b, pair.b))]
+    steps = [view.read_counting_step_table(run, _STEPS) for view, run in ((a, pair.a), (b, pair.b))]
     complete = "timed_out" not in outcomes and "hung" not in outcomes
     if complete:
-        yield DONE, _point_range(pair.a.steps_done), _point_range(pair.b.steps_done), True
-    repeated = min(pair.a.steps_done, pair.b.steps_done, *map(_first_time_limited_step, steps))
-    unlimited = complete and all(np.isinf(_first_time_limited_step(one)) for one in steps)
+        yield (
+            DONE,
+            _make_range_of_number(pair.a.steps_done),
+            _make_range_of_number(pair.b.steps_done),
+            True,
+        )
+    repeated = min(
+        pair.a.steps_done, pair.b.steps_done, *map(_find_first_step_cut_by_time_limit, steps)
+    )
+    unlimited = complete and all(np.isinf(_find_first_step_cut_by_time_limit(one)) for one in steps)
     accurate = unlimited or (repeated > 0 and not any(one.empty for one in steps))
     ranges_a, ranges_b = (
-        _accuracy_ranges(one, run, repeated)
+        _compute_accuracy_ranges(one, run, repeated)
         for one, run in zip(steps, (pair.a, pair.b), strict=True)
     )
     for measure in ACCURACY:
         yield measure, ranges_a[measure.column], ranges_b[measure.column], accurate
     for measure in CONTROL if pair.a.mode == "closed_loop" else ():
-        in_a, in_b = (_point_range(getattr(run, measure.column)) for run in (pair.a, pair.b))
+        in_a, in_b = (
+            _make_range_of_number(getattr(run, measure.column)) for run in (pair.a, pair.b)
+        )
         yield measure, in_a, in_b, unlimited
 
 
-def _point_range(value: float) -> Range:
+def _make_range_of_number(value: float) -> Range:
     """Return a single number as the range (low, high) with both ends equal to it."""
     return float(value), float(value)
 
 
-def _classify_change(measure: Measure, a: Range, b: Range, margin: float) -> Change:
+def _classify_change_of_range(measure: Measure, a: Range, b: Range, margin: float) -> Change:
     """Classify a quantity by its ranges in runs A and B: worse, better or the same in B."""
     missing_a, missing_b = math.isnan(a[0]), math.isnan(b[0])
     if missing_a or missing_b:
@@ -143,17 +156,19 @@ _STEPS = (
 )
 
 
-def _first_time_limited_step(steps: pd.DataFrame) -> float:
+def _find_first_step_cut_by_time_limit(steps: pd.DataFrame) -> float:
     """Return a run's first step whose solve the solver's time limit cut short; inf for none."""
     stopped = steps["k"][steps["status"] == Status.TIME_LIMIT.name]
     return float(stopped.min()) if len(stopped) else np.inf
 
 
-def _accuracy_ranges(steps: pd.DataFrame, run: RunRecord, common: float) -> dict[str, Range]:
+def _compute_accuracy_ranges(
+    steps: pd.DataFrame, run: RunRecord, common: float
+) -> dict[str, Range]:
     """Return each accuracy number's range over a run's repetitions, on steps before `common`."""
     counting = steps[steps["k"] < common]
     if counting.empty:
-        return {m.column: _point_range(getattr(run, m.column)) for m in ACCURACY}
+        return {m.column: _make_range_of_number(getattr(run, m.column)) for m in ACCURACY}
     failed, true = mask_failed_steps(counting), counting["true"].where(mask_decided_steps(counting))
     rounds = counting.assign(failed=failed.astype(float), true=true.astype(float)).groupby("repeat")
     by_round = {

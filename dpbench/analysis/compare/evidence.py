@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from dpbench.analysis.statistics import Interval, adjust_holm
+from dpbench.analysis.statistics import Interval, adjust_p_values_by_holm
 from dpbench.arrays import Floats, Ints
 
 Verdict = Literal["slower", "faster", "equivalent", "no difference shown"]
@@ -79,7 +79,7 @@ class Evidence:
     df: Floats
 
 
-def remove_machine_factor(
+def remove_factor_shared_by_group(
     logs: Floats,
     own: Floats,
     groups: Sequence[str],
@@ -106,7 +106,9 @@ def remove_machine_factor(
         keep, same = np.arange(len(logs)) != i, subject == subject[i]
         typical2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
         places = np.where(same, np.char.add(labels.astype(str), " of the subject"), labels)
-        spread2, df[i] = _estimate_spread(logs[keep], places[keep], prior, own_share * typical2)
+        spread2, df[i] = _estimate_variance_and_freedom(
+            logs[keep], places[keep], prior, own_share * typical2
+        )
         others = logs[~same & (labels == labels[i])]
         if len(others) >= MIN_OTHERS:
             centre[i] = np.median(others)
@@ -135,7 +137,7 @@ def remove_reference_factor(
     for i, at in enumerate(reference.tolist()):
         keep = (rows != i) & (rows != at)
         typical2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
-        spread2, df[i] = _estimate_spread(
+        spread2, df[i] = _estimate_variance_and_freedom(
             logs[keep], labels[keep], MACHINES_NOISE, own_share * typical2
         )
         centre[i] = logs[at] if at >= 0 else 0.0
@@ -145,7 +147,7 @@ def remove_reference_factor(
     return Evidence(logs - centre, centre, error, df)
 
 
-def _estimate_spread(
+def _estimate_variance_and_freedom(
     logs: Floats, labels: NDArray[np.str_], prior: Prior, inside2: float
 ) -> tuple[float, float]:
     """Estimate log time ratios' variance around their group's median, and degrees of freedom.
@@ -167,7 +169,7 @@ def _estimate_spread(
     return max(variance, sd**2), prior.df + df
 
 
-def assess_ratios(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
+def assess_time_ratios(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
     """Test each step time ratio of two runs: slower, faster, equivalent or undecided.
 
     "slower" and "faster" reject a ratio within the margin (at its least favourable point),
@@ -176,8 +178,8 @@ def assess_ratios(evidence: Evidence, margin: float, alpha: float) -> list[Asses
     bound, size = np.log1p(margin), np.abs(evidence.effect)
     tail = stats.t(evidence.df)
     beyond = tail.sf((size - bound) / evidence.error) + tail.sf((size + bound) / evidence.error)
-    differs = adjust_holm(np.minimum(1.0, beyond))
-    equal = adjust_holm(tail.sf((bound - size) / evidence.error))
+    differs = adjust_p_values_by_holm(np.minimum(1.0, beyond))
+    equal = adjust_p_values_by_holm(tail.sf((bound - size) / evidence.error))
     reach = tail.isf(alpha / 2 / max(1, len(size))) * evidence.error
     verdicts: list[Assessment] = []
     for i, effect in enumerate(evidence.effect):

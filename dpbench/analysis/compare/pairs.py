@@ -24,15 +24,15 @@ class Pair:
     b: RunRecord
 
     @property
-    def label(self) -> str:
+    def configuration_label(self) -> str:
         """Name of the paired runs' solver configuration, with both versions where they differ."""
         old, new = (f"{run.solver_version} {run.build}".strip() for run in (self.a, self.b))
         versions = "" if old == new else f" {old} → {new}"
         label = self.a.configuration.make_label_with_name(f"{self.a.solver}{versions}")
-        return f"{label} with {change}" if (change := self.options_change) else label
+        return f"{label} with {change}" if (change := self.changed_options_text) else label
 
     @property
-    def options_change(self) -> str:
+    def changed_options_text(self) -> str:
         """Options of settings of one's own that differ, such as `rho 1.6 → 0.01`; "" for none."""
         old, new = (
             format_each_option_as_toml(decode_options_from_json(run.options))
@@ -56,7 +56,7 @@ class Pairs:
     lost: list[str]
 
 
-def machine_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
+def list_machine_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
     """List the properties, as processor, in which two computers differ; empty for the same one."""
     if a["id"] == b["id"]:
         return []
@@ -64,7 +64,7 @@ def machine_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]
     return differ or ["what neither describes"]
 
 
-def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
+def pair_runs_of_folders(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     """Pair the runs of two result folders by configuration and problem.
 
     Settings of one's own whose options changed are paired by their name. A cell refused in both is
@@ -74,67 +74,72 @@ def pair_cells(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     ------
     ResultsError : when no cell of one folder has a partner in the other.
     """
-    cells_a, cells_b = _runs_by_key(a), _runs_by_key(b)
+    cells_a, cells_b = _map_runs_by_identity(a), _map_runs_by_identity(b)
     pairs, changed, lost = [], [], []
-    partners = {key: key for key in cells_a if key in cells_b} | _changed_options(cells_a, cells_b)
+    partners = {key: key for key in cells_a if key in cells_b} | _pair_keys_of_changed_options(
+        cells_a, cells_b
+    )
     for key in (key for key in cells_a if key in partners):
         pair = Pair(cells_a[key], cells_b[partners[key]])
         outcomes = pair.a.outcome, pair.b.outcome
-        if problem_key(pair.a) != problem_key(pair.b):
-            changed.append(_describe_cell(pair.a))
+        if make_problem_key(pair.a) != make_problem_key(pair.b):
+            changed.append(_describe_run(pair.a))
         elif "lost" in outcomes:
-            lost.append(_describe_cell(pair.a))
+            lost.append(_describe_run(pair.a))
         elif outcomes != ("refused", "refused"):
             pairs.append(pair)
     if not pairs and not lost:
         missing = "no cell that the first folder has too, of the same problem"
         raise ResultsError(names[1], "", missing, f"results of the suite of {names[0]}")
-    only_a = [_describe_cell(run) for key, run in cells_a.items() if key not in partners]
+    only_a = [_describe_run(run) for key, run in cells_a.items() if key not in partners]
     found = set(partners.values())
-    only_b = [_describe_cell(run) for key, run in cells_b.items() if key not in found]
+    only_b = [_describe_run(run) for key, run in cells_b.items() if key not in found]
     return Pairs(pairs, only_a, only_b, changed, lost)
 
 
-def _changed_options(
+def _pair_keys_of_changed_options(
     cells_a: Mapping[Key, RunRecord], cells_b: Mapping[Key, RunRecord]
 ) -> dict[Key, Key]:
     """Map keys of A to those of B that differ in the options of settings of one name alone."""
-    named_a, named_b = _keys_by_name(cells_a, cells_b), _keys_by_name(cells_b, cells_a)
+    named_a, named_b = (
+        _group_unpaired_keys_by_name(cells_a, cells_b),
+        _group_unpaired_keys_by_name(cells_b, cells_a),
+    )
     both = ((named_a[name], named_b[name]) for name in named_a if name in named_b)
     return {a[0]: b[0] for a, b in both if len(a) == len(b) == 1}
 
 
-def _keys_by_name(
+def _group_unpaired_keys_by_name(
     cells: Mapping[Key, RunRecord], others: Mapping[Key, RunRecord]
 ) -> dict[Key, list[Key]]:
     """Group the keys that only one folder has by what names them without their options."""
     groups: dict[Key, list[Key]] = {}
     for key, run in cells.items():
         if run.options and key not in others:
-            name = tuple((cell_key(run) | {"options": ""}).values())
+            name = tuple((pick_identifying_columns(run) | {"options": ""}).values())
             groups.setdefault(name, []).append(key)
     return groups
 
 
-def cell_key(run: RunRecord) -> dict[str, Any]:
+def pick_identifying_columns(run: RunRecord) -> dict[str, Any]:
     """Return a run's identifying column values by name: mode, problem, configuration, steps."""
     return {column: getattr(run, column) for column in KEY}
 
 
-def _runs_by_key(records: Records) -> dict[Key, RunRecord]:
+def _map_runs_by_identity(records: Records) -> dict[Key, RunRecord]:
     """Map each run's identifying column values to the run, simulated slow computers left out."""
     # A loop on a slow computer takes another course each time: its answers' delays are measured.
     lasting = (run for run in records.all_runs if not run.slowdown > 0.0)
-    return {tuple(cell_key(run).values()): run for run in lasting}
+    return {tuple(pick_identifying_columns(run).values()): run for run in lasting}
 
 
-def _describe_cell(run: RunRecord) -> str:
+def _describe_run(run: RunRecord) -> str:
     """Describe a run by configuration, options, mode, steps and problem."""
     mode, options = run.mode.replace("_", " "), run.configuration.options_text
     label = run.configuration.label + (f" with {options}" if options else "")
     return f"{label}, {mode} of {run.steps_planned} steps of {run.problem}"
 
 
-def problem_key(run: RunRecord) -> tuple[object, ...]:
+def make_problem_key(run: RunRecord) -> tuple[object, ...]:
     """Return what defines a run's problem, for comparison: scenario, origin of QPs, fallbacks."""
     return run.files, run.source, run.first, run.fallback, run.backup

@@ -14,15 +14,15 @@ from dpbench.analysis.compare.evidence import (
     MACHINE_NOISE,
     Assessment,
     Evidence,
-    assess_ratios,
-    remove_machine_factor,
+    assess_time_ratios,
+    remove_factor_shared_by_group,
     remove_reference_factor,
 )
-from dpbench.analysis.compare.pairs import Pair, cell_key
+from dpbench.analysis.compare.pairs import Pair, pick_identifying_columns
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
-from dpbench.analysis.statistics import resampled_error
-from dpbench.analysis.times.machine import disturbed_sequences
+from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
+from dpbench.analysis.statistics import bootstrap_error_of_mean
+from dpbench.analysis.times.machine import sum_disturbances_by_sequence
 from dpbench.arrays import Floats, Ints
 from dpbench.bench.judge.rules import median_of_known
 from dpbench.bench.record.cell import sort_key_of_settings
@@ -70,7 +70,7 @@ class Timing:
     b_ns: Floats
 
     @property
-    def problem(self) -> str:
+    def sequence_name(self) -> str:
         """Name of the QP sequence on which the times were measured."""
         return self.pair.a.problem
 
@@ -83,13 +83,13 @@ class ComparedTimes:
     assessment: Assessment
 
     @property
-    def row(self) -> dict[str, Any]:
+    def table_row(self) -> dict[str, Any]:
         """Table row: run identity, step time ratio with interval, adjusted p-values and verdict."""
         timing, found = self.timing, self.assessment
         ratio = {"ratio": found.ratio.value, "low": found.ratio.low, "high": found.ratio.high}
         p_values = {"p_differs": found.p_differs, "p_equal": found.p_equal}
         return (
-            cell_key(timing.pair.a)
+            pick_identifying_columns(timing.pair.a)
             | {"raw": found.raw, "machine": found.machine, **ratio, "own": timing.own, **p_values}
             | {"steps": timing.steps, "rounds": timing.rounds, "verdict": found.verdict}
         )
@@ -113,45 +113,49 @@ class SharedFactor:
     unjudged: str
 
 
-def compute_time_ratios(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
+def compute_log_time_ratios(a: Records, b: Records, pairs: Sequence[Pair]) -> list[Timing]:
     """Return the log step time ratio B/A, with its error, of each timed pair of replays."""
-    time_of = _steps_timing if a.has_steps and b.has_steps else _medians_timing
+    time_of = (
+        _compute_timing_from_steps if a.has_steps and b.has_steps else _compute_timing_from_medians
+    )
     # A window has too few steps for an interval, and each claim costs the others power.
-    replays = (pair for pair in pairs if pair.a.mode == "replay" and not pair.a.window_of)
+    replays = (
+        pair for pair in pairs if pair.a.mode == "replay" and not pair.a.steps_searched_for_hardest
+    )
     timings = [time_of(a, b, pair) for pair in replays]
-    return list(first_by(filter(None, timings), _measurement_key).values())
+    return list(map_first_by_key(filter(None, timings), _make_measurement_key).values())
 
 
-def _measurement_key(timing: Timing) -> tuple[object, ...]:
+def _make_measurement_key(timing: Timing) -> tuple[object, ...]:
     """Return a key that is equal for one measured run listed under two names of settings."""
-    unnamed = cell_key(timing.pair.a) | {"settings": ""}
+    unnamed = pick_identifying_columns(timing.pair.a) | {"settings": ""}
     return *unnamed.values(), timing.log, timing.own
 
 
-def find_unjudged_sequences(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str, str]:
+def explain_unjudged_sequences(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str, str]:
     """Return, by QP sequence, why its speed test cannot measure the machine's speed; or "".
 
     A kernel feels only some of what a solver feels of a busy machine, so both runs must have been
     quiet while they timed the sequence.
     """
-    known = disturbed_sequences(a), disturbed_sequences(b)
+    known = sum_disturbances_by_sequence(a), sum_disturbances_by_sequence(b)
     reasons = {}
-    for name, own in group_by(timings, lambda t: t.problem).items():
+    for name, own in group_by_key(timings, lambda t: t.sequence_name).items():
         disturbances = [by_sequence.get(name) for by_sequence in known]
         hidden = [one is None for one in disturbances]
         disturbed = [one is not None and bool(one.complaints()) for one in disturbances]
-        if not np.isfinite(_kernel_ratios(own).kernel):
+        if not np.isfinite(_compute_kernel_ratios(own).kernel):
             reasons[name] = "the reference kernel was not timed"
         elif any(disturbed):
-            reasons[name] = f"{_flagged_runs_text(disturbed)} disturbed"
+            reasons[name] = f"{_name_flagged_runs(disturbed)} disturbed"
         elif any(hidden):
-            reasons[name] = f"nothing tells how quiet {_flagged_runs_text(hidden)}"
+            reasons[name] = f"nothing tells how quiet {_name_flagged_runs(hidden)}"
         else:
             reasons[name] = ""
     return reasons
 
 
-def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
+def choose_reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
     """Choose the solver by whose times two machines are compared; "" for none.
 
     It is the one asked for, else one of `REFERENCES`, else the one timed on the most sequences.
@@ -171,39 +175,39 @@ def reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
     return asked or next(iter([*known, *most]), "")
 
 
-def reference_rows(timings: Sequence[Timing], solver: str) -> Ints:
+def find_reference_indices(timings: Sequence[Timing], solver: str) -> Ints:
     """Return for each timing the index of the reference solver's on its QP sequence, or −1.
 
-    Of several the most usual, see `usual_first_key`.
+    Of several the most usual, see `make_usual_first_sort_key`.
     """
     runs = [timing.pair.a for timing in timings]
     own = [i for i, run in enumerate(runs) if run.solver == solver]
-    usual_first = sorted(own, key=lambda i: usual_first_key(runs[i]))
-    usual = first_by(usual_first, lambda i: runs[i].problem)
+    usual_first = sorted(own, key=lambda i: make_usual_first_sort_key(runs[i]))
+    usual = map_first_by_key(usual_first, lambda i: runs[i].problem)
     return np.array([usual.get(run.problem, -1) for run in runs], dtype=np.int64)
 
 
-def usual_first_key(run: RunRecord) -> tuple[Any, ...]:
+def make_usual_first_sort_key(run: RunRecord) -> tuple[Any, ...]:
     """Return a sort key of a run: scaled units, default settings, cold start first."""
     settings = sort_key_of_settings(run.settings)
     return run.units != "scaled", settings, run.policy != "fresh", run.route, run.formulation
 
 
-def compare_to_reference(
+def compare_times_to_reference(
     timings: Sequence[Timing], margin: float, alpha: float, rows: Ints
 ) -> list[ComparedTimes]:
     """Judge each solver's step time ratio B/A, divided by the reference solver's, at `rows`.
 
-    rows : (N,) as of `reference_rows`; the timings they name have no verdict.
+    rows : (N,) as of `find_reference_indices`; the timings they name have no verdict.
     """
-    groups = [t.problem for t in timings]
+    groups = [t.sequence_name for t in timings]
     logs, own = np.array([t.log for t in timings]), np.array([t.own for t in timings])
     evidence = remove_reference_factor(logs, own, groups, rows, JACKKNIFE_SHARE)
     judged = np.setdiff1d(np.arange(len(timings)), rows)
     family = Evidence(
         *(part[judged] for part in (evidence.effect, evidence.machine, evidence.error, evidence.df))
     )
-    assessments = assess_ratios(family, margin, alpha) if len(judged) else []
+    assessments = assess_time_ratios(family, margin, alpha) if len(judged) else []
     return [_judge_timing(timings[i], one) for i, one in zip(judged, assessments, strict=True)]
 
 
@@ -214,32 +218,39 @@ def _judge_timing(timing: Timing, assessment: Assessment) -> ComparedTimes:
     return ComparedTimes(timing, assessment)
 
 
-def _flagged_runs_text(of: Sequence[bool]) -> str:
+def _name_flagged_runs(of: Sequence[bool]) -> str:
     """Name the flagged runs of a pair: "run A was", "run B was" or "both runs were"."""
     return "both runs were" if all(of) else f"run {'AB'[list(of).index(True)]} was"
 
 
-def compare_times(
+def compare_times_and_shared_factors(
     timings: Sequence[Timing], margin: float, alpha: float, unjudged: Mapping[str, str]
 ) -> tuple[list[ComparedTimes], list[SharedFactor]]:
     """Judge step time ratios B/A: each configuration's own, and what a QP sequence's all share.
 
-    unjudged : see `find_unjudged_sequences`; such a sequence has no assessment of a shared change.
+    unjudged : see `explain_unjudged_sequences`; such a sequence has no shared factor judged.
     """
-    groups = [t.problem for t in timings]
+    groups = [t.sequence_name for t in timings]
     labels = np.asarray(groups)
-    machines = {n: _kernel_ratios(own) for n, own in group_by(timings, lambda t: t.problem).items()}
-    fit = np.array([np.nan if unjudged[name] else machines[name].expected for name in groups])
+    machines = {
+        n: _compute_kernel_ratios(own)
+        for n, own in group_by_key(timings, lambda t: t.sequence_name).items()
+    }
+    fit = np.array(
+        [np.nan if unjudged[name] else machines[name].predicted_log_ratio for name in groups]
+    )
     logs = np.array([t.log for t in timings])
-    met = _relative_load_ratios(timings, labels)
+    met = _compute_relative_load_ratios(timings, labels)
     own = np.hypot([t.own for t in timings], LOAD_ERROR * np.abs(met))
     less = logs - LOAD_SHARE * met
-    configurations = remove_machine_factor(less, own, groups, kernel=fit, own_share=JACKKNIFE_SHARE)
+    configurations = remove_factor_shared_by_group(
+        less, own, groups, kernel=fit, own_share=JACKKNIFE_SHARE
+    )
     factors = {name: float(np.median(logs[labels == name])) for name in machines}
     together = [
         (
-            factors[name] - machine.expected,
-            machine.prediction_error(configurations.error[labels == name]),
+            factors[name] - machine.predicted_log_ratio,
+            machine.compute_prediction_error(configurations.error[labels == name]),
         )
         for name, machine in machines.items()
         if not unjudged[name]
@@ -250,7 +261,7 @@ def compare_times(
         np.concatenate([configurations.error, [error for _, error in together]]),
         np.concatenate([configurations.df, np.full(len(together), MACHINE_NOISE.df)]),
     )
-    assessments = assess_ratios(family, margin, alpha)
+    assessments = assess_time_ratios(family, margin, alpha)
     compared = [_judge_timing(*both) for both in zip(timings, assessments, strict=False)]
     rest = iter(assessments[len(timings) :])
     shared = []
@@ -270,28 +281,28 @@ class _KernelRatios:
     load: float
 
     @property
-    def load_excess(self) -> float:
+    def log_excess_of_load_test(self) -> float:
         """Log time ratio of the load-sensing speed test less the fixed one's; 0 if unknown."""
         return self.load - self.kernel if np.isfinite(self.load) else 0.0
 
     @property
-    def expected(self) -> float:
+    def predicted_log_ratio(self) -> float:
         """Log ratio B/A of solver step times that both machine-speed tests predict."""
-        return self.kernel + LOAD_WEIGHT * self.load_excess
+        return self.kernel + LOAD_WEIGHT * self.log_excess_of_load_test
 
-    def prediction_error(self, configurations: Floats) -> float:
+    def compute_prediction_error(self, configurations: Floats) -> float:
         """Return the standard error of the predicted less the median log step time ratio."""
         median2 = np.pi / 2 * float(np.median(configurations)) ** 2 / len(configurations)
-        load2 = (LOAD_WEIGHT_ERROR * self.load_excess) ** 2
+        load2 = (LOAD_WEIGHT_ERROR * self.log_excess_of_load_test) ** 2
         return float(np.sqrt(MACHINE_NOISE.sd**2 + load2 + median2))
 
 
-def _relative_load_ratios(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
+def _compute_relative_load_ratios(timings: Sequence[Timing], labels: NDArray[np.str_]) -> Floats:
     """Return each run pair's log time ratio of the load test less its QP sequence's median.
 
     Rounds of two configurations meet different neighbours; 0 where a folder does not tell.
     """
-    logs = _log_ratios(timings, "load_kernel_ns")
+    logs = _compute_log_ratios_of_column(timings, "load_kernel_ns")
     met = np.zeros(len(logs))
     for name in np.unique(labels[np.isfinite(logs)]):
         known = (labels == name) & np.isfinite(logs)
@@ -299,23 +310,26 @@ def _relative_load_ratios(timings: Sequence[Timing], labels: NDArray[np.str_]) -
     return met
 
 
-def _log_ratios(timings: Sequence[Timing], column: str) -> Floats:
+def _compute_log_ratios_of_column(timings: Sequence[Timing], column: str) -> Floats:
     """Return log(B/A) (N,) of one recorded time, named by its column, of each pair of runs."""
     times = [[getattr(run, column) for run in (t.pair.a, t.pair.b)] for t in timings]
     a_ns, b_ns = np.array(times, dtype=np.float64).reshape(-1, 2).T
     return np.asarray(np.log(b_ns / a_ns), dtype=np.float64)
 
 
-def _kernel_ratios(timings: Sequence[Timing]) -> _KernelRatios:
+def _compute_kernel_ratios(timings: Sequence[Timing]) -> _KernelRatios:
     """Return the median log time ratio B/A of each of two machine-speed tests; NaN if untimed."""
-    columns = (_log_ratios(timings, name) for name in ("reference_kernel_ns", "load_kernel_ns"))
+    columns = (
+        _compute_log_ratios_of_column(timings, name)
+        for name in ("reference_kernel_ns", "load_kernel_ns")
+    )
     return _KernelRatios(*(median_of_known(logs[np.isfinite(logs)]) for logs in columns))
 
 
-def _round_times(records: Records, run: RunRecord) -> pd.DataFrame | None:
+def _tabulate_times_by_repetition(records: Records, run: RunRecord) -> pd.DataFrame | None:
     """Return a run's step times (repetitions, steps) [ns], undisturbed ones; None if unranked."""
-    counting = records.counting_steps(run, ("repeat", "k", "total_ns"))
-    if counting.empty or not records.is_ranked(run):
+    counting = records.read_counting_step_table(run, ("repeat", "k", "total_ns"))
+    if counting.empty or not records.has_comparable_times(run):
         return None
     times = counting.assign(total_ns=counting["total_ns"].astype("float64"))
     table = times.pivot(index="repeat", columns="k", values="total_ns")
@@ -324,7 +338,7 @@ def _round_times(records: Records, run: RunRecord) -> pd.DataFrame | None:
     return whole if len(whole) else table.dropna(axis="columns")
 
 
-def _medians_timing(a: Records, b: Records, pair: Pair) -> Timing | None:
+def _compute_timing_from_medians(a: Records, b: Records, pair: Pair) -> Timing | None:
     """Compute a pair's log step time ratio B/A from recorded medians; its error is unknown."""
     medians = pair.a.algo_p50_ns, pair.b.algo_p50_ns
     if not all(map(math.isfinite, medians)):
@@ -335,9 +349,12 @@ def _medians_timing(a: Records, b: Records, pair: Pair) -> Timing | None:
     return Timing(pair, log, 0.0, steps, rounds, medians, none.astype(np.int64), none, none)
 
 
-def _steps_timing(records_a: Records, records_b: Records, pair: Pair) -> Timing | None:
+def _compute_timing_from_steps(records_a: Records, records_b: Records, pair: Pair) -> Timing | None:
     """Compute two runs' log step time ratio from the fastest repetition of their common steps."""
-    a, b = _round_times(records_a, pair.a), _round_times(records_b, pair.b)
+    a, b = (
+        _tabulate_times_by_repetition(records_a, pair.a),
+        _tabulate_times_by_repetition(records_b, pair.b),
+    )
     if a is None or b is None:
         return None
     steps = a.columns.intersection(b.columns)
@@ -349,19 +366,23 @@ def _steps_timing(records_a: Records, records_b: Records, pair: Pair) -> Timing 
     best_a_ns, best_b_ns = a_ns.min(axis=0), b_ns.min(axis=0)
     logs = np.log(best_b_ns / best_a_ns)
     over_steps = (
-        resampled_error(logs, BLOCK_STEPS)
+        bootstrap_error_of_mean(logs, BLOCK_STEPS)
         if len(logs) >= LEAST_BLOCKS * BLOCK_STEPS
         # As good as a single step: that all of so few resemble each other cannot be excluded.
         else logs.std()
     )
-    own = float(np.sqrt(over_steps**2 + _jackknife_variance(a_ns) + _jackknife_variance(b_ns)))
+    own = float(
+        np.sqrt(
+            over_steps**2 + _compute_jackknife_variance(a_ns) + _compute_jackknife_variance(b_ns)
+        )
+    )
     k = steps.to_numpy(dtype=np.int64)
     medians = float(np.median(best_a_ns)), float(np.median(best_b_ns))
     mean = float(logs.mean())
     return Timing(pair, mean, own, len(steps), rounds, medians, k, best_a_ns, best_b_ns)
 
 
-def _jackknife_variance(times: Floats) -> float:
+def _compute_jackknife_variance(times: Floats) -> float:
     """Return the jackknife variance, over repetitions, of the mean log fastest step time.
 
     Consecutive parts are left out in turn: a stretch of slow rounds leaves the minimum unchanged,

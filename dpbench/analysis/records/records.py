@@ -6,15 +6,20 @@ from functools import cached_property
 
 import pandas as pd
 
-from dpbench.analysis.records.run_record import RunRecord, build_records, first_by
-from dpbench.analysis.records.run_steps import COUNTING_COLUMNS, RunSteps, counting_rows, run_steps
+from dpbench.analysis.records.run_record import RunRecord, build_run_records, map_first_by_key
+from dpbench.analysis.records.run_steps import (
+    COUNTING_COLUMNS,
+    RunSteps,
+    extract_counting_rows,
+    yield_merged_steps_by_run,
+)
 from dpbench.analysis.records.step_times import (
     DELAY_COLUMNS,
     TIME_COLUMNS,
     Delays,
     StepTimes,
-    delays_by_run,
-    times_by_run,
+    yield_delays_by_run,
+    yield_step_times_by_run,
 )
 from dpbench.bench.judge.rules import has_comparable_times
 from dpbench.bench.record.cell import COMMON_FORMULATION
@@ -27,39 +32,45 @@ from dpbench.solvers.calibration import CALIBRATION
 class Records:
     """All runs of one result folder, grouped by subject, with access to their steps and times.
 
-    Steps are read when needed: those of many runs by `scan`, those of one by `steps`. Each of
-    `all_runs` is in one of: `runs`, about the ship in the common formulation of their problem, from
-    which all selections below are made; `delayed`, loops on a slow computer; `random`, without a
-    ship; `consequence`, whether a loss can be held; `at_edge`, static allocations around a
-    capability plot; `study`, one scenario at many points, those of equal settings once, under the
-    name that `study_aliases` has for the others; or in none, of another formulation. The
-    harness's own configurations are in `calibration` only. A replay that must not be ranked has no
-    times.
+    Steps are read when needed: those of many runs by `yield_step_tables`, those of one by
+    `read_step_table`. Each of `all_runs` is in one of: `runs`, about the ship in the common
+    formulation of their problem, from which all selections below are made; `delayed`, loops on a
+    slow computer; `random`, without a ship; `consequence`, whether a loss can be held; `at_edge`,
+    static allocations around a capability plot; `study`, one scenario at many points, those of
+    equal settings once, under the name that `study_aliases` has for the others; or in none, of
+    another formulation. The harness's own configurations are in `calibration` only. A replay that
+    must not be ranked has no times.
     """
 
     def __init__(self, results: Results) -> None:
         self.machine, self.suite = results.machine, results.suite
-        every = build_records(results.runs)
-        runs = [run if self.is_ranked(run) else run.without_times() for run in every]
+        every = build_run_records(results.runs)
+        runs = [
+            run if self.has_comparable_times(run) else run.copy_without_times() for run in every
+        ]
         self.calibration = [run for run in runs if run.solver in CALIBRATION]
         runs = [run for run in runs if run.solver not in CALIBRATION]
         # What a solver is judged on is not for the random problems to say.
-        routes = _default_routes(runs) | _default_routes([run for run in runs if not run.has_topic])
+        routes = _map_default_route_by_solver(runs) | _map_default_route_by_solver(
+            [run for run in runs if not run.is_outside_verdicts]
+        )
         self.all_runs = [
             replace(run, default_route=True) if run.route == routes[run.solver] else run
             for run in runs
         ]
         self.delayed = [run for run in self.all_runs if run.slowdown > 0.0]
         self.random = [run for run in self.all_runs if run.family]
-        self.consequence = [run for run in self.all_runs if run.lost_group]
+        self.consequence = [run for run in self.all_runs if run.lost_thruster_group]
         self.at_edge = [run for run in self.all_runs if run.is_at_boundary]
         studied = [run for run in self.all_runs if run.study]
-        measured = first_by(studied, lambda run: run.measurement_key)
+        measured = map_first_by_key(studied, lambda run: run.measurement_key)
         self.study = list(measured.values())
-        names = {run.name: measured[run.measurement_key].name for run in studied}
+        names = {run.solver_label: measured[run.measurement_key].solver_label for run in studied}
         self.study_aliases = {alias: name for alias, name in names.items() if alias != name}
         undelayed = [run for run in self.all_runs if not run.slowdown > 0.0]
-        self.runs = _select_common_formulation([run for run in undelayed if not run.has_topic])
+        self.runs = _select_runs_in_common_formulation(
+            [run for run in undelayed if not run.is_outside_verdicts]
+        )
         self._steps = results.recorded
         self._times: dict[str, StepTimes | None] = {}
         self._delays: dict[str, Delays] = {}
@@ -70,32 +81,36 @@ class Records:
         """True if the folder has `steps.parquet`; one sent to others has none."""
         return self._steps.rows > 0
 
-    def steps(self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
+    def read_step_table(self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
         """Return the table of a run's steps with the given columns; empty without steps."""
         return self._steps.read_run(run.run_id, columns)
 
-    def counting_steps(self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
+    def read_counting_step_table(
+        self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS
+    ) -> pd.DataFrame:
         """Return a run's step table without warm-up and disturbed repetitions."""
-        steps = self.steps(run, tuple(dict.fromkeys([*columns, "counts"])))
+        steps = self.read_step_table(run, tuple(dict.fromkeys([*columns, "counts"])))
         return steps[steps["counts"]]
 
-    def scan(self, runs: Sequence[RunRecord], columns: Sequence[str]) -> Iterator[pd.DataFrame]:
+    def yield_step_tables(
+        self, runs: Sequence[RunRecord], columns: Sequence[str]
+    ) -> Iterator[pd.DataFrame]:
         """Yield the step rows of given runs from file, in tables of some hundred thousand rows."""
         wanted = {run.run_id for run in runs if run.has_steps}
         return self._steps.scan(columns, wanted) if wanted else iter(())
 
-    def run_steps(
+    def yield_merged_and_raw_steps(
         self, runs: Sequence[RunRecord], columns: Sequence[str] = ()
     ) -> Iterator[tuple[str, RunSteps, pd.DataFrame]]:
         """Yield per run its id, its steps merged over repetitions, and the unmerged step rows."""
         asked = tuple(dict.fromkeys([*COUNTING_COLUMNS, *columns]))
-        for table in self.scan(runs, asked):
+        for table in self.yield_step_tables(runs, asked):
             rows, places = table[list(columns)], find_row_ranges_by_label(table["run_id"])
-            for run_id, steps in run_steps(counting_rows(table)):
+            for run_id, steps in yield_merged_steps_by_run(extract_counting_rows(table)):
                 first, end = places[run_id]
                 yield run_id, steps, rows.iloc[first:end]
 
-    def select(self, **wanted: object) -> list[RunRecord]:
+    def select_runs(self, **wanted: object) -> list[RunRecord]:
         """Return the runs of this folder whose columns equal given values, or one of a tuple."""
         allowed = {name: v if isinstance(v, tuple) else (v,) for name, v in wanted.items()}
         return [
@@ -112,62 +127,66 @@ class Records:
         """Names of all scenarios in this folder's runs, in the order of the suite."""
         return list(dict.fromkeys(run.scenario for run in self.runs))
 
-    def count_planned_steps(self, scenario: str) -> int:
+    def count_steps_of_longest_loop(self, scenario: str) -> int:
         """Return the number of steps of a scenario's longest planned closed loop; or 0."""
-        loops = self.select(mode="closed_loop", scenario=scenario)
+        loops = self.select_runs(mode="closed_loop", scenario=scenario)
         return max((run.steps_planned for run in loops), default=0)
 
     @cached_property
     def sequences(self) -> list[str]:
         """Names of the replayed QP sequences in the order of the suite."""
-        replays = (run for run in self.select(mode="replay") if not run.window_of)
+        replays = (
+            run for run in self.select_runs(mode="replay") if not run.steps_searched_for_hardest
+        )
         return list(dict.fromkeys(run.sequence for run in replays))
 
-    def replays(self, sequence: str, **wanted: object) -> list[RunRecord]:
+    def select_replays(self, sequence: str, **wanted: object) -> list[RunRecord]:
         """Return the replays of a QP sequence in scaled units whose columns have given values."""
-        return self.select(mode="replay", sequence=sequence, units="scaled", **wanted)
+        return self.select_runs(mode="replay", sequence=sequence, units="scaled", **wanted)
 
-    def is_ranked(self, run: RunRecord) -> bool:
+    def has_comparable_times(self, run: RunRecord) -> bool:
         """Return whether a run's step times may be compared with those of other runs."""
         of_folder = str(self.machine.get("id", ""))
         return run.mode != "replay" or has_comparable_times(
             run.concurrency, run.machine_id, of_folder
         )
 
-    def times(self, run: RunRecord) -> StepTimes | None:
+    def get_step_times(self, run: RunRecord) -> StepTimes | None:
         """Return a replay's step times; None without a valid step or if not comparable."""
-        if not self.is_ranked(run):
+        if not self.has_comparable_times(run):
             return None
         if not self._times:
             runs = (*self.calibration, *self.all_runs)
-            self._cache_times([run for run in runs if run.mode == "replay" and not run.family])
+            self._read_and_cache_times(
+                [run for run in runs if run.mode == "replay" and not run.family]
+            )
         if run.run_id not in self._times:
-            self._cache_times([run])
+            self._read_and_cache_times([run])
         return self._times[run.run_id]
 
-    def _cache_times(self, runs: Sequence[RunRecord]) -> None:
+    def _read_and_cache_times(self, runs: Sequence[RunRecord]) -> None:
         """Read the step times of given replays from file, and keep them in memory."""
         self._times |= dict.fromkeys(run.run_id for run in runs)
-        for table in self.scan(runs, TIME_COLUMNS):
-            self._times |= dict(times_by_run(table))
+        for table in self.yield_step_tables(runs, TIME_COLUMNS):
+            self._times |= dict(yield_step_times_by_run(table))
 
-    def delays(self, runs: Sequence[RunRecord]) -> dict[str, Delays]:
+    def read_delays_by_run(self, runs: Sequence[RunRecord]) -> dict[str, Delays]:
         """Return unusually long step timings of given runs, by run id."""
         unread = [run for run in runs if run.run_id not in self._delays]
-        for table in self.scan(unread, DELAY_COLUMNS):
-            self._delays |= dict(delays_by_run(table))
+        for table in self.yield_step_tables(unread, DELAY_COLUMNS):
+            self._delays |= dict(yield_delays_by_run(table))
         return {run.run_id: self._delays[run.run_id] for run in runs if run.run_id in self._delays}
 
-    def scenario(self, name: str) -> Scenario | None:
+    def build_scenario(self, name: str) -> Scenario | None:
         """Build the named scenario from its recorded documents; None without them."""
         if name not in self._scenarios:
-            carried = (run.scenario_files for run in self.runs if run.scenario == name)
+            carried = (run.scenario_documents for run in self.runs if run.scenario == name)
             files = next(filter(None, carried), None)
             self._scenarios[name] = None if files is None else build_scenario_from_documents(files)
         return self._scenarios[name]
 
 
-def _default_routes(runs: Sequence[RunRecord]) -> dict[str, str]:
+def _map_default_route_by_solver(runs: Sequence[RunRecord]) -> dict[str, str]:
     """Return the interface by which each solver is judged: qpsolvers, else the first recorded."""
     routes: dict[str, str] = {}
     for run in runs:
@@ -176,21 +195,23 @@ def _default_routes(runs: Sequence[RunRecord]) -> dict[str, str]:
     return routes
 
 
-def _select_common_formulation(runs: Sequence[RunRecord]) -> list[RunRecord]:
+def _select_runs_in_common_formulation(runs: Sequence[RunRecord]) -> list[RunRecord]:
     """Select the runs in the common QP formulation, and those of the law that solves no QP.
 
     Where a problem was never run in `COMMON_FORMULATION`, its first formulation is the common one.
     """
     common: dict[tuple[str, ...], str] = {}
     for run in runs:
-        problem = _problem_columns(run)
+        problem = _get_problem_columns(run)
         if not run.is_baseline_law and (
             problem not in common or run.formulation == COMMON_FORMULATION
         ):
             common[problem] = run.formulation
-    return [r for r in runs if r.is_baseline_law or r.formulation == common[_problem_columns(r)]]
+    return [
+        r for r in runs if r.is_baseline_law or r.formulation == common[_get_problem_columns(r)]
+    ]
 
 
-def _problem_columns(run: RunRecord) -> tuple[str, ...]:
+def _get_problem_columns(run: RunRecord) -> tuple[str, ...]:
     """Return the values that identify a run's problem: mode, scenario, QP sequence, units."""
     return run.mode, run.scenario, run.sequence, run.units

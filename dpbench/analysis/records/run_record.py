@@ -157,7 +157,7 @@ class RunRecord:
     default_route: bool = False
     own_switches_a_step: float = np.nan
 
-    def without_times(self) -> RunRecord:
+    def copy_without_times(self) -> RunRecord:
         """Return a copy of the run with all times set to NaN."""
         times = (one.name for one in fields(self) if one.name.endswith("_ns"))
         timed: dict[str, Any] = dict.fromkeys(times, np.nan)
@@ -180,7 +180,7 @@ class RunRecord:
         return *where, replace(self.configuration, settings=settings), *times
 
     @property
-    def has_topic(self) -> bool:
+    def is_outside_verdicts(self) -> bool:
         """True if the run counts in no solver's verdict: a study, or a problem without a ship."""
         return bool(self.study) or not self.source.is_judged
 
@@ -190,7 +190,7 @@ class RunRecord:
         return self.source.recipe.family if isinstance(self.source, RandomSource) else ""
 
     @property
-    def lost_group(self) -> str:
+    def lost_thruster_group(self) -> str:
         """Name of the thruster group whose loss the run's QPs assume; "" for any other run."""
         return self.source.group if isinstance(self.source, ConsequenceSource) else ""
 
@@ -208,12 +208,12 @@ class RunRecord:
     @property
     def first_step(self) -> int:
         """Index of the scenario's step at which the run begins."""
-        if self.window_of and not np.isnan(self.first_sample):
+        if self.steps_searched_for_hardest and not np.isnan(self.first_sample):
             return int(self.first_sample)
         return self.first
 
     @property
-    def window_of(self) -> int:
+    def steps_searched_for_hardest(self) -> int:
         """Number of steps of which the hardest are replayed by this run; 0 of other runs."""
         return self.source.of if isinstance(self.source, HardestSource) else 0
 
@@ -235,14 +235,14 @@ class RunRecord:
         return name.removesuffix(horizons) + bracket + window
 
     @property
-    def scenario_files(self) -> ScenarioDocuments | None:
+    def scenario_documents(self) -> ScenarioDocuments | None:
         """Scenario and vessel documents of the run; None where it has none."""
         return self.files if "scenario" in self.files else None
 
     @property
     def commands_thrusters(self) -> bool:
         """True if the controller commands thrusters instead of three forces."""
-        scenario = (self.scenario_files or {}).get("scenario")
+        scenario = (self.scenario_documents or {}).get("scenario")
         return scenario is not None and scenario["controller"].get("kind", "forces") != "forces"
 
     @property
@@ -256,19 +256,19 @@ class RunRecord:
         return self.steps_done > 0
 
     @property
-    def cause(self) -> str:
+    def outcome_message(self) -> str:
         """Message of the solver library or benchmark on how the run ended; "" for none."""
         return self.outcome_detail.strip().rstrip(".")
 
     @property
-    def remembers(self) -> bool:
+    def returns_cached_answers(self) -> bool:
         """True if the times show that the solver returned cached answers."""
         return is_answer_cached(
             self.first_visit_ratio, self.loop_ratio, self.first_visit_excess, self.loop_tail_ratio
         )
 
     @property
-    def name(self) -> str:
+    def solver_label(self) -> str:
         """Name of the run's solver, with what differs from its default configuration."""
         words = [] if self.default_route else [str(self.route)]
         words += [] if self.policy == "fresh" else [str(self.policy)]
@@ -312,18 +312,18 @@ class _RunDescription(_Table):
     backup: str = ""
 
 
-def build_records(runs: pd.DataFrame) -> list[RunRecord]:
+def build_run_records(runs: pd.DataFrame) -> list[RunRecord]:
     """Convert a data frame of runs to a list of `RunRecord`, one per row."""
     names = [name for name in RunRecord.__annotations__ if name in RUN_COLUMNS]
     values = [_READ[RUN_COLUMNS[name][0]](runs[name]) for name in names]
     shared: dict[str, Any] = {}
     return [
-        RunRecord(**dict(zip(names, row, strict=True)), **_read_description(str(cell), shared))
+        RunRecord(**dict(zip(names, row, strict=True)), **_parse_description(str(cell), shared))
         for *row, cell in zip(*values, runs["cell"], strict=True)
     ]
 
 
-def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
+def _parse_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
     """Parse a run's JSON description into record fields; equal parts share one object."""
     if not cell.startswith("{"):
         return {}
@@ -331,7 +331,7 @@ def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
         described = parse_json(cell)
         read = _RunDescription.model_validate(described)
     except ValueError as error:
-        raise _description_error("cell", error) from error
+        raise _make_description_error("cell", error) from error
     files = described.get("scenario") or {}
     for whole in files.values():
         if isinstance(whole, dict):
@@ -342,13 +342,13 @@ def _read_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
         try:
             shared[key] = parse_qp_source(read.source)
         except ValueError as error:
-            raise _description_error("cell.source", error) from error
+            raise _make_description_error("cell.source", error) from error
     same = {name: getattr(read, name) for name in ("first", "fallback", "backup")}
     x = shared.setdefault(repr(read.study.x), read.study.x)
     return {"files": files, "source": shared[key], "x": x, **same}
 
 
-def _description_error(key: str, error: ValueError) -> ResultsError:
+def _make_description_error(key: str, error: ValueError) -> ResultsError:
     """Turn the error of a cell's stored description into one that names file, key and value."""
     if isinstance(error, InputError):
         return ResultsError("runs.parquet", f"cell.{error.key}", error.found, error.allowed)
@@ -358,7 +358,7 @@ def _description_error(key: str, error: ValueError) -> ResultsError:
     return ResultsError("runs.parquet", key, found, "the description of a cell")
 
 
-def _column_to_floats(column: pd.Series[Any]) -> list[float]:
+def _convert_column_to_floats(column: pd.Series[Any]) -> list[float]:
     """Convert a numeric column to a list of floats, null to NaN."""
     return column.to_numpy(dtype=np.float64, na_value=np.nan).tolist()
 
@@ -367,8 +367,8 @@ _READ: Mapping[str, Callable[[pd.Series[Any]], list[Any]]] = {
     "str": lambda column: [str(value) for value in column],
     "bool": lambda column: [bool(value) for value in column],
     "int64": lambda column: [int(value) for value in column],
-    "Int64": _column_to_floats,
-    "float64": _column_to_floats,
+    "Int64": _convert_column_to_floats,
+    "float64": _convert_column_to_floats,
 }
 """Readers of a column by its type; a null of a nullable integer becomes NaN."""
 
@@ -376,7 +376,7 @@ Item = TypeVar("Item")
 Key = TypeVar("Key")
 
 
-def group_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+def group_by_key(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
     """Group items by key, keys and items in order of appearance."""
     groups: dict[Key, list[Item]] = {}
     for item in items:
@@ -384,7 +384,7 @@ def group_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, lis
     return groups
 
 
-def first_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, Item]:
+def map_first_by_key(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, Item]:
     """Map each key to the first of the items that have it."""
     first: dict[Key, Item] = {}
     for item in items:

@@ -45,13 +45,13 @@ class CountingRows:
         return len(self.k)
 
     @cached_property
-    def bounds(self) -> dict[str, tuple[int, int]]:
+    def row_range_by_run(self) -> dict[str, tuple[int, int]]:
         """First and one-past-last row index of each run, by run id."""
         return find_row_ranges_by_label(self.run_id)
 
-    def of(self, run_id: str) -> "CountingRows":
+    def select_run(self, run_id: str) -> "CountingRows":
         """Return the step arrays of one run only; empty where it has none."""
-        first, end = self.bounds.get(run_id, (0, 0))
+        first, end = self.row_range_by_run.get(run_id, (0, 0))
         return CountingRows(*(getattr(self, f.name)[first:end] for f in fields(self)))
 
 
@@ -63,7 +63,7 @@ COUNTING_COLUMNS = (
 )
 
 
-def counting_rows(steps: pd.DataFrame) -> CountingRows:
+def extract_counting_rows(steps: pd.DataFrame) -> CountingRows:
     """Convert a step table to arrays, without warm-up and disturbed repetitions."""
     counts = steps["counts"].to_numpy(dtype=np.bool_)
     arrays: dict[str, NDArray[np.generic]] = {
@@ -118,39 +118,39 @@ class RunSteps:
     status: NDArray[np.object_]
     rounds: int
 
-    def values(self, measure: Measure) -> Floats:
+    def get_values_of_measure(self, measure: Measure) -> Floats:
         """Return the times [ns], iterations or errors of all steps (K,), by measure."""
         return {"time": self.time_ns, "iterations": self.iterations, "error": self.error}[measure]
 
-    def at(self, places: Ints) -> "RunSteps":
+    def select_steps(self, places: Ints) -> "RunSteps":
         """Return a copy of a run's steps with only those at the given indices."""
         arrays = [f.name for f in fields(self) if f.name != "rounds"]
         return RunSteps(**{n: getattr(self, n)[places] for n in arrays}, rounds=self.rounds)
 
 
-def run_steps(counting: CountingRows) -> Iterator[tuple[str, RunSteps]]:
+def yield_merged_steps_by_run(counting: CountingRows) -> Iterator[tuple[str, RunSteps]]:
     """Yield each run's id and its steps merged over repetitions, in table order."""
-    for run_id in counting.bounds:
-        yield run_id, _merge_rounds(counting.of(run_id))
+    for run_id in counting.row_range_by_run:
+        yield run_id, _merge_repetitions(counting.select_run(run_id))
 
 
-def _merge_rounds(rows: CountingRows) -> RunSteps:
+def _merge_repetitions(rows: CountingRows) -> RunSteps:
     """Merge a run's repetitions: least and largest time, and largest error, of each step."""
     steps, at = np.unique(rows.k, return_inverse=True)
     last = np.zeros(len(steps), dtype=np.int64)
     last[at] = np.arange(len(at))
-    error = _reduce_by_step(np.fmax, at, len(steps), rows.error_move)
+    error = _reduce_repetitions_by_step(np.fmax, at, len(steps), rows.error_move)
     said = last.copy()
     worst = np.flatnonzero(rows.error_move == error[at])
     said[at[worst]] = worst
     flags = {name: getattr(rows, name)[last] for name in _FLAGS}
     return RunSteps(
         k=steps,
-        time_ns=_reduce_by_step(np.fmin, at, len(steps), rows.total_ns),
-        raw_ns=_reduce_by_step(np.fmax, at, len(steps), rows.total_ns),
+        time_ns=_reduce_repetitions_by_step(np.fmin, at, len(steps), rows.total_ns),
+        raw_ns=_reduce_repetitions_by_step(np.fmax, at, len(steps), rows.total_ns),
         error=error,
-        iterations=_reduce_by_step(np.fmax, at, len(steps), rows.iterations),
-        n_active=_reduce_by_step(np.fmax, at, len(steps), rows.n_active),
+        iterations=_reduce_repetitions_by_step(np.fmax, at, len(steps), rows.iterations),
+        n_active=_reduce_repetitions_by_step(np.fmax, at, len(steps), rows.n_active),
         true=(rows.true | ~rows.known)[last],
         **flags,
         status=rows.status[said],
@@ -160,7 +160,7 @@ def _merge_rounds(rows: CountingRows) -> RunSteps:
 
 def find_hardest_steps(run: RunSteps, measure: Measure, count: int = 5) -> Ints:
     """Return the indices of a run's steps of largest time, iterations or error, hardest first."""
-    values = run.values(measure)
+    values = run.get_values_of_measure(measure)
     there = np.flatnonzero(~np.isnan(values))
     if len(there) > count:
         # Only those that reach the least of the hardest have to be put in order.
@@ -169,7 +169,7 @@ def find_hardest_steps(run: RunSteps, measure: Measure, count: int = 5) -> Ints:
     return there[np.argsort(-values[there], kind="stable")][:count]
 
 
-def _reduce_by_step(choose: np.ufunc, at: Ints, count: int, values: Floats) -> Floats:
+def _reduce_repetitions_by_step(choose: np.ufunc, at: Ints, count: int, values: Floats) -> Floats:
     """Return the minimum or maximum over the repetitions of each step (K,); NaN for none."""
     out = np.full(count, np.nan)
     choose.at(out, at, values)

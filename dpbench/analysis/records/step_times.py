@@ -31,25 +31,31 @@ class StepTimes:
     rounds_ns: Floats
 
 
-def times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
+def yield_step_times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
     """Convert a table of steps to step times: yield each run's id and its times."""
-    for run_id, repeat, k, (total_ns, waited_ns) in _counting_rows(steps, "total_ns", "waited_ns"):
-        best = _least_by_step(k, total_ns)
+    for run_id, repeat, k, (total_ns, waited_ns) in _yield_valid_timings_by_run(
+        steps, "total_ns", "waited_ns"
+    ):
+        best = _find_least_by_step(k, total_ns)
         done = np.flatnonzero(np.isfinite(best))
-        net = None if np.isnan(waited_ns).any() else _least_by_step(k, total_ns - waited_ns)[done]
+        net = (
+            None
+            if np.isnan(waited_ns).any()
+            else _find_least_by_step(k, total_ns - waited_ns)[done]
+        )
         rounds = np.array([float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)])
         timings = np.bincount(k)[done].astype(np.int64)
         yield run_id, StepTimes(done, best[done], net, timings, float(total_ns.max()), rounds)
 
 
-def _least_by_step(k: Ints, times_ns: Floats) -> Floats:
+def _find_least_by_step(k: Ints, times_ns: Floats) -> Floats:
     """Return the least time of each step from 0 to the largest of `k`; inf without a time."""
     least = np.full(int(k.max()) + 1, np.inf)
     np.minimum.at(least, k, times_ns)
     return least
 
 
-def _counting_rows(
+def _yield_valid_timings_by_run(
     steps: pd.DataFrame, *times: str
 ) -> Iterator[tuple[str, Ints, Ints, list[Floats]]]:
     """Yield each run's id, repetition and step indices, and times [ns] from valid step rows."""
@@ -99,28 +105,30 @@ class Delays:
         """Copy of these delays without the recorded waits for the processor core."""
         return replace(self, net_ns=self.delay_ns, has_waits=False)
 
-    def count_late(self, limit_ns: float) -> Ints:
+    def count_late_by_repetition(self, limit_ns: float) -> Ints:
         """Count, by repetition (R,), the timings over a limit by the solver's own work."""
         by_itself = (self.net_ns > limit_ns) | (self.net_ns - self.own_ns > OWN_SHARE * limit_ns)
-        return self._count_by_round((self.delay_ns > limit_ns) & by_itself)
+        return self._count_chosen_by_repetition((self.delay_ns > limit_ns) & by_itself)
 
-    def count_stalls(self, longer_than_ns: float) -> Ints:
+    def count_stalls_by_repetition(self, longer_than_ns: float) -> Ints:
         """Count, by repetition (R,), the timings that exceed their step's usual time by so much."""
         if longer_than_ns not in self._stalls:
             excess_ns, net_ns = self.delay_ns - self.own_ns, self.net_ns - self.own_ns
             of_limit = OWN_SHARE * 2.0 * longer_than_ns
             chosen = (excess_ns > longer_than_ns) & (net_ns > of_limit)
-            self._stalls[longer_than_ns] = self._count_by_round(chosen)
+            self._stalls[longer_than_ns] = self._count_chosen_by_repetition(chosen)
         return self._stalls[longer_than_ns]
 
-    def _count_by_round(self, chosen: Flags) -> Ints:
+    def _count_chosen_by_repetition(self, chosen: Flags) -> Ints:
         """Count the selected delays in each repetition (R,) of the run."""
         return np.bincount(self.round[chosen], minlength=len(self.samples)).astype(np.int64)
 
 
-def delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
+def yield_delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
     """Yield each run's id and its unusually long timings, from a table of steps."""
-    for run_id, repeat, k, (total_ns, waited_ns) in _counting_rows(steps, "total_ns", "waited_ns"):
+    for run_id, repeat, k, (total_ns, waited_ns) in _yield_valid_timings_by_run(
+        steps, "total_ns", "waited_ns"
+    ):
         yield run_id, find_delays(repeat, k, total_ns, waited_ns)
 
 
@@ -136,7 +144,7 @@ def find_delays(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> D
     rounds, index = np.unique(repeat, return_inverse=True)
     middle = float(np.median(total_ns)) if len(total_ns) else np.nan
     if len(rounds) > 1:
-        base = _least_by_step(k, total_ns)[k]
+        base = _find_least_by_step(k, total_ns)[k]
         delayed = total_ns > DELAYED * base
     else:
         base = np.full(len(total_ns), middle)

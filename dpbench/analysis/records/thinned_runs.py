@@ -35,10 +35,10 @@ class HardRow(NamedTuple):
     n_active: int
 
     @classmethod
-    def of(cls, run: RunSteps, measure: Measure, i: int) -> "HardRow":
+    def from_step(cls, run: RunSteps, measure: Measure, i: int) -> "HardRow":
         """Return step `i` of a run, hard by one measure."""
         answer = str(run.status[i]), bool(run.claimed[i]), bool(run.true[i]), int(run.n_active[i])
-        return cls(int(run.k[i]), float(run.values(measure)[i]), *answer)
+        return cls(int(run.k[i]), float(run.get_values_of_measure(measure)[i]), *answer)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,15 +59,17 @@ class ThinnedRun:
     track: Track | None
 
     @classmethod
-    def of(cls, run: RunSteps, most: int, track: Track | None = None) -> "ThinnedRun":
+    def from_run(cls, run: RunSteps, most: int, track: Track | None = None) -> "ThinnedRun":
         """Thin a run to about `most` steps: every n-th one and the hardest."""
-        chosen, extra = thinned_indices(run, most)
+        chosen, extra = choose_kept_indices_and_hard_flags(run, most)
         hard = {
-            measure: [HardRow.of(run, measure, int(i)) for i in find_hardest_steps(run, measure)]
+            measure: [
+                HardRow.from_step(run, measure, int(i)) for i in find_hardest_steps(run, measure)
+            ]
             for measure in MEASURES
         }
         is_whole = len(chosen) == len(run.k)
-        return cls(run.at(chosen), extra, int(run.k[-1]), is_whole, hard, track)
+        return cls(run.select_steps(chosen), extra, int(run.k[-1]), is_whole, hard, track)
 
 
 def thin_track(steps: pd.DataFrame, limits: Floats, most: int) -> Track:
@@ -89,7 +91,7 @@ MOST = 2000
 """Largest number of points of a run in a figure: four and more a pixel."""
 
 
-def common_length_limit(lengths: Sequence[int], most: int) -> int:
+def compute_common_length_limit(lengths: Sequence[int], most: int) -> int:
     """Return the largest cap for each of some lengths that keeps their sum within `most`."""
     shortest_first, rest = sorted(lengths), most
     for i, length in enumerate(shortest_first):
@@ -100,7 +102,7 @@ def common_length_limit(lengths: Sequence[int], most: int) -> int:
     return max(shortest_first, default=1)
 
 
-def thinned_indices(run: RunSteps, most: int) -> tuple[Ints, Flags]:
+def choose_kept_indices_and_hard_flags(run: RunSteps, most: int) -> tuple[Ints, Flags]:
     """Return about `most` step indices to keep, and which are kept only for being hard.
 
     Of a longer run every n-th stays, and of the rest the hardest by each measure.
@@ -116,7 +118,7 @@ def thinned_indices(run: RunSteps, most: int) -> tuple[Ints, Flags]:
     return both, ~np.isin(both, regular)
 
 
-def extreme_indices(values: Floats, most: int = MOST) -> Ints:
+def find_extreme_indices(values: Floats, most: int = MOST) -> Ints:
     """Return indices (M,) of at most `most` values to draw: least and largest of each section.
 
     A line of a few hundred pixels shows no difference.

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, first_by
-from dpbench.analysis.suites.random_claims import CLAIMS, claims_by_run, classify_steps
+from dpbench.analysis.records.run_record import RunRecord, map_first_by_key
+from dpbench.analysis.suites.random_claims import CLAIMS, count_claims_by_run, flag_claims_by_step
 from dpbench.bench.capability.frontier import DIRECTIONS, Capability, WindLimit
 from dpbench.bench.judge.rules import INFEASIBLE
 from dpbench.bench.record.cell import CapabilitySource
@@ -34,29 +34,29 @@ class Answers:
     max_ns: float
 
     @property
-    def unanswered(self) -> int:
+    def unanswered_count(self) -> int:
         """Number of QPs that a solver left without an answer, those never reached included."""
-        return self.asked - self.right - self.wrong
+        return self.asked - self.right_count - self.wrong
 
     @property
-    def right(self) -> int:
+    def right_count(self) -> int:
         """Number of a solver's correct answers: true optima, true claims of infeasibility."""
         return self.balanced + self.refused
 
     @property
-    def is_all_right(self) -> bool:
+    def has_only_right_answers(self) -> bool:
         """True if the solver answered every QP correctly."""
-        return self.right == self.asked
+        return self.right_count == self.asked
 
 
-def count_answers(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
+def count_answers_by_run(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
     """Count each run's right and wrong answers to thrust allocation QPs, the best run first."""
     answers = []
     for run in runs:
         if run.outcome == "refused":
             continue
-        steps = records.counting_steps(run, ("run_id", "total_ns", *CLAIMS))
-        counts = claims_by_run(steps).reindex([run.run_id], fill_value=0).iloc[0].astype(int)
+        steps = records.read_counting_step_table(run, ("run_id", "total_ns", *CLAIMS))
+        counts = count_claims_by_run(steps).reindex([run.run_id], fill_value=0).iloc[0].astype(int)
         infeasible = int((steps["certificate"] == INFEASIBLE).sum())
         times: pd.Series[float] = steps["total_ns"].astype("float64")
         answers.append(
@@ -71,7 +71,7 @@ def count_answers(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
                 max_ns=float(times.max()),
             )
         )
-    return sorted(answers, key=lambda a: (a.wrong > 0, -a.right, a.wrong, a.p50_ns))
+    return sorted(answers, key=lambda a: (a.wrong > 0, -a.right_count, a.wrong, a.p50_ns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +89,12 @@ class CapabilityResult:
     answers: tuple[Answers, ...]
 
     @property
-    def qps(self) -> int:
+    def qp_count(self) -> int:
         """Number of QPs at the largest winds held that each solver was given."""
         return max((answers.asked for answers in self.answers), default=0)
 
     @property
-    def notation(self) -> str:
+    def capability_numbers_text(self) -> str:
         """The four DP capability numbers in the standard's notation; "" of a plot with gaps."""
         held = {
             str(case): tuple(map(WindLimit, own["wind_mps"], own["number"]))
@@ -111,7 +111,9 @@ largest wind held, the DP capability number, and how many solvers made an untrue
 there."""
 
 
-def capability_plots(records: Records, table: pd.DataFrame | None) -> list[CapabilityResult]:
+def build_capability_results(
+    records: Records, table: pd.DataFrame | None
+) -> list[CapabilityResult]:
     """Return a folder's capability plots (wind held by direction), in suite order.
 
     table : of `load_capability_plots`; None where the folder has none.
@@ -122,7 +124,9 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Capab
     plots = []
     for name in {**names, **dict.fromkeys(map(str, known))}:
         runs = [run for run in at_edge if run.sequence == name]
-        answers = first_by(count_answers(records, runs), lambda of_solver: of_solver.solver)
+        answers = map_first_by_key(
+            count_answers_by_run(records, runs), lambda of_solver: of_solver.solver
+        )
         own = known.get(name)
         if own is not None:
             vessel, sides = str(own["vessel"].iloc[0]), int(own["sides"].iloc[0])
@@ -133,20 +137,20 @@ def capability_plots(records: Records, table: pd.DataFrame | None) -> list[Capab
         edges = (
             pd.DataFrame(columns=list(EDGES))
             if own is None
-            else _wind_by_direction(records, own, runs)
+            else _tabulate_wind_by_direction(records, own, runs)
         )
         plots.append(CapabilityResult(vessel, sides, edges, tuple(answers.values())))
     return plots
 
 
-def _wind_by_direction(
+def _tabulate_wind_by_direction(
     records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]
 ) -> pd.DataFrame:
     """Tabulate the largest wind at which thrusters hold the ship, by failure and direction."""
     false_claimants: dict[int, set[str]] = {}
     for run in runs:
-        steps = records.counting_steps(run, ("k", *CLAIMS))
-        claims = classify_steps(steps)
+        steps = records.read_counting_step_table(run, ("k", *CLAIMS))
+        claims = flag_claims_by_step(steps)
         for k in steps["k"][claims["false_claims"] | claims["wrong_refusals"]]:
             false_claimants.setdefault(int(k), set()).add(run.solver)
     rows = []

@@ -15,8 +15,8 @@ import numpy as np
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
-from dpbench.analysis.suites.random_claims import CLAIMS, classify_steps
+from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
+from dpbench.analysis.suites.random_claims import CLAIMS, flag_claims_by_step
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile_or_nan
 from dpbench.bench.record.cell import ConsequenceSource
 from dpbench.scenario.scenario import build_or_reuse_scenario
@@ -49,12 +49,12 @@ class BatchAnswers:
     largest: float
 
     @property
-    def unanswered(self) -> int:
+    def unanswered_count(self) -> int:
         """Number of QPs that a configuration left without an answer or never reached."""
         return self.asked - self.held - self.refused - self.untrue
 
     @property
-    def is_all_right(self) -> bool:
+    def has_only_right_answers(self) -> bool:
         """True if the solver configuration answered every QP correctly."""
         return self.held + self.refused == self.asked
 
@@ -75,46 +75,50 @@ class ConsequenceAnalysis:
     answers: tuple[BatchAnswers, ...]
 
     @property
-    def best(self) -> dict[str, BatchAnswers]:
+    def best_answers_by_solver(self) -> dict[str, BatchAnswers]:
         """Answers of each solver's best configuration, by solver name."""
-        return first_by(self.answers, lambda answers: answers.solver)
+        return map_first_by_key(self.answers, lambda answers: answers.solver)
 
 
 @lru_cache(maxsize=2)
-def consequence_analyses(records: Records) -> list[ConsequenceAnalysis]:
+def build_consequence_analyses(records: Records) -> list[ConsequenceAnalysis]:
     """Return the folder's analyses of thruster losses, those in which a QP was solved."""
     asked = [run for run in records.consequence if run.outcome != "refused"]
-    batches = group_by(asked, lambda run: run.sequence.removesuffix(f", {run.lost_group} lost"))
+    batches = group_by_key(
+        asked, lambda run: run.sequence.removesuffix(f", {run.lost_thruster_group} lost")
+    )
     return [
-        _build_analysis(records, name, runs)
+        _build_consequence_analysis(records, name, runs)
         for name, runs in batches.items()
         if any(run.has_steps for run in runs)
     ]
 
 
-def _build_analysis(records: Records, name: str, runs: Sequence[RunRecord]) -> ConsequenceAnalysis:
+def _build_consequence_analysis(
+    records: Records, name: str, runs: Sequence[RunRecord]
+) -> ConsequenceAnalysis:
     """Build a consequence analysis from its runs: answers, losses held, time of each solver."""
-    groups = group_by(runs, lambda run: run.lost_group)
+    groups = group_by_key(runs, lambda run: run.lost_thruster_group)
     longest = [max(of_group, key=lambda run: run.steps_done) for of_group in groups.values()]
-    files = runs[0].scenario_files
+    files = runs[0].scenario_documents
     sample_s = math.nan if files is None else build_or_reuse_scenario(files).sample_s
-    by_configuration = group_by(runs, lambda run: run.name)
+    by_configuration = group_by_key(runs, lambda run: run.solver_label)
     answers = [
-        _count_batch_answers(records, own, len(groups), sample_s)
+        _sum_answers_over_losses(records, own, len(groups), sample_s)
         for own in by_configuration.values()
     ]
     answers.sort(key=lambda a: (a.untrue > 0, -(a.held + a.refused), a.untrue, a.largest))
     spans = pd.concat(
-        [_loss_state_spans(records, run, sample_s) for run in longest if run.has_steps]
+        [_tabulate_loss_state_spans(records, run, sample_s) for run in longest if run.has_steps]
     )
     source = runs[0].source
     margin = source.margin if isinstance(source, ConsequenceSource) else math.nan
     return ConsequenceAnalysis(name, tuple(groups), margin, spans, tuple(answers))
 
 
-def _loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
+def _tabulate_loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
     """Return time spans in which the loss of this run's group can, cannot, or may be held."""
-    rows = records.counting_steps(run, ("k", "t_s", "certificate"))
+    rows = records.read_counting_step_table(run, ("k", "t_s", "certificate"))
     steps = rows.drop_duplicates("k").sort_values("k")
     certificate, t_s = steps["certificate"], steps["t_s"].to_numpy()
     known = np.where(certificate == INFEASIBLE, LOST, HELD)
@@ -122,17 +126,17 @@ def _loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.D
     starts = np.flatnonzero(np.append(True, state[1:] != state[:-1])[: len(state)])
     ends = np.append(t_s[starts[1:]], t_s[-1:] + sample_s)
     spans = zip(t_s[starts], ends, state[starts], strict=True)
-    return pd.DataFrame([(run.lost_group, *span) for span in spans], columns=list(SPAN))
+    return pd.DataFrame([(run.lost_thruster_group, *span) for span in spans], columns=list(SPAN))
 
 
-def _count_batch_answers(
+def _sum_answers_over_losses(
     records: Records, runs: Sequence[RunRecord], groups: int, sample_s: float
 ) -> BatchAnswers:
     """Count a configuration's answers over all thruster losses; add times per control sample."""
     of_runs = []
     for run in runs:
-        steps = records.counting_steps(run, ("k", *CLAIMS))
-        claims, infeasible = classify_steps(steps), steps["certificate"] == INFEASIBLE
+        steps = records.read_counting_step_table(run, ("k", *CLAIMS))
+        claims, infeasible = flag_claims_by_step(steps), steps["certificate"] == INFEASIBLE
         lies = claims["false_claims"]
         always = {"feasible": claims["steps"] & ~infeasible, "infeasible": infeasible}
         always["held"] = claims["right_claims"]
@@ -142,13 +146,13 @@ def _count_batch_answers(
         of_runs.append(pd.concat([by_step[0].all().sum(), by_step[1].any().sum()]))
     counts = pd.concat(of_runs, axis=1).sum(axis=1)
     # The time of a sample's batch is known where every group was run to its end.
-    times = [known.algo_ns for known in map(records.times, runs) if known is not None]
+    times = [known.algo_ns for known in map(records.get_step_times, runs) if known is not None]
     lengths = {len(algo) for algo in times} | {run.steps_planned for run in runs}
     is_whole = len(times) == len(runs) == groups and len(lengths) == 1
     shares = np.sum(times, axis=0) / (1e9 * sample_s) if is_whole else np.zeros(0)
     return BatchAnswers(
         solver=runs[0].solver,
-        name=runs[0].name,
+        name=runs[0].solver_label,
         asked=sum(run.steps_planned for run in runs),
         p99=percentile_or_nan(shares, 99),
         largest=float(shares.max()) if len(shares) else math.nan,
@@ -156,14 +160,16 @@ def _count_batch_answers(
     )
 
 
-def answers_in_all(analyses: Sequence[ConsequenceAnalysis]) -> dict[str, list[BatchAnswers]]:
+def select_configurations_in_all_analyses(
+    analyses: Sequence[ConsequenceAnalysis],
+) -> dict[str, list[BatchAnswers]]:
     """Return, by name, the configurations run in every consequence analysis with their answers."""
     answers = [own for analysis in analyses for own in analysis.answers]
-    by_name = group_by(answers, lambda own: own.name)
+    by_name = group_by_key(answers, lambda own: own.name)
     return {name: own for name, own in by_name.items() if len(own) == len(analyses)}
 
 
-def largest_share(answers: Sequence[BatchAnswers]) -> float:
+def find_largest_share_of_sample(answers: Sequence[BatchAnswers]) -> float:
     """Return the largest share of a control sample that solving takes in any analysis; or NaN."""
     shares = [own.largest for own in answers]
     return max(shares) if all(map(math.isfinite, shares)) else math.nan

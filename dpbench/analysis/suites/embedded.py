@@ -65,7 +65,9 @@ class CountedSequence:
     steps: int
     solvers: tuple[CountedSolver, ...]
 
-    def find_disagreements(self, error_move: float) -> list[tuple[CountedSolver, CountedSolver]]:
+    def find_pairs_ranked_otherwise(
+        self, error_move: float
+    ) -> list[tuple[CountedSolver, CountedSolver]]:
         """Return pairs that desk and counts rank otherwise; the first has fewer instructions.
 
         Only solvers whose errors stay within `error_move` in both are ranked, and only p99 that
@@ -83,7 +85,7 @@ class CountedSequence:
         ]
 
     @property
-    def desk_ranks(self) -> dict[str, int]:
+    def desk_rank_by_solver(self) -> dict[str, int]:
         """Place of each solver by its p99 on the desk, from 1, among those timed there."""
         timed = [one for one in self.solvers if not isnan(one.desk_p99_ns)]
         timed.sort(key=lambda one: one.desk_p99_ns)
@@ -98,7 +100,7 @@ class EmbeddedResults:
     not_counted: tuple[UncountedSolver, ...] = ()
 
     @classmethod
-    def of(cls, records: Records, steps: pd.DataFrame | None) -> "EmbeddedResults":
+    def from_counted_steps(cls, records: Records, steps: pd.DataFrame | None) -> "EmbeddedResults":
         """Summarise the steps of `embedded.parquet`, and find the times of the desk."""
         missing = tuple(records.suite.get("not_counted", ()))
         if steps is None:
@@ -110,12 +112,16 @@ class EmbeddedResults:
         for _, group in groupby(runs, key=lambda run: [run[name] for name in key]):
             rows = list(group)
             names = {name: rows[0][name] for name in (*key, "steps")}
-            solvers = [_count_of(records, run, compilers[run["solver"]]) for run in rows]
+            solvers = [
+                _summarise_counted_run(records, run, compilers[run["solver"]]) for run in rows
+            ]
             solvers.sort(key=lambda one: (one.p99, one.solver))
             groups.append(CountedSequence(**names, solvers=tuple(solvers)))
         return cls(tuple(groups), missing)
 
-    def find_largest(self, solver: str) -> tuple[CountedSequence, CountedSolver] | None:
+    def find_largest_count_of_solver(
+        self, solver: str
+    ) -> tuple[CountedSequence, CountedSolver] | None:
         """Return the sequence with a solver's most instructions in a step; None if not counted."""
         counted = [
             (sequence, one)
@@ -126,9 +132,9 @@ class EmbeddedResults:
         return max(counted, key=lambda pair: pair[1].worst, default=None)
 
 
-def _count_of(records: Records, run: dict[str, Any], compiler: str) -> CountedSolver:
+def _summarise_counted_run(records: Records, run: dict[str, Any], compiler: str) -> CountedSolver:
     """Return the summary of one run with the time of its steps on the desk."""
-    desk = _find_desk_run(records, run["sequence"], run["solver"], run["steps"])
+    desk = _find_desk_replay_and_p99(records, run["sequence"], run["solver"], run["steps"])
     return CountedSolver(
         solver=run["solver"],
         p50=run["instructions_p50"],
@@ -145,7 +151,7 @@ def _count_of(records: Records, run: dict[str, Any], compiler: str) -> CountedSo
     )
 
 
-def _find_desk_run(
+def _find_desk_replay_and_p99(
     records: Records, sequence: str, solver: str, steps: int
 ) -> tuple[RunRecord, float] | None:
     """Return the replay of the same steps at default settings and their p99 [ns]; None if none.
@@ -158,11 +164,11 @@ def _find_desk_run(
     asked = {"mode": "replay", "scenario": part["scenario"], "solver": solver, "units": "scaled"}
     runs = [
         run
-        for run in records.select(**asked, route="native", settings="default")
-        if not run.window_of
+        for run in records.select_runs(**asked, route="native", settings="default")
+        if not run.steps_searched_for_hardest
     ]
     for run in sorted(runs, key=lambda run: _PREFERENCE.index(run.policy)):
-        times, first = records.times(run), int(part["first"]) - run.first
+        times, first = records.get_step_times(run), int(part["first"]) - run.first
         if times is None:
             continue
         same = times.algo_ns[(times.k >= first) & (times.k < first + steps)]

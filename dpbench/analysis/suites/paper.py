@@ -40,11 +40,11 @@ class LawPair:
     whole: int = 0
 
 
-def find_laws(view: Records, scenario: str) -> LawPair:
+def find_mpc_and_clipped_runs(view: Records, scenario: str) -> LawPair:
     """Find a scenario's complete runs of the MPC law and of the clipped unconstrained law."""
-    planned, carried = view.count_planned_steps(scenario), view.scenario(scenario)
+    planned, carried = view.count_steps_of_longest_loop(scenario), view.build_scenario(scenario)
     usual = {"mode": "closed_loop", "settings": "default", "units": "scaled"}
-    full = view.select(scenario=scenario, steps_planned=planned, **usual)
+    full = view.select_runs(scenario=scenario, steps_planned=planned, **usual)
     loops = [row for row in full if row.has_steps and row.outcome == "finished"]
     solved = [row for row in loops if not row.is_baseline_law and row.policy == "fresh"]
     off_m = {row: np.nan_to_num(row.dev_position_max_m, nan=np.inf) for row in solved}
@@ -61,18 +61,18 @@ class Law:
     steps: pd.DataFrame
 
 
-def find_paper_runs(view: Records) -> list[Law]:
+def read_laws_in_paper_scenario(view: Records) -> list[Law]:
     """Return the steps of MPC and of clipped unconstrained control in the paper's scenario."""
-    pair = find_laws(view, PAPER)
+    pair = find_mpc_and_clipped_runs(view, PAPER)
     if pair.constrained is None:
         return []
-    laws = [Law(f"constrained ({pair.constrained.solver})", view.steps(pair.constrained))]
+    laws = [Law(f"constrained ({pair.constrained.solver})", view.read_step_table(pair.constrained))]
     if pair.clipped is not None:
-        laws.append(Law("unconstrained, clipped", view.steps(pair.clipped)))
+        laws.append(Law("unconstrained, clipped", view.read_step_table(pair.clipped)))
     return laws
 
 
-def pose_errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
+def compute_pose_errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
     """Return north, east and radial [m] and heading [°] errors at each step of a loop, by name."""
     n = steps["n_m"].to_numpy() - reference[0]
     e = steps["e_m"].to_numpy() - reference[1]
@@ -80,7 +80,7 @@ def pose_errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Floats]:
     return {"north": n, "east": e, "heading": psi, "radial": np.hypot(n, e)}
 
 
-def paper_figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
+def tabulate_paper_figure(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
     """Tabulate what one of the paper's figures shows, for one control law.
 
     Forces and increments have each axis, then its limits.
@@ -93,7 +93,7 @@ def paper_figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame
         columns |= {name: steps[name] for name in ("n_m", "e_m")}
     elif figure == "errors":
         units = {"north": "m", "east": "m", "heading": "deg", "radial": "m"}
-        by_name = pose_errors(steps, scenario.reference)
+        by_name = compute_pose_errors(steps, scenario.reference)
         columns |= {f"{name}_{unit}": by_name[name] for name, unit in units.items()}
     else:
         vessel, most = scenario.vessel, scenario.force_step_max
@@ -107,17 +107,19 @@ def paper_figure_data(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame
 
 def is_paper_scenario(view: Records, name: str) -> bool:
     """Return whether a recorded scenario equals the paper's scenario in this package."""
-    scenario = view.scenario(name) if name in OF_PAPER else None
-    return scenario is not None and _document_content(scenario) == _packaged_content(name)
+    scenario = view.build_scenario(name) if name in OF_PAPER else None
+    return scenario is not None and _serialise_scenario(scenario) == _serialise_packaged_scenario(
+        name
+    )
 
 
 @cache
-def _packaged_content(name: str) -> str:
+def _serialise_packaged_scenario(name: str) -> str:
     """Return the content of a scenario of the package, to compare a recorded one with."""
-    return _document_content(load_scenario(name))
+    return _serialise_scenario(load_scenario(name))
 
 
-def _document_content(scenario: Scenario) -> str:
+def _serialise_scenario(scenario: Scenario) -> str:
     """Return a scenario's documents as JSON, without descriptive text."""
     files = scenario.files
     documents = {
@@ -164,10 +166,10 @@ SMALLER = {
 """Figures that the constrained law has smaller, by more than which share of the larger."""
 
 
-def assess_claim(records: Records, scenario: str, by: str) -> ClaimFinding:
+def assess_paper_claim(records: Records, scenario: str, by: str) -> ClaimFinding:
     """Judge one claim of the paper by the runs of MPC and of the clipped unconstrained law."""
     is_own = is_paper_scenario(records, scenario)
-    pair = find_laws(records, scenario) if is_own else LawPair(None, None)
+    pair = find_mpc_and_clipped_runs(records, scenario) if is_own else LawPair(None, None)
     laws = 1 if by in HOLDS else 2
     runs = [run for run in (pair.constrained, pair.clipped)[:laws] if run is not None]
     if len(runs) < laws:
@@ -181,13 +183,13 @@ def assess_claim(records: Records, scenario: str, by: str) -> ClaimFinding:
     if by == "steady":
         # Whether both end with equal errors, as no limit is active.
         two = [run.r_tail_max_m for run in runs]
-        active = records.steps(runs[0])["n_active"].to_numpy()
+        active = records.read_step_table(runs[0])["n_active"].to_numpy()
         is_free = not active[len(active) // 2 :].any()
         values["alike"] = abs(two[0] - two[1]) <= SAME * max(two) and is_free
-    return ClaimFinding(by, _claim_state(by, *runs), values)
+    return ClaimFinding(by, _judge_claim(by, *runs), values)
 
 
-def _claim_state(by: str, run: RunRecord, law: RunRecord | None = None) -> State:
+def _judge_claim(by: str, run: RunRecord, law: RunRecord | None = None) -> State:
     """Return whether runs reproduce a claim of the paper, or show the opposite."""
     if law is None:
         return "reproduced" if HOLDS[by](run) else "not reproduced"
@@ -200,9 +202,9 @@ def _claim_state(by: str, run: RunRecord, law: RunRecord | None = None) -> State
 
 def find_circle_entry_s(records: Records, run: RunRecord) -> float:
     """Return the time [s] from which the ship stays within 1 m; inf if it never does."""
-    scenario, steps = records.scenario(run.scenario), records.steps(run)
+    scenario, steps = records.build_scenario(run.scenario), records.read_step_table(run)
     assert scenario is not None, "a run of the paper's own scenario"
-    outside = np.flatnonzero(pose_errors(steps, scenario.reference)["radial"] > CIRCLE_M)
+    outside = np.flatnonzero(compute_pose_errors(steps, scenario.reference)["radial"] > CIRCLE_M)
     if not len(outside):
         return 0.0
     last = int(outside[-1])

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.bench.judge.rules import (
     NO_ANSWER_CLAIMS,
     mask_claimed_not_true,
@@ -43,7 +43,7 @@ class Tally:
     missed: int
 
     @property
-    def wrong(self) -> int:
+    def wrong_count(self) -> int:
         """Number of untrue claims, of an optimum or of infeasibility."""
         return self.false_claims + self.wrong_refusals
 
@@ -59,15 +59,15 @@ class RandomClaims:
         self.runs = _merge_equal_runs([run for run in records.random if run.outcome != "refused"])
         ids = [run.run_id for run in self.runs]
         tables = [
-            claims_by_run(table[table["counts"]])
-            for table in records.scan(self.runs, ("run_id", "counts", *CLAIMS))
+            count_claims_by_run(table[table["counts"]])
+            for table in records.yield_step_tables(self.runs, ("run_id", "counts", *CLAIMS))
         ]
         names = [field.name for field in fields(Tally) if field.name != "missed"]
         counts = pd.concat(tables) if tables else pd.DataFrame(columns=names, dtype=np.int64)
         counts = counts.reindex(ids, fill_value=0)
         self._counts = counts.assign(missed=[r.steps_planned - r.steps_done for r in self.runs])
 
-    def tally_by(self, *names: str) -> dict[tuple[str, ...], Tally]:
+    def sum_tallies_by_columns(self, *names: str) -> dict[tuple[str, ...], Tally]:
         """Sum the counts of true and false claims over runs with equal values in given columns."""
         keys = [tuple(str(getattr(run, name)) for name in names) for run in self.runs]
         sums = self._counts.groupby(pd.Index(keys, tupleize_cols=False), sort=False).sum()
@@ -78,15 +78,17 @@ class RandomClaims:
 def _merge_equal_runs(runs: Sequence[RunRecord]) -> list[RunRecord]:
     """Merge runs that are one measurement listed under several names of settings."""
     kept: list[RunRecord] = []
-    for own in group_by(runs, lambda run: replace(run.configuration, settings="")).values():
-        by_level = group_by(own, lambda run: run.settings)
-        for alike in group_by(by_level.items(), lambda level: _measurement_key(level[1])).values():
+    for own in group_by_key(runs, lambda run: replace(run.configuration, settings="")).values():
+        by_level = group_by_key(own, lambda run: run.settings)
+        for alike in group_by_key(
+            by_level.items(), lambda level: _make_measurement_key(level[1])
+        ).values():
             shown = ", ".join(sorted((settings for settings, _ in alike), key=sort_key_of_settings))
             kept += [replace(run, settings=shown) for run in alike[0][1]]
     return kept
 
 
-def _measurement_key(runs: Sequence[RunRecord]) -> str:
+def _make_measurement_key(runs: Sequence[RunRecord]) -> str:
     """Return a text that is equal for lists of runs with the same measured values."""
     return repr(sorted((run.sequence, run.raw_max_ns, run.steps_done) for run in runs))
 
@@ -94,12 +96,12 @@ def _measurement_key(runs: Sequence[RunRecord]) -> str:
 CLAIMS = ("status", "certificate", "claimed", "true")
 
 
-def claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
+def count_claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
     """Count each run's true and false claims of optimality or infeasibility, by run id."""
-    return classify_steps(steps).groupby(steps["run_id"]).sum()
+    return flag_claims_by_step(steps).groupby(steps["run_id"]).sum()
 
 
-def classify_steps(steps: pd.DataFrame) -> pd.DataFrame:
+def flag_claims_by_step(steps: pd.DataFrame) -> pd.DataFrame:
     """Classify each step's claim as true or false: a table with a Boolean column per kind."""
     known, none_said = mask_decided_steps(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
     claimed, true = steps["claimed"], steps["true"]

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from itertools import takewhile
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by
-from dpbench.analysis.verdict.requirements import cost_ratio, has_survived
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
+from dpbench.analysis.verdict.requirements import compute_cost_ratio, has_survived
 from dpbench.bench.record.cell import Configuration
 
 
@@ -18,7 +18,7 @@ class DelayedConfiguration:
     loops: dict[float, RunRecord]
 
     @property
-    def survived_slowdown(self) -> float:
+    def largest_survived_slowdown(self) -> float:
         """Largest computer slow-down up to which every closed loop survives; NaN for none."""
         survived_slowdowns = takewhile(lambda s: has_survived(self.loops[s]), self.loops)
         return max(survived_slowdowns, default=math.nan)
@@ -34,23 +34,25 @@ class DelayedGroup:
     configurations: tuple[DelayedConfiguration, ...]
 
 
-def delayed_groups(records: Records) -> list[DelayedGroup]:
+def group_delayed_loops(records: Records) -> list[DelayedGroup]:
     """Group the closed loops on simulated slow computers by scenario."""
-    groups = group_by(records.delayed, lambda r: (r.scenario, r.steps_planned, r.deadline_s))
+    groups = group_by_key(records.delayed, lambda r: (r.scenario, r.steps_planned, r.deadline_s))
     delayed = []
     for key, runs in groups.items():
         rising = sorted(runs, key=lambda run: run.slowdown)
         configurations = [
             DelayedConfiguration(configuration, {run.slowdown: run for run in loops})
-            for configuration, loops in group_by(rising, lambda run: run.configuration).items()
+            for configuration, loops in group_by_key(rising, lambda run: run.configuration).items()
         ]
-        delayed.append(DelayedGroup(*key, tuple(sorted(configurations, key=_survival_key))))
+        delayed.append(
+            DelayedGroup(*key, tuple(sorted(configurations, key=_make_survival_sort_key)))
+        )
     return delayed
 
 
-def _survival_key(configuration: DelayedConfiguration) -> tuple[float, float, str]:
+def _make_survival_sort_key(configuration: DelayedConfiguration) -> tuple[float, float, str]:
     """Return a sort key of configurations: largest slow-down survived, then least cost."""
     last = list(configuration.loops.values())[-1]
-    values = -configuration.survived_slowdown, cost_ratio(last)
+    values = -configuration.largest_survived_slowdown, compute_cost_ratio(last)
     survives, cost = (math.inf if math.isnan(value) else value for value in values)
-    return survives, cost, last.name
+    return survives, cost, last.solver_label

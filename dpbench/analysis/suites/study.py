@@ -27,9 +27,15 @@ import pandas as pd
 from scipy.stats import t as student
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by
-from dpbench.analysis.statistics import LEAST_SKEW_DF, TAILS, Interval, MeanEstimate, adjust_holm
-from dpbench.analysis.times.machine import separate_own_switches, total_disturbance
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
+from dpbench.analysis.statistics import (
+    LEAST_SKEW_DF,
+    TAILS,
+    Interval,
+    MeanEstimate,
+    adjust_p_values_by_holm,
+)
+from dpbench.analysis.times.machine import separate_own_switches, sum_disturbances
 from dpbench.analysis.verdict.fastest import find_solver_record_or_none
 from dpbench.arrays import Floats
 from dpbench.bench.record.disturbance import Disturbance
@@ -74,11 +80,11 @@ class PairedDifference:
     is_constant: bool
 
     @property
-    def mean(self) -> Interval:
+    def mean_interval(self) -> Interval:
         """Mean difference with its 95 % interval; infinitely wide if unsupported."""
-        return self.estimate.interval
+        return self.estimate.confidence_interval
 
-    def replicates_for(self, difference: float) -> int | None:
+    def count_seas_needed_for(self, difference: float) -> int | None:
         """Return how many seas per point make a difference of given size significant; or None."""
         if math.isnan(self.spread):
             return None
@@ -90,7 +96,7 @@ class PairedDifference:
         return None
 
 
-def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
+def compute_paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
     """Return the mean difference of two configurations over the seas that both finished.
 
     one, other : values indexed by (point, replicate).
@@ -100,7 +106,7 @@ def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
         return PairedDifference(MeanEstimate(np.nan), 0, 0, np.nan, is_constant=False)
     columns = [both.iloc[:, i].unstack().to_numpy(dtype=np.float64) for i in (0, 1)]
     difference = columns[0] - columns[1]
-    estimate = mean_over_points(difference)
+    estimate = estimate_mean_over_points(difference)
     extent = np.nanmax(difference, axis=1) - np.nanmin(difference, axis=1)
     return PairedDifference(
         estimate,
@@ -111,7 +117,7 @@ def paired_difference(one: pd.Series, other: pd.Series) -> PairedDifference:
     )
 
 
-def mean_over_points(values: Floats) -> MeanEstimate:
+def estimate_mean_over_points(values: Floats) -> MeanEstimate:
     """Estimate the mean over study points of their means over sea realisations, with error.
 
     values : (points, realisations), NaN where a run is lost; each point has one at least.
@@ -173,20 +179,20 @@ class StudiedConfiguration:
     p_cheap: float = 1.0
 
     @property
-    def known_within(self) -> float:
+    def share_within_radius(self) -> float:
         """Share of judged runs within the radius; 1 where none is judged, as nothing is lost."""
         return 1.0 if math.isnan(self.within) else self.within
 
     @property
-    def differs(self) -> bool:
+    def differs_from_reference(self) -> bool:
         """True if the configuration's radial error differs significantly from the reference's."""
         return self.p_differs <= ALPHA
 
     @property
-    def has_larger_error(self) -> bool:
+    def has_larger_error_than_reference(self) -> bool:
         """True if the configuration's radial error is significantly over the reference's."""
         excess = self.error_excess_m
-        return excess is not None and self.differs and excess.estimate.value > 0.0
+        return excess is not None and self.differs_from_reference and excess.estimate.value > 0.0
 
     @property
     def tolerance(self) -> float | None:
@@ -194,21 +200,21 @@ class StudiedConfiguration:
         return _find_tolerance(self.solver, self.settings)
 
     @property
-    def is_cheap(self) -> bool:
+    def adds_little_error_and_cost(self) -> bool:
         """True if the configuration adds significantly less than 1 cm error and 1 % cost."""
         if self.finished < self.runs:
             return False
         return self.error_excess_m is None or self.p_cheap <= ALPHA
 
     @property
-    def p_unadjusted(self) -> tuple[float, float]:
+    def unadjusted_p_values(self) -> tuple[float, float]:
         """P-values, uncorrected, of differing from the reference, and of adding little to it."""
         if self.error_excess_m is None or self.log_cost_excess is None:
             return 1.0, 1.0
-        cheap = self.log_cost_excess.estimate.p_below(math.log1p(SMALL_COST))
+        cheap = self.log_cost_excess.estimate.compute_p_value_of_mean_below(math.log1p(SMALL_COST))
         return (
-            self.error_excess_m.estimate.p_beyond(NOTHING),
-            max(self.error_excess_m.estimate.p_below(SMALL_M), cheap),
+            self.error_excess_m.estimate.compute_p_value_of_mean_beyond(NOTHING),
+            max(self.error_excess_m.estimate.compute_p_value_of_mean_below(SMALL_M), cheap),
         )
 
 
@@ -229,19 +235,19 @@ class Study:
     ) -> None:
         self.name, self.radius_m, self.disturbance = name, radius_m, disturbance
         self.refused = [run for run in runs if run.outcome == "refused"]
-        names = {run.name for run in runs}
+        names = {run.solver_label for run in runs}
         self.aliases = {alias: own for alias, own in (aliases or {}).items() if own in names}
         rows = [
             {
                 "run_id": run.run_id,
-                "configuration": run.name,
+                "configuration": run.solver_label,
                 "solver": run.solver,
                 "settings": run.settings,
                 "point": int(run.study_point),
                 "replicate": int(run.replicate),
                 "finished": run.outcome == "finished",
                 "stopped": run.outcome == "timed_out",
-                "within": _is_within(run, radius_m),
+                "within": _flag_end_within_radius(run, radius_m),
                 "r_95_m": run.r_95_m,
                 "r_tail_max_m": run.r_tail_max_m,
                 "failed_steps": run.failed_steps,
@@ -263,23 +269,23 @@ class Study:
         """The values of the keys (columns) at each point (index)."""
 
     @property
-    def replicates(self) -> int:
+    def seas_per_point(self) -> int:
         """Number of sea realisations in which each parameter point was run."""
         return int(self.runs["replicate"].nunique())
 
     @property
-    def realisations(self) -> int:
+    def sample_count(self) -> int:
         """Number of independent samples: sea realisations, or points if each is run once."""
-        return self.replicates if self.replicates > 1 else len(self.points)
+        return self.seas_per_point if self.seas_per_point > 1 else len(self.points)
 
     @property
-    def step_time(self) -> str:
+    def step_time_column(self) -> str:
         """Column of the step time: the p99 where every run that solves QPs to its end has one."""
         solved = self.runs[self.runs["finished"] & ~self.runs["baseline_law"]]
         return "raw_p99_ns" if solved["raw_p99_ns"].notna().all() else "raw_p50_ns"
 
     @cached_property
-    def reference(self) -> str:
+    def reference_name(self) -> str:
         """Name of the most exact configuration by its settings, of those that finished most runs.
 
         All others are compared with it. No error or cost decides: those are compared.
@@ -290,40 +296,46 @@ class Study:
         most = finished[finished == finished.max()].index
         candidates = pool[pool["configuration"].isin(most)].drop_duplicates("configuration")
         ranked = candidates[["solver", "settings", "configuration"]].itertuples(index=False)
-        return min((*_exactness_key(row[0], row[1]), str(row[2])) for row in ranked)[-1]
+        return min((*_make_exactness_sort_key(row[0], row[1]), str(row[2])) for row in ranked)[-1]
 
     @cached_property
-    def configurations(self) -> list[StudiedConfiguration]:
+    def results_by_cost(self) -> list[StudiedConfiguration]:
         """Results of every configuration, the reference first, then by increasing cost change."""
         known = [
             self._summarise_configuration(str(name)) for name in self.runs["configuration"].unique()
         ]
-        known.sort(key=lambda c: (c.name != self.reference, np.nan_to_num(abs(c.cost), nan=np.inf)))
+        known.sort(
+            key=lambda c: (c.name != self.reference_name, np.nan_to_num(abs(c.cost), nan=np.inf))
+        )
         reference, *others = known
         adjusted = [
-            adjust_holm(np.array(p)) for p in zip(*(c.p_unadjusted for c in others), strict=True)
+            adjust_p_values_by_holm(np.array(p))
+            for p in zip(*(c.unadjusted_p_values for c in others), strict=True)
         ]
         return [reference] + [
             replace(one, p_differs=float(differs), p_cheap=float(cheap))
             for one, differs, cheap in zip(others, *adjusted, strict=True)
         ]
 
-    def values(self, configuration: str, column: str) -> pd.Series:
+    def get_result_series(self, configuration: str, column: str) -> pd.Series:
         """Return one result of a configuration's finished runs, as a series by point and sea."""
         chosen = (self.runs["configuration"] == configuration) & self.runs["finished"]
         return self.runs[chosen].set_index(["point", "replicate"])[column]
 
-    def difference(self, configuration: str, column: str) -> PairedDifference:
+    def compute_difference_from_reference(
+        self, configuration: str, column: str
+    ) -> PairedDifference:
         """Return a configuration's mean difference from the reference in the same seas."""
-        return paired_difference(
-            self.values(configuration, column), self.values(self.reference, column)
+        return compute_paired_difference(
+            self.get_result_series(configuration, column),
+            self.get_result_series(self.reference_name, column),
         )
 
     def _summarise_configuration(self, name: str) -> StudiedConfiguration:
         """Summarise a configuration's runs, and its differences to the reference's."""
         runs = self.runs[self.runs["configuration"] == name]
-        judged, itself = runs[runs["within"].notna()], name == self.reference
-        log_cost = [np.log(self.values(c, "cost")) for c in (name, self.reference)]
+        judged, itself = runs[runs["within"].notna()], name == self.reference_name
+        log_cost = [np.log(self.get_result_series(c, "cost")) for c in (name, self.reference_name)]
         return StudiedConfiguration(
             name=name,
             solver=str(runs["solver"].iloc[0]),
@@ -334,23 +346,25 @@ class Study:
             within=float(judged["within"].mean()),
             cost=float(judged["over_exact"].mean()),
             r_95_m=float(judged["r_95_m"].mean()),
-            error_excess_m=None if itself else self.difference(name, "r_95_m"),
-            log_cost_excess=None if itself else paired_difference(*log_cost),
+            error_excess_m=None
+            if itself
+            else self.compute_difference_from_reference(name, "r_95_m"),
+            log_cost_excess=None if itself else compute_paired_difference(*log_cost),
         )
 
     @cached_property
-    def loosest(self) -> dict[str, StudiedConfiguration | None]:
+    def loosest_cheap_by_solver(self) -> dict[str, StudiedConfiguration | None]:
         """Loosest tolerance of each solver that ran with little added error or cost, or None."""
-        ran = [c for c in self.configurations if c.finished]
+        ran = [c for c in self.results_by_cost if c.finished]
         stated = [(c.tolerance, c) for c in ran if c.tolerance is not None]
         loosest: dict[str, StudiedConfiguration | None] = {}
-        for solver, of_solver in group_by(stated, lambda one: one[1].solver).items():
-            cheap = [one for one in of_solver if one[1].is_cheap]
+        for solver, of_solver in group_by_key(stated, lambda one: one[1].solver).items():
+            cheap = [one for one in of_solver if one[1].adds_little_error_and_cost]
             loosest[solver] = max(cheap, key=itemgetter(0))[1] if cheap else None
         return loosest
 
 
-def _is_within(run: RunRecord, radius_m: float) -> float:
+def _flag_end_within_radius(run: RunRecord, radius_m: float) -> float:
     """Return 1 where a run ends with its second half within the radius, else 0; NaN: not judged."""
     if run.outcome in NOT_JUDGED:
         return math.nan
@@ -364,9 +378,9 @@ def find_studies(records: Records) -> list[Study]:
         for table in records.suite.get("study", [])
     }
     studies = []
-    for name, runs in group_by(records.study, lambda run: run.study).items():
+    for name, runs in group_by_key(records.study, lambda run: run.study).items():
         timed = separate_own_switches([run for run in runs if run.has_steps])
-        disturbance = total_disturbance(timed)
+        disturbance = sum_disturbances(timed)
         radius_m = float(radii.get(name, 1.0))
         studies.append(Study(name, runs, radius_m, disturbance, records.study_aliases))
     return studies
@@ -379,7 +393,7 @@ def _find_tolerance(solver: str, settings: str) -> float | None:
     return TOLERANCES.get(settings) or parse_tolerance_preset_name(settings)
 
 
-def _exactness_key(solver: str, settings: str) -> tuple[int, float]:
+def _make_exactness_sort_key(solver: str, settings: str) -> tuple[int, float]:
     """Return a sort key of a solver's settings, the most exact first.
 
     `EXACT_FIRST`, solvers without a tolerance, the tightest tolerance, then unknown ones.

@@ -1,10 +1,10 @@
 """Effects of a study's factors: what a horizon, a sea or an offset changes, with an interval.
 
 A factor with a few values is compared level by level: runs that differ in nothing else, in the same
-realisation, are paired, so the interval is that of `paired_difference`. A factor drawn from a range
-(a Sobol sequence has no two points that differ in one key) gets the least-squares slope over all
-points, one of each realisation; of points that are run once, with the error HC3 (MacKinnon & White
-1985, J. Econometrics 29, 305-325).
+realisation, are paired, so the interval is that of `compute_paired_difference`. A factor drawn from
+a range (a Sobol sequence has no two points that differ in one key) gets the least-squares slope
+over all points, one of each realisation; of points that are run once, with the error HC3
+(MacKinnon & White 1985, J. Econometrics 29, 305-325).
 """
 
 import math
@@ -23,8 +23,8 @@ from dpbench.analysis.suites.study import (
     NOTHING,
     PairedDifference,
     Study,
-    mean_over_points,
-    paired_difference,
+    compute_paired_difference,
+    estimate_mean_over_points,
 )
 from dpbench.arrays import Floats
 
@@ -60,11 +60,11 @@ class Change:
     is_slope: bool = False
 
     @property
-    def text(self) -> str:
+    def shown_text(self) -> str:
         """The change as the page shows it."""
         if self.is_slope:
             return f"{self.start:.3g} → {self.end:.3g}, slope"
-        return f"{_value_text(self.start)} → {_value_text(self.end)}"
+        return f"{_format_level(self.start)} → {_format_level(self.end)}"
 
 
 @dataclass(frozen=True)
@@ -80,15 +80,17 @@ class MeasuredChange:
     units: tuple[float, ...]
 
     @property
-    def median(self) -> float:
+    def median_change(self) -> float:
         """Median over units; NaN without any."""
         return float(np.median(self.units)) if self.units else math.nan
 
     @property
-    def same_sign(self) -> float:
+    def count_with_sign_of_median(self) -> float:
         """Number of units with the sign of the median; within `NOTHING` it is 0. NaN: no units."""
-        sign = _sign(self.median)
-        return float(sum(_sign(one) == sign for one in self.units)) if self.units else math.nan
+        sign = _compute_sign(self.median_change)
+        return (
+            float(sum(_compute_sign(one) == sign for one in self.units)) if self.units else math.nan
+        )
 
 
 @dataclass(frozen=True)
@@ -104,33 +106,35 @@ class Effect:
     measured: MeasuredChange
 
     @property
-    def levels(self) -> str:
+    def levels_text(self) -> str:
         """The two values, or the range, as a text."""
-        return self.measured.change.text
+        return self.measured.change.shown_text
 
     @property
-    def difference(self) -> PairedDifference:
+    def mean_difference(self) -> PairedDifference:
         """The mean difference with its interval."""
         return self.measured.difference
 
 
 @lru_cache(maxsize=4)
-def study_effects(study: Study) -> tuple[Effect, ...]:
+def compute_study_effects(study: Study) -> tuple[Effect, ...]:
     """Return the effect of every factor on every measure, configuration by configuration.
 
     A factor that no two comparable runs vary in has none, and no step time without an interval: one
     timing of each step of one loop shows the load of the machine.
     """
-    factors = _find_factors(study.points)
-    pairings = {factor: _pair_levels(study.points, factor) for factor in factors}
-    ranged = [factor for factor in factors if not pairings[factor] and _is_number(study, factor)]
+    factors = _group_keys_that_vary_together(study.points)
+    pairings = {factor: _list_level_changes(study.points, factor) for factor in factors}
+    ranged = [
+        factor for factor in factors if not pairings[factor] and _has_numeric_levels(study, factor)
+    ]
     effects: list[Effect] = []
-    for configuration in study.configurations:
-        for measure, values in _measure_values(study, configuration.name).items():
+    for configuration in study.results_by_cost:
+        for measure, values in _collect_values_by_measure(study, configuration.name).items():
             found = {
-                factor: [_level_effect(values, *change) for change in pairings[factor]]
+                factor: [_compute_level_effect(values, *change) for change in pairings[factor]]
                 for factor in factors
-            } | _range_effects(study.points, values, ranged)
+            } | _fit_range_effects(study.points, values, ranged)
             effects += [
                 Effect(configuration.name, ", ".join(factor), measure, measured)
                 for factor in factors
@@ -142,10 +146,10 @@ def study_effects(study: Study) -> tuple[Effect, ...]:
 
 def _is_told_from_noise(measure: Measure, difference: PairedDifference) -> bool:
     """Return whether a difference has an interval, or is of what other programs do not change."""
-    return measure != STEP_TIME or math.isfinite(difference.mean.low)
+    return measure != STEP_TIME or math.isfinite(difference.mean_interval.low)
 
 
-def _find_factors(points: pd.DataFrame) -> list[tuple[str, ...]]:
+def _group_keys_that_vary_together(points: pd.DataFrame) -> list[tuple[str, ...]]:
     """Return the keys that vary, those together that change together."""
     groups: dict[tuple[object, ...], list[str]] = {}
     for key, values in points.items():
@@ -162,12 +166,12 @@ def _find_factors(points: pd.DataFrame) -> list[tuple[str, ...]]:
     return [tuple(keys) for keys in groups.values()]
 
 
-def _is_number(study: Study, factor: tuple[str, ...]) -> bool:
+def _has_numeric_levels(study: Study, factor: tuple[str, ...]) -> bool:
     """Return whether the values of a factor are numbers."""
     return is_numeric_dtype(study.points[factor[0]])
 
 
-def _pair_levels(
+def _list_level_changes(
     points: pd.DataFrame, factor: tuple[str, ...]
 ) -> list[tuple[Change, pd.Series, pd.Series]]:
     """Return each change from the first level of a factor, with the points on either side.
@@ -191,41 +195,43 @@ def _pair_levels(
     ]
 
 
-def _value_text(value: object) -> str:
+def _format_level(value: object) -> str:
     """Format a level of a factor."""
     return f"{value:g}" if isinstance(value, int | float) else str(value)
 
 
-def _measure_values(study: Study, configuration: str) -> Mapping[Measure, pd.Series]:
+def _collect_values_by_measure(study: Study, configuration: str) -> Mapping[Measure, pd.Series]:
     """Return what each measure has of a configuration's runs, by point and realisation."""
     runs = study.runs[study.runs["configuration"] == configuration]
     runs = runs.set_index(["point", "replicate"])
     finished = runs[runs["finished"]]
     return {
-        STEP_TIME: np.log(finished[study.step_time].where(finished[study.step_time] > 0)).dropna(),
+        STEP_TIME: np.log(
+            finished[study.step_time_column].where(finished[study.step_time_column] > 0)
+        ).dropna(),
         ERROR: finished["r_95_m"],
         OUTSIDE: (1.0 - runs["within"]).dropna(),
         UNTRUE: (1.0 - finished["true_share"]).dropna(),
     }
 
 
-def _sign(value: float) -> int:
+def _compute_sign(value: float) -> int:
     """Return 1 or -1, or 0 within `NOTHING`."""
     return int(value > NOTHING) - int(value < -NOTHING)
 
 
-def _level_effect(
+def _compute_level_effect(
     values: pd.Series, change: Change, least: pd.Series, other: pd.Series
 ) -> MeasuredChange:
     """Return the mean change from one level to another over pairs in the same realisation."""
-    sides = _of_side(values, other), _of_side(values, least)
+    sides = _select_values_of_side(values, other), _select_values_of_side(values, least)
     pairs = (sides[0] - sides[1]).dropna()
     points, seas = (pairs.index.get_level_values(level) for level in (0, 1))
     units = pairs.groupby(seas).mean() if points.duplicated().any() else pairs
-    return MeasuredChange(change, paired_difference(*sides), tuple(units.tolist()))
+    return MeasuredChange(change, compute_paired_difference(*sides), tuple(units.tolist()))
 
 
-def _of_side(values: pd.Series, side: pd.Series) -> pd.Series:
+def _select_values_of_side(values: pd.Series, side: pd.Series) -> pd.Series:
     """Return the values of one side by group and realisation; the mean of points drawn twice."""
     points = values.index.get_level_values("point")
     chosen = values[points.isin(side.index)]
@@ -233,7 +239,7 @@ def _of_side(values: pd.Series, side: pd.Series) -> pd.Series:
     return chosen.groupby([group, chosen.index.get_level_values("replicate")]).mean()
 
 
-def _range_effects(
+def _fit_range_effects(
     points: pd.DataFrame, values: pd.Series, ranged: list[tuple[str, ...]]
 ) -> dict[tuple[str, ...], list[MeasuredChange]]:
     """Return the least-squares change over the range of each factor that is drawn from one."""
@@ -245,14 +251,14 @@ def _range_effects(
     shares = ((keys - low) / (high - low)).loc[table.index].to_numpy()
     across = np.column_stack([np.ones(len(shares)), shares])
     results = table.to_numpy(dtype=np.float64)
-    fits = list(_fit_slopes(across, results))
+    fits = list(_yield_slope_fits(across, results))
     count = sum(fit.points for fit in fits)
     found = {}
     for i, factor in enumerate(ranged):
         units = tuple(float(fit.slopes[i + 1]) for fit in fits) if len(fits) > 1 else ()
         # A single slope is the same everywhere if all results are.
         same = np.ptp(units or results[np.isfinite(results)]) <= NOTHING
-        slope = _combine_slopes(fits, i + 1)
+        slope = _estimate_mean_slope(fits, i + 1)
         difference = PairedDifference(slope, count, len(table), math.nan, is_constant=bool(same))
         change = Change(float(low.iloc[i]), float(high.iloc[i]), is_slope=True)
         found[factor] = [MeasuredChange(change, difference, units)]
@@ -268,7 +274,7 @@ class _Fit:
     points: int
 
 
-def _fit_slopes(across: Floats, results: Floats) -> Iterator[_Fit]:
+def _yield_slope_fits(across: Floats, results: Floats) -> Iterator[_Fit]:
     """Fit each realisation (column) that has enough points."""
     for column in results.T:
         known = np.isfinite(column)
@@ -283,12 +289,12 @@ def _fit_slopes(across: Floats, results: Floats) -> Iterator[_Fit]:
         yield _Fit(slopes, np.sqrt(inverse**2 @ away**2), len(y))
 
 
-def _combine_slopes(fits: list[_Fit], term: int) -> MeanEstimate:
+def _estimate_mean_slope(fits: list[_Fit], term: int) -> MeanEstimate:
     """Estimate the mean slope from those of realisations, or from the points of a single one."""
     if not fits:
         return MeanEstimate(math.nan)
     if len(fits) > 1:
-        return mean_over_points(np.array([[float(fit.slopes[term]) for fit in fits]]))
+        return estimate_mean_over_points(np.array([[float(fit.slopes[term]) for fit in fits]]))
     (fit,) = fits
     error = max(float(fit.errors[term]), NOTHING)
     return MeanEstimate(float(fit.slopes[term]), error, float(fit.points - len(fit.slopes)))

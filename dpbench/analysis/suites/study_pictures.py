@@ -17,28 +17,30 @@ MOST_DOTS = 1500
 """Most seas of a figure: of more, some of each configuration at even ranks, with its extremes."""
 
 
-def has_point_per_tile(study: Study) -> bool:
+def has_few_enough_points_for_tiles(study: Study) -> bool:
     """Return whether a study has few enough parameter points to draw each as its own tile."""
     return len(study.points) <= MOST_POINTS
 
 
-def within_maps(study: Study) -> pd.DataFrame:
+def tabulate_shares_in_position(study: Study) -> pd.DataFrame:
     """Tabulate shares of seas in position over two parameters, for reference and worst solvers.
 
     Columns: configuration, x and y (the first numeric keys), within (a share) and judged runs.
     """
-    ordered = sorted(study.configurations[1:], key=lambda c: c.known_within)[: MOST_MAPS - 1]
+    ordered = sorted(study.results_by_cost[1:], key=lambda c: c.share_within_radius)[
+        : MOST_MAPS - 1
+    ]
     numeric = study.points.select_dtypes("number").columns.tolist()
     columns = dict(zip(numeric, ("x", "y"), strict=False))
     names = list(columns.values())
     tables = []
-    for configuration in [study.configurations[0], *ordered]:
+    for configuration in [study.results_by_cost[0], *ordered]:
         runs = study.runs[study.runs["configuration"] == configuration.name]
         within = runs.groupby("point")["within"].agg(runs="count", within="mean").dropna()
         table = study.points.join(within, how="inner").rename(columns=columns)
         part = table[[*names, "within", "runs"]]
-        if not has_point_per_tile(study):
-            part = part.assign(**{name: _bin_centres(part[name]) for name in names})
+        if not has_few_enough_points_for_tiles(study):
+            part = part.assign(**{name: _replace_by_bin_centres(part[name]) for name in names})
         # Points that differ in a third key lie on one another: their seas are counted together.
         seas = part.assign(within=part["within"] * part["runs"])
         summed = seas.groupby(names, as_index=False).sum() if names else seas
@@ -47,7 +49,7 @@ def within_maps(study: Study) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def _bin_centres(values: pd.Series[float]) -> pd.Series[float]:
+def _replace_by_bin_centres(values: pd.Series[float]) -> pd.Series[float]:
     """Return for each value the centre of its bin, of equally wide bins over the range."""
     least, most = float(values.min()), float(values.max())
     width = (most - least) / FIELDS or 1.0
@@ -55,23 +57,25 @@ def _bin_centres(values: pd.Series[float]) -> pd.Series[float]:
     return least + width * (number + 0.5)
 
 
-def mean_cm(difference: PairedDifference) -> dict[str, float | None]:
+def convert_difference_to_cm(difference: PairedDifference) -> dict[str, float | None]:
     """Convert a paired mean difference [m] to [cm]: mean, interval ends (or None), pairs."""
-    mean = difference.mean
+    mean = difference.mean_interval
     low, high = (100 * end if np.isfinite(end) else None for end in (mean.low, mean.high))
     return {"mean_cm": 100 * mean.value, "low_cm": low, "high_cm": high, "pairs": difference.pairs}
 
 
-def error_excess_by_sea(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
+def tabulate_error_excess_by_sea(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
     """Tabulate configurations' errors over the reference [cm]: means, values by sea, count."""
-    reference = study.values(study.reference, "r_95_m")
-    most = max(2, MOST_DOTS // max(1, len(study.configurations) - 1))
+    reference = study.get_result_series(study.reference_name, "r_95_m")
+    most = max(2, MOST_DOTS // max(1, len(study.results_by_cost) - 1))
     rows, seas, count = [], [], 0
-    for configuration in study.configurations:
+    for configuration in study.results_by_cost:
         if configuration.error_excess_m is None or configuration.error_excess_m.pairs == 0:
             continue
-        rows.append({"name": configuration.name} | mean_cm(configuration.error_excess_m))
-        each = 100 * (study.values(configuration.name, "r_95_m") - reference).dropna()
+        rows.append(
+            {"name": configuration.name} | convert_difference_to_cm(configuration.error_excess_m)
+        )
+        each = 100 * (study.get_result_series(configuration.name, "r_95_m") - reference).dropna()
         count += len(each)
         ranks = np.unique(np.linspace(0, len(each) - 1, min(most, len(each))).round().astype(int))
         some = each.sort_values().iloc[ranks] if len(each) > most else each
@@ -79,15 +83,15 @@ def error_excess_by_sea(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
     return pd.DataFrame(rows), pd.concat(seas, ignore_index=True) if seas else pd.DataFrame(), count
 
 
-def error_excess_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
+def compute_error_excess_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
     """Return each run's position error less the reference's in the same sea [cm], or NaN."""
-    reference = study.values(study.reference, "r_95_m")
+    reference = study.get_result_series(study.reference_name, "r_95_m")
     sea = pd.MultiIndex.from_frame(rows[["point", "replicate"]])
     other = pd.Series(reference.reindex(sea).to_numpy(), index=rows.index)
     return (100.0 * (rows["r_95_m"] - other)).where(rows["finished"])
 
 
-def worst_run(study: Study, among: Sequence[str]) -> str | None:
+def find_id_of_worst_run(study: Study, among: Sequence[str]) -> str | None:
     """Return the id of the run with the largest position error of a study's worst configuration.
 
     It is of the configuration that holds fewest seas, or else of that farthest from the exactly
@@ -96,8 +100,8 @@ def worst_run(study: Study, among: Sequence[str]) -> str | None:
     rows = study.runs[study.runs["run_id"].isin(among)]
     if rows.empty:
         return None
-    known = [c for c in study.configurations if (rows["configuration"] == c.name).any()]
-    worst = min(reversed(known), key=lambda c: c.known_within)
+    known = [c for c in study.results_by_cost if (rows["configuration"] == c.name).any()]
+    worst = min(reversed(known), key=lambda c: c.share_within_radius)
     rows = rows[rows["configuration"] == worst.name]
     share = rows.groupby("point")["within"].transform("mean")
     order = rows.assign(share=share).sort_values(

@@ -18,51 +18,53 @@ POINT_COLUMNS = (
 """Columns of each study; those of its keys follow."""
 
 
-def tabulate_behind(studies: Sequence[Study]) -> pd.DataFrame:
+def tabulate_differences_from_reference(studies: Sequence[Study]) -> pd.DataFrame:
     """Tabulate every configuration of all studies against its reference; units in the heads."""
-    rows = [_behind_row(study, c) for study in studies for c in study.configurations]
+    rows = [_make_difference_row(study, c) for study in studies for c in study.results_by_cost]
     return pd.DataFrame(rows, columns=list(BEHIND_COLUMNS))
 
 
-def _behind_row(study: Study, configuration: StudiedConfiguration) -> dict[str, object]:
+def _make_difference_row(study: Study, configuration: StudiedConfiguration) -> dict[str, object]:
     """Return the numbers of a configuration of a study by column."""
     behind, dearer = configuration.error_excess_m, configuration.log_cost_excess
-    seas = None if behind is None else behind.replicates_for(SMALL_M)
+    seas = None if behind is None else behind.count_seas_needed_for(SMALL_M)
     return {
         "study": study.name,
         "configuration": configuration.name,
-        "reference": study.reference,
+        "reference": study.reference_name,
         "runs": configuration.runs,
         "finished": configuration.finished,
         "stopped": configuration.stopped,
         "within_share": configuration.within,
         "r_95_m": configuration.r_95_m,
         "cost_over_exact_percent": 100.0 * configuration.cost,
-        **_interval_columns("behind_cm", behind),
-        **_interval_columns("dearer_percent", dearer),
+        **_make_percent_interval_columns("behind_cm", behind),
+        **_make_percent_interval_columns("dearer_percent", dearer),
         "p_differs": np.nan if behind is None else configuration.p_differs,
         "seas_for_1_cm": np.nan if seas is None else float(seas),
     }
 
 
-def _interval_columns(name: str, difference: PairedDifference | None) -> dict[str, float]:
+def _make_percent_interval_columns(
+    name: str, difference: PairedDifference | None
+) -> dict[str, float]:
     """Return 100 times a mean difference and the ends of its interval; NaN for none."""
     ends = [np.nan] * 3
     if difference is not None:
-        mean = difference.mean
+        mean = difference.mean_interval
         ends = [100.0 * value for value in (mean.value, mean.low, mean.high)]
     known = [value if np.isfinite(value) else np.nan for value in ends]
     return dict(zip((name, f"{name}_low", f"{name}_high"), known, strict=True))
 
 
-def tabulate_points(studies: Sequence[Study]) -> pd.DataFrame:
+def tabulate_study_points(studies: Sequence[Study]) -> pd.DataFrame:
     """Tabulate each point of all studies by configuration: keys (`x_<key>`), runs, means."""
     if not studies:
         return pd.DataFrame(columns=list(POINT_COLUMNS))
-    return pd.concat(map(_point_rows, studies), ignore_index=True)
+    return pd.concat(map(_tabulate_points_of_study, studies), ignore_index=True)
 
 
-def _point_rows(study: Study) -> pd.DataFrame:
+def _tabulate_points_of_study(study: Study) -> pd.DataFrame:
     """Return a row for each point and configuration of a study; means are over judged runs."""
     runs = study.runs.assign(r_95_m=study.runs["r_95_m"].where(study.runs["within"].notna()))
     rows = runs.groupby(["configuration", "point"], sort=False, as_index=False).agg(

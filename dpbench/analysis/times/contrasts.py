@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import (
     UNKNOWN,
     Interval,
-    paired_ratio,
-    pooled_mean,
-    select_long_sequences,
+    estimate_paired_time_ratio,
+    estimate_pooled_ratio,
+    select_long_series,
 )
-from dpbench.analysis.verdict.requirements import Requirements, is_right
+from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import median_of_known
@@ -45,7 +45,7 @@ class PairedComparison:
     @property
     def is_tied(self) -> bool:
         """True if the time ratio's interval contains 1, so that neither solver is faster."""
-        return self.ratio.spans(1.0)
+        return self.ratio.contains(1.0)
 
     @property
     def is_unstable(self) -> bool:
@@ -53,7 +53,7 @@ class PairedComparison:
         return len(set(self.leaders.values())) > 1 or self.ratio.high < 1.0
 
     @property
-    def finding(self) -> str:
+    def finding_text(self) -> str:
         """Finding on the ratio: "too few steps", "tied", "unstable" or "slower" (the second)."""
         if not math.isfinite(self.ratio.high):
             return "too few steps"
@@ -62,14 +62,14 @@ class PairedComparison:
         return "unstable" if self.is_unstable else "slower"
 
     @property
-    def row(self) -> dict[str, Any]:
+    def table_row(self) -> dict[str, Any]:
         """Table row: names of both configurations, time ratio with interval, and the finding."""
         ratio = {"ratio": self.ratio.value, "low": self.ratio.low, "high": self.ratio.high}
         names = {"first": self.first, "second": self.second}
-        return names | ratio | {"steps": self.steps, "finding": self.finding}
+        return names | ratio | {"steps": self.steps, "finding": self.finding_text}
 
 
-def match_steps(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
+def match_times_by_step(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
     """Return the step times of two configurations on the steps that both have done."""
     if np.array_equal(first.k, second.k):
         return first.algo_ns, second.algo_ns
@@ -77,18 +77,20 @@ def match_steps(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
     return first.algo_ns[in_first], second.algo_ns[in_second]
 
 
-def log_half_width(first: Mapping[int, StepTimes], second: Mapping[int, StepTimes]) -> float:
+def compute_log_ratio_half_width(
+    first: Mapping[int, StepTimes], second: Mapping[int, StepTimes]
+) -> float:
     """Return the half-width of two configurations' log time ratio over replays; NaN if unknown.
 
     first, second : step times by the index of the replay.
     """
-    common = (match_steps(first[p], second[p]) for p in first if p in second)
-    ratio = pooled_mean([np.log(b_ns / a_ns) for a_ns, b_ns in common if len(a_ns)])
+    common = (match_times_by_step(first[p], second[p]) for p in first if p in second)
+    ratio = estimate_pooled_ratio([np.log(b_ns / a_ns) for a_ns, b_ns in common if len(a_ns)])
     known = ratio.low > 0.0 and ratio.high < math.inf
     return 0.5 * math.log(ratio.high / ratio.low) if known else math.nan
 
 
-def paired_comparison(records: Records, first: Verdict, second: Verdict) -> PairedComparison:
+def compare_paired_times(records: Records, first: Verdict, second: Verdict) -> PairedComparison:
     """Compare two configurations' step times on the QP sequences that both replayed.
 
     Each sequence has equal weight; `first` has the smaller p99, or the smaller largest step where
@@ -98,10 +100,12 @@ def paired_comparison(records: Records, first: Verdict, second: Verdict) -> Pair
     logs: list[Floats] = []
     leaders: dict[str, str] = {}
     for sequence in records.sequences:
-        times = [_find_step_times(records, sequence, verdict) for verdict in (first, second)]
+        times = [
+            _get_step_times_of_verdict(records, sequence, verdict) for verdict in (first, second)
+        ]
         if times[0] is None or times[1] is None:
             continue
-        first_ns, second_ns = match_steps(times[0], times[1])
+        first_ns, second_ns = match_times_by_step(times[0], times[1])
         if not len(first_ns):
             continue
         logs.append(np.log(second_ns / first_ns))
@@ -109,8 +113,8 @@ def paired_comparison(records: Records, first: Verdict, second: Verdict) -> Pair
     if not logs:
         return PairedComparison(*names, UNKNOWN, 0, {})
     leaders["p99" if math.isfinite(first.p99_ns) else "largest step"] = names[0]
-    steps = sum(map(len, select_long_sequences(logs)))
-    return PairedComparison(*names, pooled_mean(logs), steps, leaders)
+    steps = sum(map(len, select_long_series(logs)))
+    return PairedComparison(*names, estimate_pooled_ratio(logs), steps, leaders)
 
 
 def find_faster_inconclusive(
@@ -120,18 +124,20 @@ def find_faster_inconclusive(
 
     Those without anything against the requirements.
     """
-    unsettled = [v for v in verdicts.all if v.state == "inconclusive" and v.timed_on]
-    ratios = [paired_comparison(records, chosen, verdict).ratio for verdict in unsettled]
+    unsettled = [v for v in verdicts.all_verdicts if v.state == "inconclusive" and v.timed_on]
+    ratios = [compare_paired_times(records, chosen, verdict).ratio for verdict in unsettled]
     faster = [pair for pair in zip(ratios, unsettled, strict=True) if pair[0].high < 1.0]
     ordered = (verdict for _, verdict in sorted(faster, key=lambda pair: pair[0].value))
-    return list(first_by(ordered, lambda verdict: verdict.configuration.solver).values())
+    return list(map_first_by_key(ordered, lambda verdict: verdict.configuration.solver).values())
 
 
-def _find_step_times(records: Records, sequence: str, verdict: Verdict) -> StepTimes | None:
+def _get_step_times_of_verdict(
+    records: Records, sequence: str, verdict: Verdict
+) -> StepTimes | None:
     """Return a judged configuration's step times on a QP sequence; None without a replay."""
-    for run in records.replays(sequence):
+    for run in records.select_replays(sequence):
         if run.configuration.moved_to_common_formulation == verdict.configuration:
-            return records.times(run)
+            return records.get_step_times(run)
     return None
 
 
@@ -175,9 +181,11 @@ def compare_routes(records: Records, sequence: str) -> list[RouteGain]:
     None where no native route has a neighbour.
     """
     medians: dict[tuple[float, str], list[RouteGain]] = {}
-    by_solver = group_by(records.replays(sequence), lambda run: (run.solver, run.settings))
+    by_solver = group_by_key(
+        records.select_replays(sequence), lambda run: (run.solver, run.settings)
+    )
     for (solver, settings), runs in by_solver.items():
-        timed = ((run, records.times(run)) for run in runs)
+        timed = ((run, records.get_step_times(run)) for run in runs)
         times: dict[RoutePolicy, StepTimes] = {
             (run.route, run.policy): own for run, own in timed if own is not None
         }
@@ -186,51 +194,63 @@ def compare_routes(records: Records, sequence: str) -> list[RouteGain]:
             gains_of = medians.setdefault((fastest, solver), [])
             for route, own in times.items():
                 above = next((above for above in ABOVE.get(route, ()) if above in times), None)
-                both = ((), ()) if above is None else match_steps(times[above], own)
+                both = ((), ()) if above is None else match_times_by_step(times[above], own)
                 if above is not None and len(both[0]):
-                    gain, median_ns = paired_ratio(*both), float(np.median(own.algo_ns))
+                    gain, median_ns = (
+                        estimate_paired_time_ratio(*both),
+                        float(np.median(own.algo_ns)),
+                    )
                     gains_of.append(RouteGain(solver, settings, above, route, gain, median_ns))
     gains = [gain for key in sorted(medians) for gain in medians[key]]
     return gains if any(gain.route[0] == "native" for gain in gains) else []
 
 
-def find_right_levels(records: Records, requirements: Requirements) -> dict[str, list[str]]:
+def find_right_levels_by_solver(
+    records: Records, requirements: Requirements
+) -> dict[str, list[str]]:
     """Return, by solver, the tolerance settings at which it is right on every step."""
     runs = sorted(records.runs, key=lambda run: sort_key_of_settings(run.settings))
     levels: dict[str, list[str]] = {run.solver: [] for run in runs}
-    for (solver, level), own in group_by(runs, lambda run: (run.solver, run.settings)).items():
-        if all(is_right(run, requirements) for run in own):
+    for (solver, level), own in group_by_key(runs, lambda run: (run.solver, run.settings)).items():
+        if all(is_right_on_every_step(run, requirements) for run in own):
             levels[solver].append(level)
     return levels
 
 
-def count_fastest_forms(records: Records, requirements: Requirements) -> Counter[str]:
+def count_wins_of_formulations(records: Records, requirements: Requirements) -> Counter[str]:
     """Count how often each QP formulation has the least median step time.
 
     Of the configurations that are right on a sequence in two at least.
     """
     by_case: dict[tuple[str, str, str], dict[str, float]] = {}
     for run in records.all_runs:
-        times = records.times(run) if run.mode == "replay" and not run.has_topic else None
-        if times is not None and is_right(run, requirements):
+        times = (
+            records.get_step_times(run)
+            if run.mode == "replay" and not run.is_outside_verdicts
+            else None
+        )
+        if times is not None and is_right_on_every_step(run, requirements):
             case = run.sequence, run.units, run.configuration.moved_to_common_formulation.label
             by_case.setdefault(case, {})[run.formulation] = median_of_known(times.algo_ns)
     cases = [forms for forms in by_case.values() if len(forms) > 1]
     return Counter(min(forms, key=lambda form: forms[form]) for forms in cases)
 
 
-def match_replays(
+def yield_matched_replays(
     records: Records, first: str, second: str
 ) -> Iterator[tuple[RunRecord, StepTimes, StepTimes]]:
     """Yield timed replays of two solvers in equal call modes, with both solvers' step times."""
     for sequence in records.sequences:
-        for run in records.replays(sequence, solver=first):
+        for run in records.select_replays(sequence, solver=first):
             rivals = (
                 other
-                for other in records.replays(sequence, solver=second)
+                for other in records.select_replays(sequence, solver=second)
                 if other.configuration.make_label_with_name(first) == run.configuration.label
             )
             rival = next(rivals, None)
-            here, there = records.times(run), None if rival is None else records.times(rival)
+            here, there = (
+                records.get_step_times(run),
+                None if rival is None else records.get_step_times(rival),
+            )
             if here is not None and there is not None:
                 yield run, here, there

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.statistics import UNKNOWN, Interval, percentile_interval
-from dpbench.analysis.verdict.requirements import Requirements, is_right
+from dpbench.analysis.statistics import UNKNOWN, Interval, estimate_percentile_interval
+from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile_or_nan
 from dpbench.bench.record.cell import Configuration
@@ -24,12 +24,12 @@ LEAST_SIZES = 3
 """Two points lie on a line whatever the law is."""
 
 
-def count_variables(horizons: Horizons) -> int:
+def count_qp_variables(horizons: Horizons) -> int:
     """Return the number of variables of the condensed QP: forces times control horizon."""
     return len(FORCES) * horizons[1]
 
 
-def growth_exponent(sizes: Sequence[int], times: Sequence[Floats]) -> float | None:
+def fit_growth_exponent(sizes: Sequence[int], times: Sequence[Floats]) -> float | None:
     """Fit p of the power law t = c · size^p to median times, by least squares of logarithms.
 
     None with fewer than `LEAST_SIZES` different sizes.
@@ -60,7 +60,7 @@ class SweepPoint:
     @cached_property
     def p99_interval(self) -> Interval:
         """The p99 step time [ns], each step's fastest repetition, with its 95 % interval."""
-        return percentile_interval(self.times.algo_ns, 99) if self.times else UNKNOWN
+        return estimate_percentile_interval(self.times.algo_ns, 99) if self.times else UNKNOWN
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,40 +71,47 @@ class SweptConfiguration:
     points: dict[Horizons, SweepPoint]
 
     @property
-    def timed(self) -> dict[Horizons, SweepPoint]:
+    def timed_points(self) -> dict[Horizons, SweepPoint]:
         """Replays with a time for every step, by prediction and control horizon."""
         return {h: point for h, point in self.points.items() if point.times is not None}
 
     @property
-    def growth(self) -> float | None:
+    def growth_exponent(self) -> float | None:
         """Exponent p of median step time growing as n^p with the number n of QP variables."""
-        sizes = [count_variables(horizons) for horizons in self.timed]
-        return growth_exponent(sizes, [p.times.algo_ns for p in self.timed.values() if p.times])
+        sizes = [count_qp_variables(horizons) for horizons in self.timed_points]
+        return fit_growth_exponent(
+            sizes, [p.times.algo_ns for p in self.timed_points.values() if p.times]
+        )
 
     @property
     def has_p99(self) -> bool:
         """True if any of this configuration's replays has enough steps for a p99 time."""
-        return any(math.isfinite(point.p99_ns) for point in self.timed.values())
+        return any(math.isfinite(point.p99_ns) for point in self.timed_points.values())
 
-    def largest_within(self, limit_ns: float) -> Horizons | None:
+    def find_largest_horizons_within(self, limit_ns: float) -> Horizons | None:
         """Return the largest measured horizons with right answers and a p99 within `limit_ns`."""
-        fit = [h for h, p in self.timed.items() if p.right and p.p99_ns <= limit_ns]
-        return max(fit, key=_moves_key, default=None)
+        fit = [h for h, p in self.timed_points.items() if p.right and p.p99_ns <= limit_ns]
+        return max(fit, key=_make_horizons_sort_key, default=None)
 
-    def has_p99_beyond(self, horizons: Horizons) -> bool:
+    def has_p99_at_longer_horizons(self, horizons: Horizons) -> bool:
         """Return whether a replay at horizons longer than given ones has a p99 time."""
-        beyond = (p for h, p in self.timed.items() if _moves_key(h) > _moves_key(horizons))
+        beyond = (
+            p
+            for h, p in self.timed_points.items()
+            if _make_horizons_sort_key(h) > _make_horizons_sort_key(horizons)
+        )
         return any(math.isfinite(point.p99_ns) for point in beyond)
 
-    def is_settled(self, limit_ns: float) -> bool:
+    def has_certain_horizons_within(self, limit_ns: float) -> bool:
         """Return whether p99 intervals leave no doubt on the largest horizons within a time."""
-        largest = self.largest_within(limit_ns)
+        largest = self.find_largest_horizons_within(limit_ns)
         beyond = [
             point
-            for h, point in self.timed.items()
-            if point.right and (largest is None or _moves_key(h) >= _moves_key(largest))
+            for h, point in self.timed_points.items()
+            if point.right
+            and (largest is None or _make_horizons_sort_key(h) >= _make_horizons_sort_key(largest))
         ]
-        return not any(point.p99_interval.spans(limit_ns) for point in beyond)
+        return not any(point.p99_interval.contains(limit_ns) for point in beyond)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,55 +133,59 @@ class Sweep:
         """True if any replay of the sweep has enough steps for a p99 step time."""
         return any(swept.has_p99 for swept in self.swept)
 
-    def longest_within(self, swept: SweptConfiguration, limit_ns: float) -> Horizons | None:
+    def find_longest_horizons_within(
+        self, swept: SweptConfiguration, limit_ns: float
+    ) -> Horizons | None:
         """Return a configuration's longest horizons solved rightly within a time limit, or None.
 
         By p99, or by the largest step where there are too few for one.
         """
         if self.has_p99:
-            return swept.largest_within(limit_ns)
+            return swept.find_largest_horizons_within(limit_ns)
         held = [
             horizons
-            for horizons, point in swept.timed.items()
+            for horizons, point in swept.timed_points.items()
             if point.right and point.times is not None and point.times.algo_ns.max() <= limit_ns
         ]
-        return max(held, key=count_variables, default=None)
+        return max(held, key=count_qp_variables, default=None)
 
     @property
-    def best(self) -> list[SweptConfiguration]:
+    def best_configurations(self) -> list[SweptConfiguration]:
         """The best configuration of each solver and formulation; the fastest solvers first."""
 
         def preference(swept: SweptConfiguration) -> tuple[int, int, float, str]:
             """Return a sort key: most horizons right, most timed, then fastest."""
-            right = sum(point.right for point in swept.timed.values())
-            largest = max(swept.timed, key=_moves_key, default=None)
-            slowest_ns = swept.timed[largest].median_ns if largest else math.inf
-            return -right, -len(swept.timed), slowest_ns, swept.configuration.solver
+            right = sum(point.right for point in swept.timed_points.values())
+            largest = max(swept.timed_points, key=_make_horizons_sort_key, default=None)
+            slowest_ns = swept.timed_points[largest].median_ns if largest else math.inf
+            return -right, -len(swept.timed_points), slowest_ns, swept.configuration.solver
 
         best = sorted(self.swept, key=preference)
-        kinds = first_by(best, lambda s: (s.configuration.solver, s.configuration.formulation))
+        kinds = map_first_by_key(
+            best, lambda s: (s.configuration.solver, s.configuration.formulation)
+        )
         return list(kinds.values())
 
 
 def find_sweeps(records: Records, requirements: Requirements) -> list[Sweep]:
     """Find the scenarios replayed with two or more pairs of MPC horizons."""
-    # A sweep compares formulations, which `Records.select` does not.
+    # A sweep compares formulations, which `Records.select_runs` does not.
     replays = [run for run in records.all_runs if run.mode == "replay" and run.units == "scaled"]
-    problems = group_by(replays, _swept_problem_key)
+    problems = group_by_key(replays, _make_key_without_horizons)
     candidates = [
         _build_sweep(records, runs, requirements) for key, runs in problems.items() if key
     ]
     return [sweep for sweep in candidates if len(sweep.sequences) > 1]
 
 
-def _moves_key(horizons: Horizons) -> tuple[int, int]:
+def _make_horizons_sort_key(horizons: Horizons) -> tuple[int, int]:
     """Return a sort key of an MPC horizon pair: control horizon, then prediction horizon."""
     return horizons[1], horizons[0]
 
 
-def _swept_problem_key(run: RunRecord) -> str:
+def _make_key_without_horizons(run: RunRecord) -> str:
     """Return a text equal for replays of one scenario differing only in MPC horizons; or ""."""
-    files = run.scenario_files
+    files = run.scenario_documents
     if files is None or run.horizons is None:
         return ""
     scenario = dict(files["scenario"])
@@ -193,13 +204,17 @@ def _build_sweep(records: Records, runs: Sequence[RunRecord], requirements: Requ
         assert horizons is not None  # or it would be of no problem that is swept
         sequences.setdefault(horizons, run.sequence)
         if run.outcome != "refused":
-            times = records.times(run)
+            times = records.get_step_times(run)
             whole = times is not None and len(times.algo_ns) == run.steps_planned
-            point = SweepPoint(run, times if whole else None, is_right(run, requirements))
+            point = SweepPoint(
+                run, times if whole else None, is_right_on_every_step(run, requirements)
+            )
             points.setdefault(run.configuration, {}).setdefault(horizons, point)
     return Sweep(
         name=runs[0].sequence_without_horizons,
         steps=runs[0].steps_planned,
-        sequences=dict(sorted(sequences.items(), key=lambda item: _moves_key(item[0]))),
+        sequences=dict(
+            sorted(sequences.items(), key=lambda item: _make_horizons_sort_key(item[0]))
+        ),
         swept=[SweptConfiguration(*item) for item in points.items()],
     )

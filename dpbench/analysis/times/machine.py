@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
-from dpbench.analysis.verdict.uncertainty import estimate_uncertainty, factor_quantile
+from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
+from dpbench.analysis.verdict.uncertainty import compute_factor_quantile, estimate_uncertainty
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
 from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
 
@@ -19,18 +19,20 @@ each solve is put off its only core by that thread, where a busy machine would p
 neighbours too."""
 
 
-def round_spread(records: Records) -> tuple[float, float]:
+def compute_repetition_spread(records: Records) -> tuple[float, float]:
     """Return median and 95 % quantile, over configurations, of slowest over fastest repetition.
 
     NaN without two rounds.
     """
     slowest = list(estimate_uncertainty(records).slowest.values())
     return (
-        (float(np.median(slowest)), factor_quantile(slowest)) if slowest else (math.nan, math.nan)
+        (float(np.median(slowest)), compute_factor_quantile(slowest))
+        if slowest
+        else (math.nan, math.nan)
     )
 
 
-def timed_runs(records: Records) -> list[RunRecord]:
+def select_timed_replays(records: Records) -> list[RunRecord]:
     """Return every timed replay, those of the benchmark's test solvers included, each once.
 
     Involuntary switches that a configuration makes itself are in `own_switches_a_step`, and are NaN
@@ -38,11 +40,11 @@ def timed_runs(records: Records) -> list[RunRecord]:
     """
     runs = [*records.calibration, *records.all_runs]
     timed = [run for run in runs if run.mode == "replay" and not run.family and run.has_steps]
-    measured = first_by(timed, lambda run: run.measurement_key)
+    measured = map_first_by_key(timed, lambda run: run.measurement_key)
     return separate_own_switches(list(measured.values()))
 
 
-def delayed_runs(records: Records) -> list[RunRecord]:
+def select_delayed_loops(records: Records) -> list[RunRecord]:
     """Return every closed loop on a simulated slow computer that did a step."""
     return separate_own_switches([run for run in records.delayed if run.has_steps])
 
@@ -65,7 +67,7 @@ def separate_own_switches(runs: Sequence[RunRecord]) -> list[RunRecord]:
     return separated
 
 
-def total_disturbance(runs: Sequence[RunRecord]) -> Disturbance:
+def sum_disturbances(runs: Sequence[RunRecord]) -> Disturbance:
     """Sum what disturbed replays: repetitions, context switches, stolen processor time."""
     parts = [
         Disturbance(
@@ -82,34 +84,38 @@ def total_disturbance(runs: Sequence[RunRecord]) -> Disturbance:
     return Disturbance.from_parts(parts)
 
 
-def disturbed_sequences(records: Records) -> dict[str, Disturbance]:
+def sum_disturbances_by_sequence(records: Records) -> dict[str, Disturbance]:
     """Return what disturbed the timing of replays, by QP sequence, where it is known.
 
     Random problems, which are not timed alone, are not included.
     """
-    replays = group_by(timed_runs(records), lambda run: run.sequence)
-    disturbances = {sequence: total_disturbance(runs) for sequence, runs in replays.items()}
+    replays = group_by_key(select_timed_replays(records), lambda run: run.sequence)
+    disturbances = {sequence: sum_disturbances(runs) for sequence, runs in replays.items()}
     return {sequence: one for sequence, one in disturbances.items() if one.seconds > 0}
 
 
-def largest_by_name(figures: Iterable[tuple[str, float]]) -> dict[str, float]:
+def find_largest_by_name(figures: Iterable[tuple[str, float]]) -> dict[str, float]:
     """Return the largest number that is not NaN for each name, from pairs (name, number)."""
-    known = group_by((f for f in figures if not math.isnan(f[1])), lambda figure: figure[0])
+    known = group_by_key((f for f in figures if not math.isnan(f[1])), lambda figure: figure[0])
     return {name: max(0.0, *(figure for _, figure in own)) for name, own in known.items()}
 
 
-def calibration_medians(calibration: Sequence[RunRecord]) -> dict[str, float]:
+def find_largest_median_by_test_solver(calibration: Sequence[RunRecord]) -> dict[str, float]:
     """Return the largest median timing [ns] of each of the benchmark's test solvers."""
-    return largest_by_name((run.solver, run.raw_p50_ns) for run in calibration)
+    return find_largest_by_name((run.solver, run.raw_p50_ns) for run in calibration)
 
 
-def shortest_wait_ns(calibration: Sequence[RunRecord]) -> float:
+def find_shortest_wait_ns(calibration: Sequence[RunRecord]) -> float:
     """Return the shortest known wait by which the timing was checked [ns]; NaN for none."""
-    waits = (WAITS_NS[name] for name in calibration_medians(calibration) if name in WAITS_NS)
+    waits = (
+        WAITS_NS[name]
+        for name in find_largest_median_by_test_solver(calibration)
+        if name in WAITS_NS
+    )
     return float(min(waits, default=math.nan))
 
 
-def library_call_ns(records: Records) -> float:
+def find_library_call_ns(records: Records) -> float:
     """Return the time of a solver call that only copies data [ns]; NaN if not run."""
     times = (run.algo_p50_ns for run in records.calibration if run.solver == COPY_ONLY)
     return min((ns for ns in times if math.isfinite(ns)), default=math.nan)

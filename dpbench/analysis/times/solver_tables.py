@@ -15,16 +15,16 @@ import numpy as np
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.records.thinned_runs import ThinnedRun
-from dpbench.analysis.times.contrasts import log_half_width, paired_comparison
-from dpbench.analysis.times.machine import library_call_ns
+from dpbench.analysis.times.contrasts import compare_paired_times, compute_log_ratio_half_width
+from dpbench.analysis.times.machine import find_library_call_ns
 from dpbench.analysis.verdict.fastest import (
-    best_verdict_by_solver,
-    fastest_first,
+    find_solver_family,
+    list_best_verdict_of_each_solver,
     list_main_verdicts,
-    solver_family,
+    sort_fastest_first,
 )
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.analysis.verdict.run_matrix import RunMatrix
@@ -37,19 +37,19 @@ LARGEST_ERROR = 1e3
 """Answers that are farther off are none, and have no point beside others."""
 
 
-def configuration_columns(configuration: Configuration) -> dict[str, str]:
+def make_configuration_columns(configuration: Configuration) -> dict[str, str]:
     """Return a configuration's solver, interface, warm start, settings and options by column."""
     names = ("solver", "route", "policy", "settings")
     options = format_options_as_toml(decode_options_from_json(configuration.options))
     return {name: getattr(configuration, name) for name in names} | {"options": options}
 
 
-def verdict_table(matrix: RunMatrix) -> pd.DataFrame:
+def tabulate_verdicts(matrix: RunMatrix) -> pd.DataFrame:
     """Tabulate the verdict, errors and step times [µs] of every configuration."""
     return pd.DataFrame(
         [
             {
-                **configuration_columns(v.configuration),
+                **make_configuration_columns(v.configuration),
                 "verdict": v.state,
                 "closed_loops": v.loops,
                 "replays": v.replays,
@@ -64,20 +64,20 @@ def verdict_table(matrix: RunMatrix) -> pd.DataFrame:
                 "max_us": v.algo_max_ns / 1e3,
                 "raw_max_us": v.raw_max_ns / 1e3,
                 "timed_on": v.timed_on,
-                "p99_on": v.p99_on,
-                **_margin_columns(matrix, v),
+                "p99_on": v.sequence_of_largest_p99,
+                **_make_margin_columns(matrix, v),
             }
-            for v in matrix.verdicts.all
+            for v in matrix.verdicts.all_verdicts
         ]
     )
 
 
-def _margin_columns(matrix: RunMatrix, verdict: Verdict) -> dict[str, Any]:
+def _make_margin_columns(matrix: RunMatrix, verdict: Verdict) -> dict[str, Any]:
     """Return how much slower a computer may be for a configuration, and the limiting steps."""
-    margin = matrix.margin(verdict.configuration)
+    margin = matrix.get_speed_margin(verdict.configuration)
     if margin is None:
         return {"margin": nan}
-    columns: dict[str, Any] = {"margin": margin.factor}
+    columns: dict[str, Any] = {"margin": margin.allowed_slowness_factor}
     parts = {"p99": (margin.p99_limit, margin.p99), "deadline": (margin.deadline, margin.hardest)}
     for name, (factor, step) in parts.items():
         columns[f"margin_{name}"] = factor
@@ -97,12 +97,12 @@ margin, see `speed_margin.py`. `share`: part of the median that calling the libr
 calibration configuration that only copies; 0 where it was not run."""
 
 
-def time_table(matrix: RunMatrix) -> pd.DataFrame:
+def tabulate_best_times(matrix: RunMatrix) -> pd.DataFrame:
     """Tabulate the step times [ms] of each solver's best configuration and own settings."""
-    called_ns = library_call_ns(matrix.records)
+    called_ns = find_library_call_ns(matrix.records)
     rows = [
         {
-            "id": str(matrix.index(verdict.configuration)),
+            "id": str(matrix.find_index(verdict.configuration)),
             "solver": verdict.configuration.solver,
             "label": verdict.configuration.label,
             "verdict": verdict.state,
@@ -112,9 +112,11 @@ def time_table(matrix: RunMatrix) -> pd.DataFrame:
             "raw_p99_ms": verdict.raw_p99_ns / 1e6,
             "max_ms": verdict.algo_max_ns / 1e6,
             "longest_ms": nan
-            if (longest := matrix.longest_timing(verdict.configuration)) is None
+            if (longest := matrix.find_longest_timing(verdict.configuration)) is None
             else longest[1].raw_max_ns / 1e6,
-            "margin": nan if (m := matrix.margin(verdict.configuration)) is None else m.factor,
+            "margin": nan
+            if (m := matrix.get_speed_margin(verdict.configuration)) is None
+            else m.allowed_slowness_factor,
             "share": 0.0 if isnan(called_ns) else min(1.0, called_ns / verdict.p50_ns),
         }
         for verdict in list_main_verdicts(matrix.verdicts)
@@ -123,20 +125,23 @@ def time_table(matrix: RunMatrix) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(TIMES))
 
 
-def experiment_table(matrix: RunMatrix) -> pd.DataFrame:
+def tabulate_experiment_verdicts(matrix: RunMatrix) -> pd.DataFrame:
     """Tabulate the verdict on each solver by scenario or replay, and settings.
 
     In the call mode of its best configuration where it ran so, else in that of the best verdict.
     """
     best = {
-        v.configuration.solver: v.configuration for v in best_verdict_by_solver(matrix.verdicts)
+        v.configuration.solver: v.configuration
+        for v in list_best_verdict_of_each_solver(matrix.verdicts)
     }
     rows = []
-    for reference in matrix.references:
+    for reference in matrix.reference_configurations:
         usual = best.get(reference.solver, reference)
-        for level in matrix.levels:
+        for level in matrix.settings_levels:
             known = _order_call_modes(matrix, usual, level)
-            rows += [_experiment_row(matrix, known, p) for p in matrix.judged_experiments]
+            rows += [
+                _make_experiment_row(matrix, known, p) for p in matrix.judged_experiment_indices
+            ]
     return pd.DataFrame(rows)
 
 
@@ -147,7 +152,7 @@ def _order_call_modes(matrix: RunMatrix, usual: Configuration, level: str) -> li
     """
     ran = [c for c in matrix.configurations if (c.solver, c.settings) == (usual.solver, level)]
     judged = sorted(
-        fastest_first(list(matrix.verdicts.of.get(usual.solver, ()))),
+        sort_fastest_first(list(matrix.verdicts.of.get(usual.solver, ()))),
         key=lambda verdict: STATES.index(verdict.state),
     )
     order = {verdict.configuration: i for i, verdict in enumerate(judged)}
@@ -156,11 +161,15 @@ def _order_call_modes(matrix: RunMatrix, usual: Configuration, level: str) -> li
     return ran or [replace(usual, settings=level, options="")]
 
 
-def _experiment_row(matrix: RunMatrix, known: Sequence[Configuration], p: int) -> dict[str, Any]:
+def _make_experiment_row(
+    matrix: RunMatrix, known: Sequence[Configuration], p: int
+) -> dict[str, Any]:
     """Describe the first of some configurations that has a verdict in an experiment."""
-    judged = (c for c in known if matrix.state(matrix.index(c), p) != "not run")
+    judged = (
+        c for c in known if matrix.get_state_in_experiment(matrix.find_index(c), p) != "not run"
+    )
     wanted = next(judged, known[0])
-    c = matrix.index(wanted)
+    c = matrix.find_index(wanted)
     run, verdict = matrix.runs.get((c, p)), matrix.states.get((c, p))
     findings = () if verdict is None else (*verdict.causes, *verdict.doubts, *verdict.near)
     return {
@@ -168,7 +177,7 @@ def _experiment_row(matrix: RunMatrix, known: Sequence[Configuration], p: int) -
         "settings": wanted.settings,
         "call_mode": f"{wanted.route} {wanted.policy}",
         "experiment": matrix.experiments[p].label,
-        "verdict": matrix.state(c, p),
+        "verdict": matrix.get_state_in_experiment(c, p),
         "error": None if run is None else run.error_move_max,
         "failed": None if run is None else run.failed_steps,
         "id": str(c),
@@ -177,33 +186,35 @@ def _experiment_row(matrix: RunMatrix, known: Sequence[Configuration], p: int) -
     }
 
 
-def level_table(matrix: RunMatrix) -> pd.DataFrame:
+def tabulate_tolerance_levels(matrix: RunMatrix) -> pd.DataFrame:
     """Tabulate largest error and step time of each solver at each of its tolerance settings.
 
     In the call mode of its best configuration; no row for an answer beyond `LARGEST_ERROR`.
     """
-    best = (v.configuration for v in best_verdict_by_solver(matrix.verdicts))
+    best = (v.configuration for v in list_best_verdict_of_each_solver(matrix.verdicts))
     modes = {c.solver: (c.route, c.policy) for c in best}
-    levels = level_points(matrix.records, matrix.records.sequences, modes)
-    states: dict[Configuration, str] = {v.configuration: v.state for v in matrix.verdicts.all}
+    levels = build_level_points(matrix.records, matrix.records.sequences, modes)
+    states: dict[Configuration, str] = {
+        v.configuration: v.state for v in matrix.verdicts.all_verdicts
+    }
     rows = []
     for point in chain.from_iterable(levels.values()):
         if not point.error_move < LARGEST_ERROR or isnan(point.p50_ns):
             continue
         judged = point.configuration.moved_to_common_formulation
         columns = {
-            "id": str(matrix.index(judged)),
-            "family": solver_family(judged.solver),
+            "id": str(matrix.find_index(judged)),
+            "family": find_solver_family(judged.solver),
             "error": point.error_move,
             "p50_us": point.p50_ns / 1e3,
             "p99_us": point.p99_ns / 1e3,
             "verdict": states.get(judged, "not judged"),
         }
-        rows.append(configuration_columns(point.configuration) | columns)
+        rows.append(make_configuration_columns(point.configuration) | columns)
     return pd.DataFrame(rows)
 
 
-def hard_step_table(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd.DataFrame:
+def tabulate_hard_steps(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd.DataFrame:
     """Tabulate the steps of every run that are largest in time, iterations and error.
 
     kept : by run id.
@@ -225,24 +236,30 @@ def hard_step_table(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd.Dat
     return pd.DataFrame(rows)
 
 
-def ratio_table(matrix: RunMatrix) -> pd.DataFrame:
+def tabulate_time_ratios(matrix: RunMatrix) -> pd.DataFrame:
     """Tabulate each solver's step time over that of the fastest, best configurations of both."""
-    timed = fastest_first([v for v in best_verdict_by_solver(matrix.verdicts) if v.timed_on])
-    pairs = [paired_comparison(matrix.records, timed[0], verdict) for verdict in timed[1:]]
-    return pd.DataFrame([pair.row for pair in pairs])
+    timed = sort_fastest_first(
+        [v for v in list_best_verdict_of_each_solver(matrix.verdicts) if v.timed_on]
+    )
+    pairs = [compare_paired_times(matrix.records, timed[0], verdict) for verdict in timed[1:]]
+    return pd.DataFrame([pair.table_row for pair in pairs])
 
 
-def pair_half_widths(matrix: RunMatrix) -> tuple[list[int], list[float]]:
+def compute_half_widths_of_pairs(matrix: RunMatrix) -> tuple[list[int], list[float]]:
     """Return indices of timed configurations, and of each two the log time ratio's half-width.
 
     In the order (0, 1), (0, 2), ... (1, 2), ...
     """
     timed: dict[int, dict[int, StepTimes]] = {}
     for (c, p), run in matrix.runs.items():
-        times = matrix.records.times(run) if matrix.experiments[p].mode == "replay" else None
+        times = (
+            matrix.records.get_step_times(run) if matrix.experiments[p].mode == "replay" else None
+        )
         if times is not None:
             timed.setdefault(c, {})[p] = times
-    return list(timed), [log_half_width(*two) for two in combinations(timed.values(), 2)]
+    return list(timed), [
+        compute_log_ratio_half_width(*two) for two in combinations(timed.values(), 2)
+    ]
 
 
 @dataclass(frozen=True)
@@ -261,7 +278,7 @@ class LevelPoint:
     failed: int
 
 
-def level_points(
+def build_level_points(
     records: Records, sequences: Sequence[str], modes: Mapping[str, tuple[str, str]]
 ) -> dict[str, list[LevelPoint]]:
     """Return, by solver, step times and error at each of its tolerance settings.
@@ -269,9 +286,9 @@ def level_points(
     sequences : all of which a configuration was replayed on, or it has no point.
     modes : route and policy by solver; one that is not in it has no points.
     """
-    replays = records.select(mode="replay", units="scaled", sequence=tuple(sequences))
+    replays = records.select_runs(mode="replay", units="scaled", sequence=tuple(sequences))
     wanted = [run for run in replays if (run.route, run.policy) == modes.get(run.solver)]
-    configurations = group_by(wanted, lambda run: run.configuration.moved_to_common_formulation)
+    configurations = group_by_key(wanted, lambda run: run.configuration.moved_to_common_formulation)
     points = [
         point
         for configuration, runs in configurations.items()
@@ -279,14 +296,14 @@ def level_points(
         and (point := _build_level_point(records, configuration, runs)) is not None
     ]
     points.sort(key=lambda point: sort_key_of_settings(point.configuration.settings))
-    return group_by(points, lambda point: point.configuration.solver)
+    return group_by_key(points, lambda point: point.configuration.solver)
 
 
 def _build_level_point(
     records: Records, configuration: Configuration, runs: Sequence[RunRecord]
 ) -> LevelPoint | None:
     """Return one configuration's worst step times and error over QP sequences; or None."""
-    timed = [times.algo_ns for times in map(records.times, runs) if times is not None]
+    timed = [times.algo_ns for times in map(records.get_step_times, runs) if times is not None]
     if len(timed) < len(runs):
         return None
     whole = [algo for algo in timed if has_enough_samples_for_percentile(len(algo), 99)]

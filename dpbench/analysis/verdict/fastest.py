@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dpbench.analysis.records.run_record import group_by
+from dpbench.analysis.records.run_record import group_by_key
 from dpbench.analysis.verdict.findings import STATES
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.bench.record.cell import sort_key_of_settings
@@ -23,7 +23,7 @@ MOST_OWN = 12
 """Settings of one's own that are listed."""
 
 
-def fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
+def sort_fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
     """Sort verdicts on configurations by p99 step time, else the largest; untimed ones last."""
     return sorted(
         verdicts,
@@ -34,9 +34,9 @@ def fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
     )
 
 
-def best_first(verdicts: Iterable[Verdict]) -> list[Verdict]:
+def sort_best_first(verdicts: Iterable[Verdict]) -> list[Verdict]:
     """Sort verdicts on configurations from pass to fail, then by time."""
-    return sorted(fastest_first([*verdicts]), key=lambda v: STATES.index(v.state))
+    return sorted(sort_fastest_first([*verdicts]), key=lambda v: STATES.index(v.state))
 
 
 def rank_configurations(verdicts: Verdicts) -> list[Verdict]:
@@ -44,49 +44,49 @@ def rank_configurations(verdicts: Verdicts) -> list[Verdict]:
 
     Of two names of one run the more usual settings.
     """
-    ranks = [verdict for verdict in verdicts.all if verdict.is_rankable]
+    ranks = [verdict for verdict in verdicts.all_verdicts if verdict.is_rankable]
     widest = max((verdict.replays for verdict in ranks), default=0)
     wide = [verdict for verdict in ranks if verdict.replays == widest]
-    return fastest_first(sorted(wide, key=_settings_key))
+    return sort_fastest_first(sorted(wide, key=_make_settings_sort_key))
 
 
-def fastest_configuration(verdicts: Verdicts, solver: str) -> Verdict | None:
+def find_fastest_configuration(verdicts: Verdicts, solver: str) -> Verdict | None:
     """Return a solver's fastest configuration without faults, usual settings preferred."""
     return next((v for v in rank_solvers(verdicts) if v.configuration.solver == solver), None)
 
 
 def rank_solvers(verdicts: Verdicts) -> list[Verdict]:
     """Return each solver's fastest configuration without faults, the fastest solver first."""
-    by_solver = group_by(
+    by_solver = group_by_key(
         rank_configurations(verdicts), lambda verdict: verdict.configuration.solver
     )
-    return list(map(_prefer_usual_settings, by_solver.values()))
+    return list(map(_choose_most_usual_of_fastest, by_solver.values()))
 
 
-def _prefer_usual_settings(own: Sequence[Verdict]) -> Verdict:
+def _choose_most_usual_of_fastest(own: Sequence[Verdict]) -> Verdict:
     """Return of a solver's about equally fast configurations the one of most usual settings."""
     best = own[0]
     mode = best.configuration.route, best.configuration.policy
-    usual, (fastest, slowest) = (1.0 + ALIKE) * _ranking_time_ns(best), best.rounds_ns
+    usual, (fastest, slowest) = (1.0 + ALIKE) * _choose_ranking_time_ns(best), best.rounds_ns
     alike = [
         verdict
         for verdict in own
         if (verdict.configuration.route, verdict.configuration.policy) == mode
         # Where rounds overlap, the least of a few may be lower for the slower one by chance.
         and (
-            _ranking_time_ns(verdict) <= usual
+            _choose_ranking_time_ns(verdict) <= usual
             or (verdict.rounds_ns[0] <= slowest and fastest <= verdict.rounds_ns[1])
         )
     ]
-    return min(alike, key=_settings_key)
+    return min(alike, key=_make_settings_sort_key)
 
 
-def _settings_key(verdict: Verdict) -> tuple[int, str]:
+def _make_settings_sort_key(verdict: Verdict) -> tuple[int, str]:
     """Return a sort key of a verdict: the tolerance level of its settings."""
     return sort_key_of_settings(verdict.configuration.settings)
 
 
-def _ranking_time_ns(verdict: Verdict) -> float:
+def _choose_ranking_time_ns(verdict: Verdict) -> float:
     """Return the time by which a configuration is ranked [ns]: p99, else p50."""
     return verdict.p99_ns if math.isfinite(verdict.p99_ns) else verdict.p50_ns
 
@@ -114,10 +114,10 @@ def choose_solver(verdicts: Verdicts) -> SolverChoice:
     known = rank_solvers(verdicts)
     met, near = ([v for v in known if v.state == name] for name in ("pass", "borderline"))
     candidates = met or near or known
-    deployable = [v for v in candidates if not deployment_blocker(v.configuration.solver)]
+    deployable = [v for v in candidates if not explain_deployment_blocker(v.configuration.solver)]
     chosen = deployable[0] if deployable else None
     faster = candidates[0] if candidates and candidates[0] is not chosen else None
-    because = deployment_blocker(faster.configuration.solver) if faster is not None else ""
+    because = explain_deployment_blocker(faster.configuration.solver) if faster is not None else ""
     return SolverChoice(chosen, deployable[1] if deployable[1:] else None, faster, because)
 
 
@@ -129,18 +129,18 @@ def find_solver_record_or_none(solver: str) -> SolverRecord | None:
         return None
 
 
-def solver_family(solver: str) -> str:
+def find_solver_family(solver: str) -> str:
     """Return a solver's method family, as "active set"; "not stated" if unknown."""
     return str(getattr(find_solver_record_or_none(solver), "family", "not stated"))
 
 
-def deployment_blocker(solver: str) -> str:
+def explain_deployment_blocker(solver: str) -> str:
     """Return why a solver cannot be deployed on a ship as it is; "" where it can."""
     known = find_solver_record_or_none(solver)
     return "not in the table of this installation" if known is None else known.reason_not_deployable
 
 
-def best_verdict_by_solver(verdicts: Verdicts) -> list[Verdict]:
+def list_best_verdict_of_each_solver(verdicts: Verdicts) -> list[Verdict]:
     """Return each solver's best verdict, solvers sorted from pass to fail, then by time.
 
     Of its best state that of `rank_solvers`, else its reference, else the fastest. Where some were
@@ -153,20 +153,20 @@ def best_verdict_by_solver(verdicts: Verdicts) -> list[Verdict]:
         best = min(whole, key=lambda v: STATES.index(v.state)).state
         alike = [verdict for verdict in whole if verdict.state == best]
         first = [v for v in (fastest.get(solver), own[0]) if v in alike]
-        chosen.append((first or fastest_first(alike))[0])
-    return best_first(chosen)
+        chosen.append((first or sort_fastest_first(alike))[0])
+    return sort_best_first(chosen)
 
 
 def group_own_settings(verdicts: Verdicts) -> dict[tuple[str, str], list[Verdict]]:
     """Group the verdicts on settings of one's own by solver and options."""
-    own = [verdict for verdict in verdicts.all if verdict.configuration.options]
-    return group_by(own, lambda v: (v.configuration.solver, v.configuration.options))
+    own = [verdict for verdict in verdicts.all_verdicts if verdict.configuration.options]
+    return group_by_key(own, lambda v: (v.configuration.solver, v.configuration.options))
 
 
-def best_verdict_by_own_settings(verdicts: Verdicts) -> list[Verdict]:
+def list_best_verdict_of_own_settings(verdicts: Verdicts) -> list[Verdict]:
     """Return the best verdict over the call modes of each solver's settings of one's own."""
     alike = group_own_settings(verdicts).values()
-    return [best_first(of)[0] for of in alike]
+    return [sort_best_first(of)[0] for of in alike]
 
 
 def list_main_verdicts(verdicts: Verdicts) -> list[Verdict]:
@@ -174,6 +174,6 @@ def list_main_verdicts(verdicts: Verdicts) -> list[Verdict]:
 
     They are sorted from pass to fail, then by time.
     """
-    own = best_first(best_verdict_by_own_settings(verdicts))[:MOST_OWN]
-    listed = {v.configuration: v for v in (*best_verdict_by_solver(verdicts), *own)}
-    return best_first(listed.values())
+    own = sort_best_first(list_best_verdict_of_own_settings(verdicts))[:MOST_OWN]
+    listed = {v.configuration: v for v in (*list_best_verdict_of_each_solver(verdicts), *own)}
+    return sort_best_first(listed.values())

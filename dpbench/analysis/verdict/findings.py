@@ -74,7 +74,7 @@ class Finding:
     machine: float = math.nan
 
 
-def finding_on_worst(
+def make_finding_on_worst_runs(
     kind: Cause | Doubt | Near, runs: Sequence[RunRecord], figure: Callable[[RunRecord], float]
 ) -> list[Finding]:
     """Return a list of one finding on several runs, the worst first; empty without a run."""

@@ -38,9 +38,9 @@ import numpy as np
 from scipy.stats import binom, nbinom
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.step_times import Delays
-from dpbench.analysis.statistics import adjust_holm
+from dpbench.analysis.statistics import adjust_p_values_by_holm
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 from dpbench.arrays import Floats
@@ -85,12 +85,12 @@ class LateTimings:
     is_disturbed: bool = False
 
     @property
-    def share(self) -> float:
+    def late_share(self) -> float:
         """Share of a run's timings that are late."""
         return self.late / self.samples
 
     @property
-    def is_proven(self) -> bool:
+    def is_proven_late(self) -> bool:
         """True if the test excludes the machine as the cause of a run's late timings."""
         return self.p <= PROVEN and not self.is_disturbed
 
@@ -102,7 +102,7 @@ class StallModel:
     rate: float
     shape: float
 
-    def tail_probability(self, count: int, exposed_ns: float, allowed: int = 0) -> float:
+    def compute_tail_probability(self, count: int, exposed_ns: float, allowed: int = 0) -> float:
         """Return P(`count` or more late): stalls in `exposed_ns`, 1 % of `allowed` timings."""
         mean = self.rate * exposed_ns
         if count <= 0:
@@ -125,10 +125,10 @@ def find_late_timings(
     """Test all replays and closed loops for solver calls that are late; return them by run id."""
     scaled = [run for run in records.runs if run.units == "scaled" and run.has_steps]
     runs = [run for run in scaled if not run.is_baseline_law]
-    replays = [run for run in runs if run.mode == "replay" and records.is_ranked(run)]
+    replays = [run for run in runs if run.mode == "replay" and records.has_comparable_times(run)]
     loops = [run for run in runs if run.mode == "closed_loop"]
     arms = [run for run in records.calibration if run.mode == "replay"]
-    found = records.delays([*replays, *loops, *arms])
+    found = records.read_delays_by_run([*replays, *loops, *arms])
     replays, loops, arms = ([r for r in of if r.run_id in found] for of in (replays, loops, arms))
     delays: dict[str, Delays] = {}
     for run in (*replays, *loops, *arms):
@@ -138,20 +138,26 @@ def find_late_timings(
     repeated = [run for run in replays if len(delays[run.run_id].samples) > 1]
     once = [*loops, *(run for run in replays if run not in repeated)]
     tests: dict[Kind, list[LateTimings]] = {
-        "late at random": _test_replays(repeated, arms, delays, requirements, "late at random"),
+        "late at random": _test_replays_for_late_timings(
+            repeated, arms, delays, requirements, "late at random"
+        ),
         "late timings": [
-            *_test_replays(repeated, arms, delays, requirements, "late timings"),
+            *_test_replays_for_late_timings(repeated, arms, delays, requirements, "late timings"),
             *(
-                _test_single_round(
-                    run, delays[run.run_id], requirements.p99_ns * uncertainty.of(run)
+                _test_run_timed_once(
+                    run,
+                    delays[run.run_id],
+                    requirements.p99_ns * uncertainty.get_factor_of_run(run),
                 )
                 for run in once
             ),
         ],
-        "past the deadline": _test_deadline(loops, replays, arms, delays, requirements),
+        "past the deadline": _test_steps_past_deadline(loops, replays, arms, delays, requirements),
     }
     adjusted = (test for family in tests.values() for test in adjust_p_values(family))
-    return group_by((test for test in adjusted if test.p <= DOUBTFUL), lambda test: test.run.run_id)
+    return group_by_key(
+        (test for test in adjusted if test.p <= DOUBTFUL), lambda test: test.run.run_id
+    )
 
 
 def waits_for_threads(run: RunRecord, samples: int) -> bool:
@@ -162,14 +168,14 @@ def waits_for_threads(run: RunRecord, samples: int) -> bool:
 def adjust_p_values(tests: Sequence[LateTimings]) -> list[LateTimings]:
     """Adjust the p-values of tests for late timings by Holm's method, as one family."""
     family = [test for test in tests if not math.isnan(test.machine)]
-    adjusted = adjust_holm(np.array([test.p for test in family]))
+    adjusted = adjust_p_values_by_holm(np.array([test.p for test in family]))
     return [
         *(replace(test, p=float(p)) for test, p in zip(family, adjusted, strict=True)),
         *(test for test in tests if math.isnan(test.machine)),
     ]
 
 
-def _test_replays(
+def _test_replays_for_late_timings(
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
     delays: Mapping[str, Delays],
@@ -178,9 +184,9 @@ def _test_replays(
 ) -> list[LateTimings]:
     """Test each replay for late timings against stalls in other solvers' replays."""
     tests: list[LateTimings] = []
-    sources = choose_trusted_runs(replays, arms, delays, requirements)
+    sources = choose_runs_that_show_stalls(replays, arms, delays, requirements)
     for _ in range(PASSES):
-        on_sequence = group_by(sources, lambda run: run.sequence)
+        on_sequence = group_by_key(sources, lambda run: run.sequence)
         machines: dict[tuple[str, str, bool], MachineAt | None] = {}
         tests = []
         for run in replays:
@@ -189,23 +195,23 @@ def _test_replays(
             if key not in machines:
                 runs = on_sequence.get(run.sequence, [])
                 others = [delays[one.run_id] for one in runs if one.solver != run.solver]
-                machines[key] = _build_stall_model(others, own.has_waits)
-            tests.append(_test_replay(run, own, machines[key], requirements, kind))
-        late = {test.run for test in adjust_p_values(tests) if test.is_proven}
+                machines[key] = _make_stall_model_by_limit(others, own.has_waits)
+            tests.append(_test_replay_for_late_timings(run, own, machines[key], requirements, kind))
+        late = {test.run for test in adjust_p_values(tests) if test.is_proven_late}
         sources = [run for run in (*replays, *arms) if run not in late]
     return tests
 
 
-def _build_stall_model(others: Sequence[Delays], has_waits: bool) -> MachineAt | None:
+def _make_stall_model_by_limit(others: Sequence[Delays], has_waits: bool) -> MachineAt | None:
     """Return a function from time limit to stall model, fitted to other runs; or None."""
     if has_waits:
         comparable = [other for other in others if other.has_waits]
     else:
         comparable = [other.without_waits for other in others]
-    return cache(partial(_fit_stalls, comparable)) if comparable else None
+    return cache(partial(_fit_stall_model, comparable)) if comparable else None
 
 
-def choose_trusted_runs(
+def choose_runs_that_show_stalls(
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
     delays: Mapping[str, Delays],
@@ -216,24 +222,26 @@ def choose_trusted_runs(
         return list(arms)
     stalls: Counter[str] = Counter()
     for run in replays:
-        stalls[run.solver] += int(delays[run.run_id].count_stalls(0.5 * requirements.p99_ns).sum())
+        stalls[run.solver] += int(
+            delays[run.run_id].count_stalls_by_repetition(0.5 * requirements.p99_ns).sum()
+        )
     half = sorted(stalls, key=lambda solver: stalls[solver])[: max(1, len(stalls) // 2)]
     return [run for run in replays if run.solver in half]
 
 
-def _fit_stalls(others: Sequence[Delays], limit_ns: float) -> StallModel:
+def _fit_stall_model(others: Sequence[Delays], limit_ns: float) -> StallModel:
     """Estimate the rate of machine stalls beyond half a limit from other solvers' runs.
 
     Their first round is left out: it is slow where answers are remembered, and not by the machine.
     """
-    counts = [one.count_stalls(0.5 * limit_ns) for one in others]
+    counts = [one.count_stalls_by_repetition(0.5 * limit_ns) for one in others]
     first = [min(1, len(count) - 1) for count in counts]
     stalls = np.concatenate([count[i:] for count, i in zip(counts, first, strict=True)])
     exposed_ns = np.concatenate([one.base_ns[i:] for one, i in zip(others, first, strict=True)])
-    return estimate_stalls(stalls.astype(np.float64), exposed_ns)
+    return estimate_stall_model(stalls.astype(np.float64), exposed_ns)
 
 
-def estimate_stalls(stalls: Floats, exposed_ns: Floats) -> StallModel:
+def estimate_stall_model(stalls: Floats, exposed_ns: Floats) -> StallModel:
     """Estimate stall rate and dispersion from counts (R,) in computing times (R,) [ns].
 
     The rate has half a stall added (Jeffreys), the shape is that of the moments.
@@ -245,12 +253,12 @@ def estimate_stalls(stalls: Floats, exposed_ns: Floats) -> StallModel:
     return StallModel(rate, float(np.clip(shape, *DISPERSION)))
 
 
-def _test_replay(
+def _test_replay_for_late_timings(
     run: RunRecord, own: Delays, machine: MachineAt | None, requirements: Requirements, kind: Kind
 ) -> LateTimings:
     """Test whether a replay has more late timings than the machine's stalls explain."""
-    counts, samples = own.count_late(requirements.p99_ns), int(own.samples.sum())
-    late = int(own.without_waits.count_late(requirements.p99_ns).sum())
+    counts, samples = own.count_late_by_repetition(requirements.p99_ns), int(own.samples.sum())
+    late = int(own.without_waits.count_late_by_repetition(requirements.p99_ns).sum())
     if machine is None:
         x = int(np.sort(counts)[(len(counts) - 1) // 2])
         p = DOUBTFUL if x > ALLOWED * own.samples.mean() else 1.0
@@ -260,18 +268,21 @@ def _test_replay(
     rounds = len(own.samples)
     middle, ps = (rounds - 1) // 2, []
     for limit_ns in limits_ns:
-        x = int(np.sort(own.count_late(limit_ns))[middle])
-        p = machine(limit_ns).tail_probability(x, float(own.base_ns.mean()), allowed)
+        x = int(np.sort(own.count_late_by_repetition(limit_ns))[middle])
+        p = machine(limit_ns).compute_tail_probability(x, float(own.base_ns.mean()), allowed)
         ps.append(float(binom.sf(rounds - middle - 1, rounds, p)))
     stalls = machine(requirements.p99_ns).rate * float(own.base_ns.sum())
     expected = (stalls + late - int(counts.sum())) / samples
     return LateTimings(kind, run, late, samples, expected, min(1.0, len(ps) * min(ps)))
 
 
-def _test_single_round(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
+def _test_run_timed_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
     """Test a run timed once per step for late timings that the machine does not explain."""
-    late, samples = int(own.without_waits.count_late(limit_ns).sum()), int(own.samples.sum())
-    explained = _count_explained(run, own, late, limit_ns)
+    late, samples = (
+        int(own.without_waits.count_late_by_repetition(limit_ns).sum()),
+        int(own.samples.sum()),
+    )
+    explained = _count_late_explained_by_machine(run, own, late, limit_ns)
     p = float(binom.sf(late - np.nan_to_num(explained) - 1, samples, ALLOWED))
     if own.step_ns > limit_ns:
         # The median is the plainer answer.
@@ -283,17 +294,19 @@ def _test_single_round(run: RunRecord, own: Delays, limit_ns: float) -> LateTimi
     return LateTimings("late timings", run, late, samples, explained / samples, p, is_disturbed)
 
 
-def _count_explained(run: RunRecord, own: Delays, late: int, limit_ns: float) -> float:
+def _count_late_explained_by_machine(
+    run: RunRecord, own: Delays, late: int, limit_ns: float
+) -> float:
     """Return how many late timings of a run the machine explains; NaN if unknown."""
     if own.has_waits:
-        return late - int(own.count_late(limit_ns).sum())
+        return late - int(own.count_late_by_repetition(limit_ns).sum())
     if math.isnan(run.involuntary_switches):
         return math.nan
     timed_share = 1e-9 * float(own.base_ns.sum()) / run.replay_s
     return count_explained_late_timings(run.involuntary_switches, timed_share)
 
 
-def _test_deadline(
+def _test_steps_past_deadline(
     loops: Sequence[RunRecord],
     replays: Sequence[RunRecord],
     arms: Sequence[RunRecord],
@@ -305,12 +318,12 @@ def _test_deadline(
     stalls: dict[str, list[tuple[int, float]]] = {}
     for run in (*replays, *arms):
         own = delays[run.run_id]
-        count = int(own.count_stalls(0.5 * limit_ns).sum())
+        count = int(own.count_stalls_by_repetition(0.5 * limit_ns).sum())
         stalls.setdefault(run.solver, []).append((count, float(own.base_ns.sum())))
     tests = []
     for run in (*loops, *replays):
         own = delays[run.run_id]
-        late, samples = int(own.count_late(limit_ns).sum()), int(own.samples.sum())
+        late, samples = int(own.count_late_by_repetition(limit_ns).sum()), int(own.samples.sum())
         others = [one for solver, of in stalls.items() if solver != run.solver for one in of]
         if not late:
             p, expected = 1.0, 0.0
@@ -320,6 +333,6 @@ def _test_deadline(
             count, exposed_ns = (sum(part) for part in zip(*others, strict=True))
             machine = StallModel((count + 0.5) / exposed_ns, DEADLINE_SHAPE)
             expected = machine.rate * float(own.base_ns.sum()) / samples
-            p = machine.tail_probability(late, float(own.base_ns.sum()))
+            p = machine.compute_tail_probability(late, float(own.base_ns.sum()))
         tests.append(LateTimings("past the deadline", run, late, samples, expected, p))
     return tests

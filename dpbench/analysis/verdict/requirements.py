@@ -21,7 +21,7 @@ class Requirements:
     deadline_ms: float = 300.0
 
     @classmethod
-    def of(cls, suite: SuiteDescription) -> "Requirements":
+    def from_suite(cls, suite: SuiteDescription) -> "Requirements":
         """Read the limits on error, failed steps and time from a suite, or take defaults."""
         # Folders of earlier releases have them as `demand`.
         known: dict[str, Any] = {**suite.get("requirements", suite.get("demand", {}))}
@@ -38,14 +38,14 @@ class Requirements:
         return self.deadline_ms * 1e6
 
 
-def is_right(run: RunRecord, requirements: Requirements) -> bool:
+def is_right_on_every_step(run: RunRecord, requirements: Requirements) -> bool:
     """Return whether every step of a run was solved within the accuracy requirements.
 
     A run that its time limit stopped counts if it had done every step at least once by then.
     """
     return (
         run.outcome in ("finished", "timed_out")
-        and not run.remembers
+        and not run.returns_cached_answers
         and run.steps_done == run.steps_planned
         and run.error_move_max <= requirements.error_move
         and run.failed_steps <= requirements.failed_steps
@@ -54,10 +54,10 @@ def is_right(run: RunRecord, requirements: Requirements) -> bool:
 
 def is_right_to_the_end(run: RunRecord, requirements: Requirements) -> bool:
     """Return whether a run finished and solved every step within the requirements."""
-    return run.outcome == "finished" and is_right(run, requirements)
+    return run.outcome == "finished" and is_right_on_every_step(run, requirements)
 
 
-def cost_ratio(run: RunRecord) -> float:
+def compute_cost_ratio(run: RunRecord) -> float:
     """Return a closed loop's cost over that with exact solutions; NaN if it did not end."""
     if not run.steps_done >= run.steps_planned:
         return math.nan
@@ -66,4 +66,4 @@ def cost_ratio(run: RunRecord) -> float:
 
 def has_survived(run: RunRecord) -> bool:
     """Return whether a closed loop ended within 10 % of the exact cost, without violations."""
-    return cost_ratio(run) <= 1.0 + MARGIN and run.limit_violations == 0.0
+    return compute_cost_ratio(run) <= 1.0 + MARGIN and run.limit_violations == 0.0

@@ -12,9 +12,9 @@ from functools import cached_property
 from typing import Self
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, first_by
+from dpbench.analysis.records.run_record import RunRecord, map_first_by_key
 from dpbench.analysis.verdict.requirements import Requirements, has_survived
-from dpbench.analysis.verdict.speed_margin import SpeedMargin, speed_margins
+from dpbench.analysis.verdict.speed_margin import SpeedMargin, compute_speed_margins
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, judge_configuration
 from dpbench.bench.record.cell import Configuration, sort_key_of_settings
 from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
@@ -34,7 +34,7 @@ class Experiment:
     replicate: int = 0
 
     @classmethod
-    def of(cls, run: RunRecord, formulation: str = "") -> "Experiment":
+    def from_run(cls, run: RunRecord, formulation: str = "") -> "Experiment":
         """Return what a run is judged on: scenario, replayed QP sequence or study realisation."""
         if run.study:
             study = run.study, int(run.study_point), int(run.replicate)
@@ -79,21 +79,24 @@ class RunMatrix:
         runs: dict[tuple[Configuration, Experiment], RunRecord] = {}
         windows: dict[tuple[Configuration, str], RunRecord] = {}
         common = {run.run_id for run in records.runs}
-        ships = [r for r in records.all_runs if not (r.is_baseline_law or r.has_topic)]
+        ships = [r for r in records.all_runs if not (r.is_baseline_law or r.is_outside_verdicts)]
         for run in [*ships, *studied[:kept]]:
             usual = run.slowdown > 0.0 or run.run_id in common
-            if run.window_of:
+            if run.steps_searched_for_hardest:
                 if usual and run.units == "scaled":
-                    windows[common_configuration(run), run.scenario] = run
+                    windows[get_configuration_in_common_form(run), run.scenario] = run
                 continue
-            key = common_configuration(run), Experiment.of(run, "" if usual else run.formulation)
+            key = (
+                get_configuration_in_common_form(run),
+                Experiment.from_run(run, "" if usual else run.formulation),
+            )
             other = runs.get(key)
             if other is None or run.steps_planned > other.steps_planned:
                 runs[key] = run
-        of_studies = map(common_configuration, studied)
+        of_studies = map(get_configuration_in_common_form, studied)
         configurations = list(dict.fromkeys([*(c for c, _ in runs), *of_studies]))
         known = dict.fromkeys(
-            [*(experiment for _, experiment in runs), *map(Experiment.of, studied)]
+            [*(experiment for _, experiment in runs), *map(Experiment.from_run, studied)]
         )
         # Closed loops before replays, problems in SI units after both, studies last.
         experiments = sorted(
@@ -114,40 +117,40 @@ class RunMatrix:
         return matrix
 
     @property
-    def references(self) -> list[Configuration]:
+    def reference_configurations(self) -> list[Configuration]:
         """Configuration of each solver on which the verdict on the solver rests."""
-        judged = [verdict.configuration for verdict in self.verdicts.references]
-        first = first_by(self.configurations, lambda configuration: configuration.solver)
+        judged = [verdict.configuration for verdict in self.verdicts.verdicts_on_references]
+        first = map_first_by_key(self.configurations, lambda configuration: configuration.solver)
         return judged or list(first.values())
 
     @property
-    def levels(self) -> list[str]:
+    def settings_levels(self) -> list[str]:
         """Names of the solver settings run outside studies, the most usual first."""
         run = [self.configurations[c] for c, p in self.runs if not self.experiments[p].study]
         return sorted(dict.fromkeys(c.settings for c in run), key=sort_key_of_settings)
 
     @property
-    def judged_experiments(self) -> list[int]:
+    def judged_experiment_indices(self) -> list[int]:
         """Indices of the scenarios and replays that enter verdicts: all but studies."""
         return [p for p, experiment in enumerate(self.experiments) if not experiment.study]
 
     @cached_property
-    def first_runs(self) -> dict[int, RunRecord]:
+    def first_run_by_experiment(self) -> dict[int, RunRecord]:
         """First run of each scenario, replay or study realisation, by its index."""
-        keys = first_by(self.runs, lambda key: key[1])
+        keys = map_first_by_key(self.runs, lambda key: key[1])
         return {p: self.runs[key] for p, key in keys.items()}
 
-    def scenario(self, run: RunRecord) -> Scenario | None:
+    def build_scenario_of_run(self, run: RunRecord) -> Scenario | None:
         """Return the scenario of a run, for a study with the run's own sea; None without one."""
         if not run.study:
-            return self.records.scenario(run.scenario)
-        experiment = Experiment.of(run)
+            return self.records.build_scenario(run.scenario)
+        experiment = Experiment.from_run(run)
         if experiment not in self._seas:
-            files = run.scenario_files
+            files = run.scenario_documents
             self._seas[experiment] = None if files is None else build_scenario_from_documents(files)
         return self._seas[experiment]
 
-    def state(self, c: int, p: int) -> str:
+    def get_state_in_experiment(self, c: int, p: int) -> str:
         """Return the verdict on configuration `c` in scenario or replay `p` alone.
 
         On a slower computer the ship has to be held, too, or the answers were late.
@@ -162,41 +165,43 @@ class RunMatrix:
             return "late"
         return "inconclusive" if verdict.doubts else "borderline" if verdict.near else "pass"
 
-    def timed_experiment_index(self, verdict: Verdict) -> int | None:
+    def find_timed_experiment_index(self, verdict: Verdict) -> int | None:
         """Return the index of the replay on which a verdict's times rest; None without one."""
         wanted = Experiment("replay", verdict.timed_on, "scaled")
         return self.experiments.index(wanted) if wanted in self.experiments else None
 
-    def longest_timing(self, configuration: Configuration) -> tuple[Experiment, RunRecord] | None:
+    def find_longest_timing(
+        self, configuration: Configuration
+    ) -> tuple[Experiment, RunRecord] | None:
         """Return experiment and judged run of a configuration's largest single timing, or None."""
-        judged = self._judged_runs(configuration)
+        judged = self._list_judged_runs(configuration)
         timed = [(experiment, run) for experiment, run in judged if not math.isnan(run.raw_max_ns)]
         return max(timed, key=lambda one: one[1].raw_max_ns, default=None)
 
-    def margin(self, configuration: Configuration) -> SpeedMargin | None:
+    def get_speed_margin(self, configuration: Configuration) -> SpeedMargin | None:
         """Return how much slower a computer may be for a configuration; None if not timed."""
-        return speed_margins(self.records, self.requirements).get(configuration)
+        return compute_speed_margins(self.records, self.requirements).get(configuration)
 
     def count_infeasible_steps(self, configuration: Configuration) -> tuple[int, bool]:
         """Count a configuration's infeasible QPs; return if the solver reported all of them."""
-        judged = self._judged_runs(configuration)
+        judged = self._list_judged_runs(configuration)
         known = [run for _, run in judged if run.infeasible_steps > 0]
         # A replay counts a step in each of its rounds.
         steps = sum(round(run.infeasible_steps / max(1.0, run.rounds)) for run in known)
         return steps, all(run.true_share == 1.0 for run in known)
 
-    def _judged_runs(self, configuration: Configuration) -> list[tuple[Experiment, RunRecord]]:
+    def _list_judged_runs(self, configuration: Configuration) -> list[tuple[Experiment, RunRecord]]:
         """Return a configuration's runs that enter verdicts, with their scenario or replay."""
-        c = self.index(configuration)
+        c = self.find_index(configuration)
         known = [(self.experiments[p], run) for (at, p), run in self.runs.items() if at == c]
         return [one for one in known if one[0].units == "scaled" and not one[0].study]
 
-    def index(self, configuration: Configuration) -> int:
+    def find_index(self, configuration: Configuration) -> int:
         """Return the index of a configuration; −1 for one that was not run."""
         known = self.configurations
         return known.index(configuration) if configuration in known else -1
 
 
-def common_configuration(run: RunRecord) -> Configuration:
+def get_configuration_in_common_form(run: RunRecord) -> Configuration:
     """Return a run's solver configuration, as if in scaled units and the common QP form."""
     return replace(run.configuration.moved_to_common_formulation, units="scaled")

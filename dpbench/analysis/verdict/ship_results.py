@@ -12,7 +12,7 @@ from typing import Literal
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.bench.run.exact_loop import HEADING_DEG
 
 ShipState = Literal["on station", "leaves", "leaves and returns", "not there", "not run"]
@@ -42,17 +42,17 @@ class ShipResult:
         """State of the ship: on station, leaving it, not there yet, or not run."""
         if not self.run.exact_steps > 0.0:
             return "not run"
-        if self.has_left:
+        if self.has_left_station:
             return "leaves and returns" if self.is_inside_at_end else "leaves"
         return "on station" if self.is_inside_at_end else "not there"
 
     @property
-    def has_left(self) -> bool:
+    def has_left_station(self) -> bool:
         """True if the ship leaves its station, be it back at the end or not."""
         return self.run.exact_steps > 0.0 and not math.isnan(self.run.exact_left_s)
 
     @property
-    def used_share(self) -> float:
+    def used_share_of_station_limits(self) -> float:
         """Largest offset or heading error in multiples of the limits of the station."""
         offset = self.run.exact_offset_max_m / self.run.station_radius_m
         return max(offset, self.run.exact_heading_max_deg / HEADING_DEG)
@@ -75,13 +75,13 @@ class ShipResult:
         return is_near and run.exact_heading_end_deg <= HEADING_DEG
 
 
-def ship_results(records: Records) -> list[ShipResult]:
+def find_ship_results(records: Records) -> list[ShipResult]:
     """Return the ship's result in every scenario of a folder, and in every sea of its studies.
 
     Of several runs in a scenario the one with the longest exactly solved loop counts.
     """
     with_ship = [run for run in records.all_runs if run.scenario or run.exact_steps > 0.0]
-    by_ship = group_by(with_ship, _ship_key)
+    by_ship = group_by_key(with_ship, _make_ship_key)
     tuned = {key[:-1] for key in by_ship if key[-1] is not None}
     longest = [
         max(own, key=lambda run: _count_or_minus_one(run.exact_steps))
@@ -89,14 +89,16 @@ def ship_results(records: Records) -> list[ShipResult]:
         # QPs without horizons, as of a consequence analysis, have the ship of the scenario's loop.
         if key[-1] is not None or key[:-1] not in tuned
     ]
-    tunings = group_by(longest, lambda run: (run.study, run.scenario))
+    tunings = group_by_key(longest, lambda run: (run.study, run.scenario))
     return [
-        ShipResult(_name_ship(run, several=len(tunings[run.study, run.scenario]) > 1), run)
+        ShipResult(
+            _name_scenario_of_ship(run, several=len(tunings[run.study, run.scenario]) > 1), run
+        )
         for run in longest
     ]
 
 
-def _ship_key(run: RunRecord) -> tuple[object, ...]:
+def _make_ship_key(run: RunRecord) -> tuple[object, ...]:
     """Return a key that is equal for runs of the same ship, weather and controller."""
     sea = run.study, _count_or_minus_one(run.study_point), _count_or_minus_one(run.replicate)
     return *sea, run.scenario, run.horizons
@@ -107,7 +109,7 @@ def _count_or_minus_one(count: float) -> float:
     return -1.0 if math.isnan(count) else count
 
 
-def _name_ship(run: RunRecord, *, several: bool) -> str:
+def _name_scenario_of_ship(run: RunRecord, *, several: bool) -> str:
     """Name the scenario of a run, with the horizons where there are `several`."""
     if run.horizons is None or run.study or not several:
         return run.scenario
@@ -122,7 +124,7 @@ SHIP_COLUMNS = (
 )
 
 
-def ship_table(ships: Sequence[ShipResult]) -> pd.DataFrame:
+def tabulate_ship_results(ships: Sequence[ShipResult]) -> pd.DataFrame:
     """Tabulate ship results: scenario, study's point and sea, state, and `SHIP_COLUMNS`."""
     rows = [
         {

@@ -13,10 +13,10 @@ from functools import lru_cache
 import numpy as np
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.time_findings import p99_ns
+from dpbench.analysis.verdict.time_findings import compute_p99_ns
 from dpbench.bench.record.cell import Configuration
 
 
@@ -52,27 +52,31 @@ class SpeedMargin:
     p99_limit: float
 
     @property
-    def factor(self) -> float:
+    def allowed_slowness_factor(self) -> float:
         """Factor by which a computer may be slower with p99 and deadline still kept."""
         return min(self.deadline, self.p99_limit)
 
 
 @lru_cache(maxsize=2)
-def speed_margins(
+def compute_speed_margins(
     records: Records, requirements: Requirements
 ) -> Mapping[Configuration, SpeedMargin]:
     """Compute, for each timed configuration, how much slower a computer may be."""
-    replays = [run for run in records.select(mode="replay", units="scaled") if run.has_steps]
-    of_configuration = group_by(replays, lambda run: run.configuration.moved_to_common_formulation)
+    replays = [run for run in records.select_runs(mode="replay", units="scaled") if run.has_steps]
+    of_configuration = group_by_key(
+        replays, lambda run: run.configuration.moved_to_common_formulation
+    )
     bounds: dict[Configuration, tuple[RunRecord, RunRecord]] = {}
     for configuration, runs in of_configuration.items():
-        algo = {run: times.algo_ns for run in runs if (times := records.times(run)) is not None}
+        algo = {
+            run: times.algo_ns for run in runs if (times := records.get_step_times(run)) is not None
+        }
         if algo:
             hardest = max(algo, key=lambda run: float(algo[run].max()))
-            p99 = {run: p99_ns(run, algo[run]) for run in algo}
+            p99 = {run: compute_p99_ns(run, algo[run]) for run in algo}
             known = [run for run in algo if not math.isnan(p99[run])]
             bounds[configuration] = hardest, max(known, key=lambda run: p99[run], default=hardest)
-    steps = _find_bounding_steps(
+    steps = _find_longest_and_p99_steps(
         records, {run.run_id: run for both in bounds.values() for run in both}
     )
     margins = {}
@@ -83,32 +87,32 @@ def speed_margins(
     return margins
 
 
-def _find_bounding_steps(
+def _find_longest_and_p99_steps(
     records: Records, runs: Mapping[str, RunRecord]
 ) -> dict[str, tuple[SlowStep, SlowStep]]:
     """Return by run the step with the largest time, and the one nearest to the p99."""
     found: dict[str, tuple[SlowStep, SlowStep]] = {}
-    for run_id, steps, _ in records.run_steps(list(runs.values())):
+    for run_id, steps, _ in records.yield_merged_and_raw_steps(list(runs.values())):
         run, largest = runs[run_id], float(np.nanmax(steps.time_ns))
-        p99 = p99_ns(run, steps.time_ns)
+        p99 = compute_p99_ns(run, steps.time_ns)
         times_ns = largest, largest if math.isnan(p99) else p99
         found[run_id] = (
-            _nearest_step(run, steps, times_ns[0]),
-            _nearest_step(run, steps, times_ns[1]),
+            _find_step_nearest_to_time(run, steps, times_ns[0]),
+            _find_step_nearest_to_time(run, steps, times_ns[1]),
         )
     return found
 
 
-def _nearest_step(run: RunRecord, steps: RunSteps, time_ns: float) -> SlowStep:
+def _find_step_nearest_to_time(run: RunRecord, steps: RunSteps, time_ns: float) -> SlowStep:
     """Return a run's step whose solve time is nearest to `time_ns`, labelled with `time_ns`."""
     at = int(np.nanargmin(np.abs(steps.time_ns - time_ns)))
     k = run.first_step + int(steps.k[at])
     return SlowStep(time_ns, run, k, float(steps.iterations[at]), float(steps.n_active[at]))
 
 
-def largest_stall_ns(records: Records) -> float:
+def find_largest_stall_ns(records: Records) -> float:
     """Return the longest delay by the machine in runs of the test solvers [ns]; or NaN."""
     arms = [run for run in records.calibration if run.mode == "replay"]
-    delays = records.delays(arms).values()
+    delays = records.read_delays_by_run(arms).values()
     stalls = [float((one.delay_ns - one.own_ns).max()) for one in delays if len(one.delay_ns)]
     return max(stalls, default=math.nan)

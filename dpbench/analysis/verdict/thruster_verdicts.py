@@ -6,7 +6,7 @@ from math import isfinite, nan
 from typing import Literal
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, first_by, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
 from dpbench.analysis.verdict.findings import LATE, MISSED, STATES, State
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, judge_solvers
@@ -29,7 +29,7 @@ class ThrusterVerdicts:
     with_thrusters: dict[str, State]
     faults: dict[str, Fault]
 
-    def names(self, *states: State) -> list[str]:
+    def list_solvers_with_state(self, *states: State) -> list[str]:
         """Return the solvers with one of these verdicts where the MPC commands thrusters."""
         return [name for name, state in self.with_thrusters.items() if state in states]
 
@@ -40,22 +40,30 @@ class ThrusterVerdicts:
         return [s for s, state in self.with_forces.items() if state == "pass" and s in known]
 
 
-def is_about_thrusters(records: Records) -> bool:
+def is_mostly_thruster_control(records: Records) -> bool:
     """Return whether the MPC commands thrusters in most scenarios run in closed loop."""
-    loops = {run.scenario: run.commands_thrusters for run in records.select(mode="closed_loop")}
+    loops = {
+        run.scenario: run.commands_thrusters for run in records.select_runs(mode="closed_loop")
+    }
     return 2 * sum(loops.values()) > len(loops)
 
 
 def compare_thrusters_with_forces(records: Records, requirements: Requirements) -> ThrusterVerdicts:
     """Judge solvers both where the MPC commands thrusters and where three forces."""
     of_thrusters = [run for run in records.runs if run.commands_thrusters]
-    of_forces = [run for run in records.runs if run.scenario_files and not run.commands_thrusters]
+    of_forces = [
+        run for run in records.runs if run.scenario_documents and not run.commands_thrusters
+    ]
     verdicts = judge_solvers(records, requirements, of_thrusters)
     return ThrusterVerdicts(
         tuple(dict.fromkeys(run.scenario for run in of_forces)),
-        _best_state_by_solver(judge_solvers(records, requirements, of_forces)),
-        _best_state_by_solver(verdicts),
-        {s: _common_fault(own) for s, own in verdicts.of.items() if _best_state(own) in MISSED},
+        _find_best_state_by_solver(judge_solvers(records, requirements, of_forces)),
+        _find_best_state_by_solver(verdicts),
+        {
+            s: _name_common_fault(own)
+            for s, own in verdicts.of.items()
+            if _find_best_state(own) in MISSED
+        },
     )
 
 
@@ -70,29 +78,33 @@ class ThrusterControlLoops:
     configurations: dict[str, list[RunRecord]]
 
 
-def thruster_control_loops(records: Records, requirements: Requirements) -> ThrusterControlLoops:
+def select_thruster_control_loops(
+    records: Records, requirements: Requirements
+) -> ThrusterControlLoops:
     """Select closed loops that command thrusters, in scenarios that some solver gets right."""
-    loops = (run for run in records.select(mode="closed_loop") if isfinite(run.power_share))
+    loops = (run for run in records.select_runs(mode="closed_loop") if isfinite(run.power_share))
     runs = [run for run in loops if not run.is_baseline_law]
     right = [run for run in runs if is_right_to_the_end(run, requirements)]
     right.sort(key=lambda run: (run.scenario, -run.steps_done, run.dev_position_max_m))
-    best = first_by(right, lambda run: run.scenario)
+    best = map_first_by_key(right, lambda run: run.scenario)
     known = (run for run in runs if run.scenario in best)
-    configurations = group_by(
+    configurations = group_by_key(
         known, lambda run: run.configuration.moved_to_common_formulation.label
     )
     return ThrusterControlLoops(best, configurations)
 
 
-def largest_ratio(runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str) -> float:
+def find_largest_ratio_to_best(
+    runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str
+) -> float:
     """Return the largest ratio of a loop's metric, as wear, to the best loop's; or NaN."""
     beside = ((getattr(run, column), getattr(best[run.scenario], column)) for run in runs)
     return max((own / least for own, least in beside if least > 0.0), default=nan)
 
 
-def late_losses(run: RunRecord) -> list[str]:
+def list_late_losses(run: RunRecord) -> list[str]:
     """Return the thrusters lost in a closed loop; empty unless all are in its second half."""
-    scenario = (run.scenario_files or {}).get("scenario", {})
+    scenario = (run.scenario_documents or {}).get("scenario", {})
     faults = [fault for fault in scenario.get("faults") or () if fault.get("lost")]
     if not faults:
         return []
@@ -102,18 +114,18 @@ def late_losses(run: RunRecord) -> list[str]:
     return [] if early or late else [str(name) for fault in faults for name in fault["lost"]]
 
 
-def _best_state_by_solver(verdicts: Verdicts) -> dict[str, State]:
+def _find_best_state_by_solver(verdicts: Verdicts) -> dict[str, State]:
     """Return the best verdict of each solver that was run."""
-    states = {solver: _best_state(own) for solver, own in verdicts.of.items()}
+    states = {solver: _find_best_state(own) for solver, own in verdicts.of.items()}
     return {solver: state for solver, state in states.items() if state != "not run"}
 
 
-def _best_state(own: Sequence[Verdict]) -> State:
+def _find_best_state(own: Sequence[Verdict]) -> State:
     """Return the best of several verdicts as a word."""
     return min((verdict.state for verdict in own), key=STATES.index)
 
 
-def _common_fault(own: Sequence[Verdict]) -> Fault:
+def _name_common_fault(own: Sequence[Verdict]) -> Fault:
     """Return why a solver fails in every configuration: answers wrong, late, or either."""
     causes = [{finding.kind for finding in v.causes} for v in own if v.state != "not run"]
     if all(kinds - {*LATE} for kinds in causes):

@@ -9,9 +9,15 @@ from typing import Any
 import numpy as np
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.verdict.findings import Cause, Doubt, Finding, Near, finding_on_worst
+from dpbench.analysis.verdict.findings import (
+    Cause,
+    Doubt,
+    Finding,
+    Near,
+    make_finding_on_worst_runs,
+)
 from dpbench.analysis.verdict.lateness import (
     LateTimings,
     find_late_timings,
@@ -36,7 +42,7 @@ one: two clocks that are read in turn differ by some 25 µs a round."""
 
 
 @lru_cache(maxsize=2)
-def late_timing_evidence(
+def find_late_timings_and_uncertainty(
     records: Records, requirements: Requirements
 ) -> tuple[Mapping[str, Sequence[LateTimings]], Uncertainty]:
     """Return a folder's solver calls that took too long, by run, and the times' uncertainty."""
@@ -56,7 +62,7 @@ def find_slow_loops(
     for run in runs:
         if run.mode != "closed_loop" or run.slowdown > 0.0:
             continue
-        ratio, factor = run.raw_p50_ns / requirements.p99_ns, uncertainty.of(run)
+        ratio, factor = run.raw_p50_ns / requirements.p99_ns, uncertainty.get_factor_of_run(run)
         if run.steps_done < LOOP_TIMINGS and ratio > 1.0:
             kinds["short slow loop"].append(run)
         elif ratio > factor:
@@ -66,21 +72,21 @@ def find_slow_loops(
     return [
         finding
         for kind, of_kind in kinds.items()
-        for finding in finding_on_worst(kind, of_kind, lambda run: run.raw_p50_ns)
+        for finding in make_finding_on_worst_runs(kind, of_kind, lambda run: run.raw_p50_ns)
     ]
 
 
-def find_hidden_work(runs: Sequence[RunRecord]) -> list[Finding]:
+def find_work_in_other_threads(runs: Sequence[RunRecord]) -> list[Finding]:
     """Find runs whose solver computed more in other threads than in the timed calls.
 
     A worker has one core. Windows are left out: steps solved before each round would count.
     """
-    long = (run for run in runs if not run.window_of)
-    hidden = [run for run in long if _other_threads_share(run) > HIDDEN]
-    return finding_on_worst("hidden work", hidden, _other_threads_share)
+    long = (run for run in runs if not run.steps_searched_for_hardest)
+    hidden = [run for run in long if _compute_other_threads_share(run) > HIDDEN]
+    return make_finding_on_worst_runs("hidden work", hidden, _compute_other_threads_share)
 
 
-def _other_threads_share(run: RunRecord) -> float:
+def _compute_other_threads_share(run: RunRecord) -> float:
     """Return the processor time of a run's other threads over that of its timed calls."""
     return run.thread_s / max(run.solve_s, SHORTEST_S)
 
@@ -93,28 +99,28 @@ _DOUBTFUL: Mapping[str, Doubt] = {
 """Findings on late timings that prove no miss of the requirements."""
 
 
-def report_late_timings(
+def convert_late_timings_to_findings(
     runs: Sequence[RunRecord], late: Mapping[str, Sequence[LateTimings]]
 ) -> list[Finding]:
     """Convert late timings of runs to findings for a verdict, the worst run of each kind first."""
     found = [one for run in runs for one in late.get(run.run_id, ())]
-    by_kind: dict[Cause | Doubt, list[LateTimings]] = group_by(found, _choose_finding)
+    by_kind: dict[Cause | Doubt, list[LateTimings]] = group_by_key(found, _choose_cause_or_doubt)
     findings = []
     for kind, of_kind in by_kind.items():
-        worst, *others = sorted(of_kind, key=lambda one: -one.share)
+        worst, *others = sorted(of_kind, key=lambda one: -one.late_share)
         at = (worst.run, *(one.run for one in others))
-        findings.append(Finding(kind, at, worst.share, worst.samples, worst.machine))
+        findings.append(Finding(kind, at, worst.late_share, worst.samples, worst.machine))
     return findings
 
 
-def _choose_finding(one: LateTimings) -> Cause | Doubt:
+def _choose_cause_or_doubt(one: LateTimings) -> Cause | Doubt:
     """Choose the finding on late timings: a cause where they are proven, else a doubt."""
     if one.is_disturbed:
         return "late when disturbed"
-    return one.kind if one.is_proven else _DOUBTFUL[one.kind]
+    return one.kind if one.is_proven_late else _DOUBTFUL[one.kind]
 
 
-def judge_times(
+def judge_replay_times(
     records: Records,
     replays: Sequence[RunRecord],
     requirements: Requirements,
@@ -124,20 +130,22 @@ def judge_times(
     findings: list[Finding] = []
     figures: list[_ReplayTimes] = []
     for run in replays:
-        if run.remembers:
+        if run.returns_cached_answers:
             findings.append(Finding("remembered", (run,)))
-        if not records.is_ranked(run):
+        if not records.has_comparable_times(run):
             findings.append(Finding("not alone", (run,)))
             continue
-        times = records.times(run)
+        times = records.get_step_times(run)
         if times is not None:
-            figures.append(_ReplayTimes.of(run, times))
-            findings += _check_limits(figures[-1], requirements, uncertainty.of(run))
+            figures.append(_ReplayTimes.from_replay(run, times))
+            findings += _compare_with_limits(
+                figures[-1], requirements, uncertainty.get_factor_of_run(run)
+            )
         elif run.outcome == "finished":
             findings.append(Finding("no step", (run,)))
     if not figures:
         return findings, {}
-    whole = [one for one in figures if not one.run.window_of] or figures
+    whole = [one for one in figures if not one.run.steps_searched_for_hardest] or figures
     known = [one for one in whole if math.isfinite(one.algo.p99_ns)]
     worst = max(known or whole, key=lambda one: one.algo.p99_ns if known else one.algo.p50_ns)
     p99 = max(figures, key=lambda one: np.nan_to_num(one.algo.p99_ns))
@@ -156,14 +164,14 @@ def judge_times(
     }
 
 
-def p99_ns(run: RunRecord, algo_ns: Floats) -> float:
+def compute_p99_ns(run: RunRecord, algo_ns: Floats) -> float:
     """Return a replay's p99 step time, of each step's fastest repetition [ns], or NaN.
 
     A window holds the hardest steps of a stretch, so those beyond the stretch's p99 are all in it.
     """
-    if not run.window_of:
+    if not run.steps_searched_for_hardest:
         return percentile_or_nan(algo_ns, 99)
-    beyond = math.floor(0.01 * run.window_of)
+    beyond = math.floor(0.01 * run.steps_searched_for_hardest)
     return float(np.sort(algo_ns)[::-1][min(beyond, len(algo_ns) - 1)])
 
 
@@ -199,7 +207,7 @@ class _Percentiles:
     @classmethod
     def of(cls, run: RunRecord, times_ns: Floats) -> "_Percentiles":
         """Compute the percentiles of a replay's step times (K,) [ns]."""
-        p95, p99 = percentile_or_nan(times_ns, 95), p99_ns(run, times_ns)
+        p95, p99 = percentile_or_nan(times_ns, 95), compute_p99_ns(run, times_ns)
         return cls(float(np.median(times_ns)), p95, p99, float(times_ns.max()))
 
     @property
@@ -225,7 +233,7 @@ class _ReplayTimes:
     steps: int
 
     @classmethod
-    def of(cls, run: RunRecord, times: StepTimes) -> "_ReplayTimes":
+    def from_replay(cls, run: RunRecord, times: StepTimes) -> "_ReplayTimes":
         """Compute the percentiles and extremes of one replay's step times."""
         own_ns = find_own_times_ns(run, times)
         return cls(
@@ -246,7 +254,7 @@ class _ReplayTimes:
         return Finding(few, (self.run,), time_ns, self.timings)
 
 
-def _check_limits(
+def _compare_with_limits(
     figures: _ReplayTimes, requirements: Requirements, factor: float
 ) -> list[Finding]:
     """Compare a replay's times with p99 limit and deadline; return findings if late or near.
@@ -267,7 +275,7 @@ def _check_limits(
     if own.high_ns <= limits[1] < algo.high_ns:
         findings.append(figures.doubt("p99 waits", "few timings", algo.high_ns, own.high_ns))
     elif algo.p99_ns > limits[1]:
-        kind: Cause = "window late" if figures.run.window_of else "p99 late"
+        kind: Cause = "window late" if figures.run.steps_searched_for_hardest else "p99 late"
         findings.append(Finding(kind, run, algo.p99_ns))
     elif algo.p99_ns >= limits[0]:
         findings.append(Finding("p99 borderline", run, algo.p99_ns))

@@ -35,7 +35,7 @@ class Uncertainty:
     slowest: dict[Configuration, float]
     usual: float
 
-    def of(self, run: RunRecord) -> float:
+    def get_factor_of_run(self, run: RunRecord) -> float:
         """Return the factor within which a run's step times are uncertain."""
         own = self.middle if run.mode == "replay" else self.slow
         return max(self.usual, own.get(run.configuration.moved_to_common_formulation, 0.0))
@@ -44,19 +44,19 @@ class Uncertainty:
 def estimate_uncertainty(records: Records) -> Uncertainty:
     """Estimate the uncertainty factors of step times from the spread between repetitions."""
     factors: dict[Configuration, list[Floats]] = {}
-    for run in records.select(mode="replay", units="scaled"):
-        times = records.times(run)
+    for run in records.select_runs(mode="replay", units="scaled"):
+        times = records.get_step_times(run)
         # A window has too few steps: the middle of each round is one of a few timings.
-        if times is None or len(times.rounds_ns) < 2 or run.window_of:
+        if times is None or len(times.rounds_ns) < 2 or run.steps_searched_for_hardest:
             continue
         quantiles = np.quantile(times.rounds_ns, (0.5, 0.75, 1.0)) / times.rounds_ns.min()
         factors.setdefault(run.configuration.moved_to_common_formulation, []).append(quantiles)
     largest = {key: np.max(own, axis=0).tolist() for key, own in factors.items()}
     middle, slow, slowest = ({key: own[i] for key, own in largest.items()} for i in range(3))
-    usual = max(LEAST, factor_quantile(middle.values())) if middle else UNKNOWN
+    usual = max(LEAST, compute_factor_quantile(middle.values())) if middle else UNKNOWN
     return Uncertainty(middle, slow, slowest, usual)
 
 
-def factor_quantile(factors: Iterable[float]) -> float:
+def compute_factor_quantile(factors: Iterable[float]) -> float:
     """Return the 95 % quantile of some factors, as of the configurations' uncertainty."""
     return float(np.quantile(list(factors), QUANTILE))

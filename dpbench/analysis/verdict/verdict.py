@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.verdict import time_findings
 from dpbench.analysis.verdict.findings import (
     DOUBTS,
@@ -28,7 +28,7 @@ from dpbench.analysis.verdict.findings import (
     Doubt,
     Finding,
     State,
-    finding_on_worst,
+    make_finding_on_worst_runs,
 )
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.judge.rules import maximum_of_known
@@ -81,7 +81,7 @@ class Verdict:
     raw_max_ns: float = math.nan
 
     @property
-    def p99_on(self) -> str:
+    def sequence_of_largest_p99(self) -> str:
         """Name of the QP sequence with the largest p99 step time; "" if nothing was timed."""
         return "" if self.p99_run is None else self.p99_run.sequence
 
@@ -91,7 +91,7 @@ class Verdict:
         return not (self.causes or self.doubts or self.gaps) and self.timed_on != ""
 
     @property
-    def missing(self) -> tuple[Finding, ...]:
+    def findings_that_bar_pass(self) -> tuple[Finding, ...]:
         """Findings that bar a pass but are no failure: doubts, times near a limit, missing runs."""
         kind: Doubt = "no loop but studied ones" if self.is_beside_study else "no closed loop"
         no_loop = () if self.loops else (Finding(kind),)
@@ -107,12 +107,12 @@ class Verdicts:
     of: Mapping[str, Sequence[Verdict]]
 
     @property
-    def references(self) -> list[Verdict]:
+    def verdicts_on_references(self) -> list[Verdict]:
         """Verdict on each solver's reference configuration, in suite order."""
         return [verdicts[0] for verdicts in self.of.values()]
 
     @property
-    def all(self) -> list[Verdict]:
+    def all_verdicts(self) -> list[Verdict]:
         """Verdicts on all configurations of all solvers, in one list."""
         return [verdict for verdicts in self.of.values() for verdict in verdicts]
 
@@ -127,12 +127,12 @@ def judge_solvers(
     runs = records.runs if among is None else among
     judged = [run for run in runs if run.units == "scaled" and not run.is_baseline_law]
     verdicts: dict[str, list[Verdict]] = {}
-    for solver, of_solver in group_by(judged, lambda run: run.solver).items():
-        by_configuration = group_by(
+    for solver, of_solver in group_by_key(judged, lambda run: run.solver).items():
+        by_configuration = group_by_key(
             of_solver, lambda run: run.configuration.moved_to_common_formulation
         )
-        longest = {it: _select_longest(runs) for it, runs in by_configuration.items()}
-        ordered = sorted(longest.items(), key=lambda item: _reference_key(*item))
+        longest = {it: _select_longest_runs(runs) for it, runs in by_configuration.items()}
+        ordered = sorted(longest.items(), key=lambda item: _make_reference_sort_key(*item))
         asked = [run for run in ordered[0][1] if run.outcome != "refused"]
         verdicts[solver] = [
             judge_configuration(records, configuration, runs, asked, requirements)
@@ -141,13 +141,15 @@ def judge_solvers(
     return Verdicts(requirements, verdicts)
 
 
-def _select_longest(runs: Iterable[RunRecord]) -> list[RunRecord]:
+def _select_longest_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:
     """Select the longest of the runs that share mode and problem."""
-    alike = group_by(runs, lambda run: (run.mode, run.problem))
+    alike = group_by_key(runs, lambda run: (run.mode, run.problem))
     return [max(own, key=lambda run: run.steps_planned) for own in alike.values()]
 
 
-def _reference_key(configuration: Configuration, runs: Sequence[RunRecord]) -> tuple[Any, ...]:
+def _make_reference_sort_key(
+    configuration: Configuration, runs: Sequence[RunRecord]
+) -> tuple[Any, ...]:
     """Return a sort key that puts a solver's reference configuration first."""
     ran = [run for run in runs if run.outcome != "refused"]
     kinds = len({run.mode for run in ran})
@@ -173,28 +175,30 @@ def judge_configuration(
     """
     ran = [run for run in runs if run.outcome != "refused"]
     if not ran:
-        return Verdict(configuration, "not run", refusal=outcome_cause(runs[0]))
+        return Verdict(configuration, "not run", refusal=explain_outcome(runs[0]))
     replays = [run for run in ran if run.mode == "replay"]
-    late_timings, uncertainty = time_findings.late_timing_evidence(records, requirements)
-    times, figures = time_findings.judge_times(records, replays, requirements, uncertainty)
+    late_timings, uncertainty = time_findings.find_late_timings_and_uncertainty(
+        records, requirements
+    )
+    times, figures = time_findings.judge_replay_times(records, replays, requirements, uncertainty)
     times += time_findings.find_slow_loops(ran, requirements, uncertainty)
-    times += time_findings.report_late_timings(ran, late_timings)
-    times += time_findings.find_hidden_work(ran)
+    times += time_findings.convert_late_timings_to_findings(ran, late_timings)
+    times += time_findings.find_work_in_other_threads(ran)
     late, unsure, near = ([f for f in times if f.kind in kinds] for kinds in (LATE, DOUBTS, NEAR))
     own_doing = {kind: tuple(run for run in ran if run.outcome == kind) for kind in OWN_DOING}
     ended = [Finding(kind, of_kind) for kind, of_kind in own_doing.items() if of_kind]
     causes = [*_find_wrong_answers(ran, requirements), *ended, *late]
-    doubts, gaps = [*_find_unfinished(ran), *unsure], _find_gaps(runs, asked)
+    doubts, gaps = [*_find_unfinished(ran), *unsure], _find_missing_runs(runs, asked)
     return Verdict(
         configuration,
-        _overall_state(causes, [*doubts, *gaps], near, len({run.mode for run in ran})),
+        _decide_overall_state(causes, [*doubts, *gaps], near, len({run.mode for run in ran})),
         tuple(causes),
         tuple(doubts),
         tuple(near),
         tuple(gaps),
         loops=len(ran) - len(replays),
-        replays=sum(not run.window_of for run in replays),
-        windows=sum(run.window_of > 0 for run in replays),
+        replays=sum(not run.steps_searched_for_hardest for run in replays),
+        windows=sum(run.steps_searched_for_hardest > 0 for run in replays),
         is_beside_study=bool(records.study),
         steps=sum(_count_judged_steps(run) for run in ran),
         error_move=maximum_of_known([run.error_move_max for run in ran]),
@@ -203,7 +207,7 @@ def judge_configuration(
     )
 
 
-def _overall_state(
+def _decide_overall_state(
     causes: Sequence[Finding], doubts: Sequence[Finding], near: Sequence[Finding], modes: int
 ) -> State:
     """Return the verdict, pass to fail, that faults, doubts and times near a limit lead to."""
@@ -214,9 +218,9 @@ def _overall_state(
     return "borderline" if near else "pass"
 
 
-def outcome_cause(run: RunRecord) -> str:
+def explain_outcome(run: RunRecord) -> str:
     """Return why a run ended as it did, in words of the solver library or benchmark."""
-    return run.cause or "no reason was recorded"
+    return run.outcome_message or "no reason was recorded"
 
 
 def _count_or_zero(count: float) -> int:
@@ -230,7 +234,7 @@ def _count_judged_steps(run: RunRecord) -> int:
     return max(0, run.steps_done - without // max(1, _count_or_zero(run.rounds)))
 
 
-def _find_gaps(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
+def _find_missing_runs(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
     """Find the reference configuration's runs that another configuration lacks or cut short."""
     known = {(run.mode, run.problem): run for run in runs}
     absent: list[RunRecord] = []
@@ -255,8 +259,8 @@ def _find_wrong_answers(runs: Sequence[RunRecord], requirements: Requirements) -
     failing = [run for run in runs if run.failed_steps > requirements.failed_steps]
     return [
         *no_answer,
-        *finding_on_worst("inaccurate", wrong, lambda run: run.error_move_max),
-        *finding_on_worst("failed", failing, lambda run: run.failed_steps),
+        *make_finding_on_worst_runs("inaccurate", wrong, lambda run: run.error_move_max),
+        *make_finding_on_worst_runs("failed", failing, lambda run: run.failed_steps),
     ]
 
 

@@ -40,7 +40,7 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
 
     Clicking sets `pick`. More experiments than `MOST_ACROSS` are rows; then `usermeta` has `tall`.
 
-    table : of `experiment_table`, solvers and experiments in their order.
+    table : of `tabulate_experiment_verdicts`, solvers and experiments in their order.
     """
     solvers, experiments = table["solver"].unique().tolist(), table["experiment"].unique().tolist()
     levels = table["settings"].unique().tolist()
@@ -127,8 +127,8 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
 
     Points are filled as `FULL` says; clicking sets `pick`; `percentile` is p50 or p99.
 
-    table : of `level_table`; error_limit : drawn as a line; with_names : of solvers, each at its
-    most accurate point, which the page places by its script instead.
+    table : of `tabulate_tolerance_levels`; error_limit : drawn as a line; with_names : of solvers,
+    each at its most accurate point, which the page places by its script instead.
     """
     table = table.assign(
         shown=table["error"].clip(lower=style.FLOOR),

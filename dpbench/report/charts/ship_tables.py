@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from dpbench.analysis.records.thinned_runs import MOST, extreme_indices
-from dpbench.analysis.suites.paper import CIRCLE_M, Law, pose_errors
+from dpbench.analysis.records.thinned_runs import MOST, find_extreme_indices
+from dpbench.analysis.suites.paper import CIRCLE_M, Law, compute_pose_errors
 from dpbench.arrays import Vector
 from dpbench.report.charts import style
 from dpbench.scenario.scenario import Scenario
@@ -83,7 +83,7 @@ def make_error_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
     panels = []
     for name, unit in (("north", "m"), ("east", "m"), ("heading", "°"), ("radial", "m")):
         table = _tabulate_by_law_over_time(
-            laws, lambda law, name=name: pose_errors(law.steps, scenario.reference)[name]
+            laws, lambda law, name=name: compute_pose_errors(law.steps, scenario.reference)[name]
         )
         is_log = name == "radial"
         if is_log:
@@ -148,7 +148,7 @@ def _tabulate_by_law_over_time(
     tables = []
     for law in laws:
         values, t = np.asarray(value(law), dtype=np.float64), law.steps[over].to_numpy()
-        shown = extreme_indices(values, _count_points_per_run(laws))
+        shown = find_extreme_indices(values, _count_points_per_run(laws))
         tables.append(pd.DataFrame({"law": law.label, "t": t[shown], "value": values[shown]}))
     return pd.concat(tables)
 

@@ -8,22 +8,27 @@ from pathlib import Path
 
 import pandas as pd
 
-from dpbench.analysis.compare.answers import ORDER, FigureChange, Range, compare_figures
-from dpbench.analysis.compare.pairs import Pairs, machine_differences, pair_cells
+from dpbench.analysis.compare.answers import (
+    ORDER,
+    FigureChange,
+    Range,
+    compare_accuracy_and_control,
+)
+from dpbench.analysis.compare.pairs import Pairs, list_machine_differences, pair_runs_of_folders
 from dpbench.analysis.compare.times import (
     ComparedTimes,
     SharedFactor,
     Timing,
-    compare_times,
-    compare_to_reference,
-    compute_time_ratios,
-    find_unjudged_sequences,
-    reference_rows,
-    reference_solver,
+    choose_reference_solver,
+    compare_times_and_shared_factors,
+    compare_times_to_reference,
+    compute_log_time_ratios,
+    explain_unjudged_sequences,
+    find_reference_indices,
 )
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.times.machine import timed_runs, total_disturbance
-from dpbench.analysis.verdict.ship_results import ship_results
+from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances
+from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.bench.record.result_folder import load_results
 from dpbench.display import make_html_table
 from dpbench.errors import InputError
@@ -113,7 +118,7 @@ def make_times_table(
     )
     cells = [
         {
-            "configuration": timing.pair.label,
+            "configuration": timing.pair.configuration_label,
             "sequence": timing.pair.a.problem,
             "A p50 [µs]": format_microseconds(timing.median_ns[0]),
             "B p50 [µs]": format_microseconds(timing.median_ns[1]),
@@ -161,7 +166,7 @@ def make_changes_table(answers: Sequence[FigureChange], margin: float) -> Table 
     )
     rows = [
         {
-            "configuration": answer.pair.label,
+            "configuration": answer.pair.configuration_label,
             "experiment": f"{answer.pair.a.mode.replace('_', ' ')} of {answer.pair.a.problem}",
             "figure": answer.measure.head,
             "A": _format_range(answer.measure.column, answer.a),
@@ -177,7 +182,8 @@ def describe_change(answer: FigureChange) -> str:
     """Describe an accuracy or control quantity in both runs, in one line."""
     column = answer.measure.column
     values = " → ".join(_format_range(column, values) for values in (answer.a, answer.b))
-    return f"{answer.measure.head} of {answer.pair.label} in {answer.pair.a.problem}, {values}"
+    pair = answer.pair
+    return f"{answer.measure.head} of {pair.configuration_label} in {pair.a.problem}, {values}"
 
 
 def _format_range(column: str, values: Range) -> str:
@@ -250,12 +256,12 @@ class Comparison:
     @property
     def times(self) -> pd.DataFrame:
         """Table of step time ratios: a row per configuration and sequence."""
-        return pd.DataFrame([compared.row for compared in self.compared])
+        return pd.DataFrame([compared.table_row for compared in self.compared])
 
     @property
     def answers(self) -> pd.DataFrame:
         """Table of accuracy and control: a row per configuration and compared quantity."""
-        return pd.DataFrame([answer.row for answer in self.figures])
+        return pd.DataFrame([answer.table_row for answer in self.figures])
 
     @property
     def headline(self) -> str:
@@ -309,13 +315,13 @@ def compare(
         raise InputError("`alpha`", "", alpha, "a number above 0 and below 0.5")
     results = load_results(a, without_steps=True), load_results(b, without_steps=True)
     views = Records(results[0]), Records(results[1])
-    pairs = pair_cells(*views, names=(str(a), str(b)))
-    differ = machine_differences(results[0].machine, results[1].machine)
-    timings = compute_time_ratios(*views, pairs.pairs)
-    solver = reference_solver(timings, reference) if differ or reference else ""
+    pairs = pair_runs_of_folders(*views, names=(str(a), str(b)))
+    differ = list_machine_differences(results[0].machine, results[1].machine)
+    timings = compute_log_time_ratios(*views, pairs.pairs)
+    solver = choose_reference_solver(timings, reference) if differ or reference else ""
     compared, shared, wording = _compare_times(views, timings, solver, margin, alpha)
-    figures = compare_figures(*views, pairs.pairs, margin)
-    warnings = [summarise_ships(ship_results(view)).warning for view in views]
+    figures = compare_accuracy_and_control(*views, pairs.pairs, margin)
+    warnings = [summarise_ships(find_ship_results(view)).warning for view in views]
     lines = [f"{name}: {text}" for name, text in zip("AB", warnings, strict=True) if text]
     lines += [f"A: {a}{_describe_machine(views[0])}", f"B: {b}{_describe_machine(views[1])}"]
     lines += [f"another machine: they differ in {join_with_and(differ)}"] if differ else []
@@ -338,31 +344,31 @@ def _compare_times(
             f"no steps.parquet in {join_with_and(bare)}: medians of step times are compared"
         )
     if not solver:
-        unjudged = find_unjudged_sequences(*views, timings)
-        return *compare_times(timings, margin, alpha, unjudged), wording
-    rows = reference_rows(timings, solver)
+        unjudged = explain_unjudged_sequences(*views, timings)
+        return *compare_times_and_shared_factors(timings, margin, alpha, unjudged), wording
+    rows = find_reference_indices(timings, solver)
     known = [timings[row] for row in dict.fromkeys(rows.tolist()) if row >= 0]
     took = [f"{math.exp(one.log):.3g} on {one.pair.a.problem}" for one in known]
     wording.append(
         f"step times are compared as ratios to {known[0].pair.label}, which takes B/A "
         f"{join_with_and(took)}"
     )
-    return compare_to_reference(timings, margin, alpha, rows), [], wording
+    return compare_times_to_reference(timings, margin, alpha, rows), [], wording
 
 
 def _describe_machine(view: Records) -> str:
     """Describe a folder's processor and how far other load disturbed its runs."""
     wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
-    disturbance = total_disturbance(timed_runs(view))
+    disturbance = sum_disturbances(select_timed_replays(view))
     return f"{wording}, {describe_disturbance(disturbance)}" if disturbance.seconds > 0 else wording
 
 
 def describe_changed_options(pairs: Pairs) -> list[str]:
     """State which options of settings of one's own changed under the same name."""
-    changed = [pair for pair in pairs.pairs if pair.options_change]
+    changed = [pair for pair in pairs.pairs if pair.changed_options_text]
     return list(
         dict.fromkeys(
-            f"options changed: {pair.a.solver} {pair.a.settings}: {pair.options_change}"
+            f"options changed: {pair.a.solver} {pair.a.settings}: {pair.changed_options_text}"
             for pair in changed
         )
     )

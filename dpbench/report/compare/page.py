@@ -180,9 +180,9 @@ def _describe_slower(comparison: Comparison) -> str:
     first = max(slower, key=lambda c: c.assessment.ratio.value)
     pair, ratio = first.timing.pair, first.assessment.ratio
     return (
-        f"Slower: {len(slower)} of {plural(count, 'configuration')}, most of all {pair.label} on "
-        f"{pair.a.problem}, {ratio.value:.2f} times as long (interval "
-        f"{format_interval(ratio.low, ratio.high)}, machine factor "
+        f"Slower: {len(slower)} of {plural(count, 'configuration')}, most of all "
+        f"{pair.configuration_label} on {pair.a.problem}, {ratio.value:.2f} times as long "
+        f"(interval {format_interval(ratio.low, ratio.high)}, machine factor "
         f"{first.assessment.machine:.2f} taken out)."
     )
 

@@ -9,18 +9,18 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.analysis.compare.pairs import machine_differences
+from dpbench.analysis.compare.pairs import list_machine_differences
 from dpbench.analysis.compare.releases import (
     FIGURES,
     Histories,
     History,
     compare_releases,
-    release_table,
+    tabulate_releases,
 )
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import group_by
+from dpbench.analysis.records.run_record import group_by_key
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.ship_results import ship_results
+from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.bench.judge.rules import maximum_of_known
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
@@ -91,13 +91,13 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
         for name, folder in zip(names, folders, strict=True)
     }
     over = compare_releases(records, reference)
-    requirements = Requirements.of(next(iter(records.values())).suite)
+    requirements = Requirements.from_suite(next(iter(records.values())).suite)
     changed = _group_histories_by_solver(over)
     lead = [
         _describe_solver_history(solver, own_histories) for solver, own_histories in changed.items()
     ]
     lead = lead or ["No solver has two versions in these folders."]
-    ships = {name: summarise_ships(ship_results(view)) for name, view in records.items()}
+    ships = {name: summarise_ships(find_ship_results(view)) for name, view in records.items()}
     return Releases(
         over,
         _merge_folders({name: ship.warning for name, ship in ships.items()}),
@@ -116,7 +116,7 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
 
 def _merge_folders(texts: Mapping[str, str]) -> list[str]:
     """List the texts of folders, each with the names of its folders where not all have it."""
-    by_text = group_by((name for name, text in texts.items() if text), texts.__getitem__)
+    by_text = group_by_key((name for name, text in texts.items() if text), texts.__getitem__)
     return [
         text if len(names) == len(texts) else f"{join_with_and(names)}: {text}"
         for text, names in by_text.items()
@@ -125,20 +125,23 @@ def _merge_folders(texts: Mapping[str, str]) -> list[str]:
 
 def _group_histories_by_solver(histories: Histories) -> dict[str, list[History]]:
     """Return the histories of each solver that was run in more than one version."""
-    by_solver = group_by(histories.all, lambda history: history.run.solver)
-    return {name: own for name, own in by_solver.items() if any(h.has_changed for h in own)}
+    by_solver = group_by_key(histories.all, lambda history: history.oldest_run.solver)
+    return {
+        name: own for name, own in by_solver.items() if any(h.has_several_versions for h in own)
+    }
 
 
 def _describe_solver_history(solver: str, own_histories: Sequence[History]) -> str:
     """State how step time, error and failed steps of a solver changed over its versions."""
-    changed = [history for history in own_histories if history.has_changed]
+    changed = [history for history in own_histories if history.has_several_versions]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
     sides = list(zip(*ends, strict=True))
     errors = " → ".join(
-        format_error(maximum_of_known([r.error_move for r in side])) for side in sides
+        format_error(maximum_of_known([r.largest_error_move for r in side])) for side in sides
     )
     failed = " → ".join(
-        _format_count(maximum_of_known([r.failed_steps for r in side])) for side in sides
+        _format_count(maximum_of_known([r.most_failed_steps_per_round for r in side]))
+        for side in sides
     )
     versions = " → ".join(release.version for release in ends[0])
     times = _describe_time_change(changed)
@@ -147,16 +150,16 @@ def _describe_solver_history(solver: str, own_histories: Sequence[History]) -> s
 
 def _describe_time_change(changed: Sequence[History]) -> str:
     """State the change of a solver's p50 over its versions, on its first timed problem."""
-    timed = next((h for h in changed if math.isfinite(h.whole_change)), None)
+    timed = next((h for h in changed if math.isfinite(h.newest_to_oldest_time_ratio)), None)
     if timed is None:
         return "not timed"
-    load = timed.releases[-1].load_ns / timed.releases[0].load_ns
+    load = timed.releases[-1].mean_load_test_ns / timed.releases[0].mean_load_test_ns
     busier = "busier" if load > 1.0 else "quieter"
     beside = f" on a {busier} machine (load kernel {significant(load)})"
     return (
-        f"p50 {significant(timed.whole_change)} times as long"
-        f"{beside if abs(load - 1.0) > BUSY else ''}, {timed.run.configuration.call_text} on "
-        f"{timed.run.problem}"
+        f"p50 {significant(timed.newest_to_oldest_time_ratio)} times as long"
+        f"{beside if abs(load - 1.0) > BUSY else ''}, "
+        f"{timed.oldest_run.configuration.call_text} on {timed.oldest_run.problem}"
     )
 
 
@@ -168,7 +171,9 @@ def _list_comparability_notes(histories: Histories, records: Mapping[str, Record
         for name, view in records.items()
     ]
     machines = [view.machine for view in records.values()]
-    differ = {word: None for one in machines[1:] for word in machine_differences(machines[0], one)}
+    differ = {
+        word: None for one in machines[1:] for word in list_machine_differences(machines[0], one)
+    }
     if differ:
         lines.append(f"the machines differ in {join_with_and(list(differ))}")
     if histories.reference:
@@ -203,11 +208,13 @@ def _make_version_tables(histories: Histories) -> list[Table]:
         )
         for solver, own_histories in changed.items()
     ]
-    rest = [history for history in histories.all if history.run.solver not in changed]
+    rest = [history for history in histories.all if history.oldest_run.solver not in changed]
     if rest:
         # With one version there is none before it.
         rows = [
-            {"solver": h.run.solver} | row for h in rest for row in _make_version_rows(h, histories)
+            {"solver": h.oldest_run.solver} | row
+            for h in rest
+            for row in _make_version_rows(h, histories)
         ]
         kept = [{head: row[head] for head in row if head not in BEFORE} for row in rows]
         note = "For comparison: what these differ by is no change of a solver."
@@ -222,7 +229,7 @@ BEFORE = ("to the one before", "load kernel")
 
 def _make_version_rows(history: History, histories: Histories) -> list[dict[str, str]]:
     """Return a table row for each version of a solver on one problem."""
-    run, unit = history.run, f" [× {histories.reference}]" if histories.reference else ""
+    run, unit = history.oldest_run, f" [× {histories.reference}]" if histories.reference else ""
     label = run.configuration.label.removeprefix(f"{run.solver} ").strip("()")
     return [
         {
@@ -233,16 +240,18 @@ def _make_version_rows(history: History, histories: Histories) -> list[dict[str,
             if len(release.runs) == histories.folders
             else join_with_and(list(release.runs)),
             f"p50{unit}": _format_time(release.p50, histories),
-            BEFORE[0]: significant(history.change(i)),
-            BEFORE[1]: significant(release.load_ns / history.releases[i - 1].load_ns)
+            BEFORE[0]: significant(history.compute_time_ratio_to_previous(i)),
+            BEFORE[1]: significant(
+                release.mean_load_test_ns / history.releases[i - 1].mean_load_test_ns
+            )
             if i
             else MISSING,
             f"p99{unit}": _format_time(release.p99, histories),
             f"largest step{unit}": _format_time(release.largest, histories),
-            "largest error": format_error(release.error_move),
-            "claimed, not true": _format_count(release.claimed_not_true),
-            "failed steps": _format_count(release.failed_steps),
-            "outcome": release.outcome.replace("_", " "),
+            "largest error": format_error(release.largest_error_move),
+            "claimed, not true": _format_count(release.most_claimed_not_true_per_round),
+            "failed steps": _format_count(release.most_failed_steps_per_round),
+            "outcome": release.worst_outcome.replace("_", " "),
         }
         for i, release in enumerate(history.releases)
     ]
@@ -266,7 +275,7 @@ MOST_PANELS = 4
 
 def write_releases(path: Path, releases: Releases) -> Path:
     """Write the page that compares solver versions, without any script."""
-    table = release_table(releases.histories, MOST_PANELS)
+    table = tabulate_releases(releases.histories, MOST_PANELS)
     table["age"] = table["age"].map(AGES)
     unit = f"× {releases.histories.reference}" if releases.histories.reference else "µs"
     charts = {
@@ -296,7 +305,7 @@ def write_releases(path: Path, releases: Releases) -> Path:
 def draw_release_times(table: pd.DataFrame, unit: str) -> Any:
     """Draw p50, p99 and largest step time of each solver version, a panel per problem.
 
-    table : of `release_table`, age in words, the first row on top; unit : of the times.
+    table : of `tabulate_releases`, age in words, the first row on top; unit : of the times.
     """
     base = _make_version_rows_chart(table)
     x = alt.X(

@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.records.thinned_runs import extreme_indices
+from dpbench.analysis.records.thinned_runs import find_extreme_indices
 from dpbench.arrays import Vector
 from dpbench.bench.run.exact_loop import HEADING_DEG
 from dpbench.report.charts.style import ACCENT, FAIL, INK, SOFT
@@ -79,7 +79,7 @@ class LoopPicture:
         self, panel: Panel, left: float, top: float, width: float, height: float
     ) -> Iterator[str]:
         """Yield the SVG elements of one panel, with losses as vertical lines."""
-        shown = extreme_indices(panel.values, POINTS)
+        shown = find_extreme_indices(panel.values, POINTS)
         most = panel.most
         begins_s, lasts_s = self.t_s[0], max(float(self.t_s[-1] - self.t_s[0]), 1e-9)
         x = left + width * (self.t_s[shown] - begins_s) / lasts_s
@@ -113,16 +113,16 @@ def find_loop_picture(data: PageData, solver: str) -> LoopPicture | None:
     """
     loops = [
         run
-        for run in data.records.select(mode="closed_loop", solver=solver, units="scaled")
-        if run.has_steps and data.scenario(run) is not None and run.exact_steps > 0.0
+        for run in data.records.select_runs(mode="closed_loop", solver=solver, units="scaled")
+        if run.has_steps and data.build_scenario_of_run(run) is not None and run.exact_steps > 0.0
     ]
     if not loops or not data.records.has_steps:
         return None
     run = max(loops, key=lambda run: (_find_begin_s(run) > 0.0, _compute_offset_share(run)))
-    scenario = data.scenario(run)
+    scenario = data.build_scenario_of_run(run)
     assert scenario is not None, "chosen so"
     columns = ("k", "n_m", "e_m", "psi_rad", "thrust_share")
-    steps = data.records.counting_steps(run, columns)
+    steps = data.records.read_counting_step_table(run, columns)
     steps = steps[steps["k"] * scenario.sample_s >= _find_begin_s(run)]
     wanted = scenario.build_reference_table(int(steps["k"].max()) + 1)[steps["k"]]
     north, east, turn = (

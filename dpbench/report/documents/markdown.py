@@ -3,16 +3,20 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import Measure
-from dpbench.analysis.records.worst_steps import WorstStep, find_step_value, worst_steps
-from dpbench.analysis.times.contrasts import paired_comparison
+from dpbench.analysis.records.worst_steps import (
+    WorstStep,
+    find_value_at_worst_step,
+    find_worst_steps,
+)
+from dpbench.analysis.times.contrasts import compare_paired_times
 from dpbench.analysis.verdict.fastest import (
-    best_first,
-    best_verdict_by_own_settings,
-    best_verdict_by_solver,
-    fastest_first,
+    list_best_verdict_of_each_solver,
+    list_best_verdict_of_own_settings,
     list_main_verdicts,
+    sort_best_first,
+    sort_fastest_first,
 )
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.errors import UnknownNameError, format_allowed_names
@@ -81,7 +85,7 @@ def make_report_markdown(report: Report) -> str:
         ),
         *map(
             escape_markdown_paragraph,
-            [*describe_best_of_grids(best_verdict_by_own_settings(data.verdicts)), *after],
+            [*describe_best_of_grids(list_best_verdict_of_own_settings(data.verdicts)), *after],
         ),
         "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
         "`runs.parquet`, `steps.parquet`.",
@@ -113,15 +117,15 @@ def _list_verdicts(verdicts: Verdicts) -> list[Verdict]:
         return main
     listed = {
         verdict.configuration: verdict
-        for best in best_verdict_by_solver(verdicts)
-        for verdict in (best, *best_first(verdicts.of[best.configuration.solver]))
+        for best in list_best_verdict_of_each_solver(verdicts)
+        for verdict in (best, *sort_best_first(verdicts.of[best.configuration.solver]))
     }
     return [verdict for verdict in listed.values() if verdict.state != "not run"]
 
 
 def _count_configurations(verdicts: Verdicts) -> int:
     """Return how many configurations were run."""
-    return sum(verdict.state != "not run" for verdict in verdicts.all)
+    return sum(verdict.state != "not run" for verdict in verdicts.all_verdicts)
 
 
 def _unlisted_text(verdicts: Verdicts, listed: int) -> str:
@@ -187,7 +191,7 @@ def _most_and_others(names: Mapping[str, str]) -> str:
     >>> _most_and_others({"daqp": "turn", "osqp": "turn", "piqp": "rough"})
     'turn, but for piqp (rough)'
     """
-    of_name = group_by(names, lambda label: names[label])
+    of_name = group_by_key(names, lambda label: names[label])
     most, *others = sorted(of_name, key=lambda name: -len(of_name[name]))
     texts = [f"{join_with_and(of_name[n])} ({n.removeprefix('the replay of ')})" for n in others]
     return f"{most}, but for {join_with_and(texts)}" if texts else most
@@ -205,12 +209,14 @@ def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[
             format_time(verdict.raw_p99_ns),
             format_time(verdict.p99_ns),
             format_time(verdict.algo_max_ns),
-            MISSING if margin is None else f"× {format_rounded_down(margin.factor)}",
+            MISSING
+            if margin is None
+            else f"× {format_rounded_down(margin.allowed_slowness_factor)}",
             format_error(verdict.error_move),
             str(verdict.failed_steps),
         )
         for verdict in verdicts
-        for margin in [data.margin(verdict.configuration)]
+        for margin in [data.get_speed_margin(verdict.configuration)]
     ]
 
 
@@ -241,14 +247,14 @@ def compare_solver(
     Raises InputError for a solver that was not run.
     """
     data, machine = report.data, report.recommendation.machine
-    best = {v.configuration.solver: v for v in best_verdict_by_solver(data.verdicts)}
+    best = {v.configuration.solver: v for v in list_best_verdict_of_each_solver(data.verdicts)}
     for option, name in (("--for", solver), *(("--against", other) for other in others)):
         if name not in best:
             raise UnknownNameError(option, "", repr(name), format_allowed_names(name, sorted(best)))
     named = others or [name for name in USUAL if name in best]
     chosen = [best[name] for name in dict.fromkeys(named) if name != solver]
-    worst = worst_steps(data.records, solver)
-    own = fastest_first([v for v in data.verdicts.of[solver] if v.state != "not run"])
+    worst = find_worst_steps(data.records, solver)
+    own = sort_fastest_first([v for v in data.verdicts.of[solver] if v.state != "not run"])
     names = join_with_and([v.configuration.solver for v in chosen]) or "no other solver"
     suite = report.results.suite
     made_by = f"Suite {suite.get('name', '')}, dpbench {suite.get('harness_version', '')}."
@@ -278,7 +284,7 @@ def _describe_verdict(verdict: Verdict, reference: Verdict, count: int) -> str:
 
     reference : verdict on its usual call mode and settings.
     """
-    label, findings = verdict.configuration.label, verdict.causes or verdict.missing
+    label, findings = verdict.configuration.label, verdict.causes or verdict.findings_that_bar_pass
     verbs = {"pass": "passes everywhere it was run", "late": "is late", "fail": "fails"}
     why = "" if verdict.state == "pass" else f": {describe_findings(findings)}"
     sentence = f"`{label}` {verbs.get(verdict.state, f'is {verdict.state}')}{why}."
@@ -291,8 +297,8 @@ def _describe_verdict(verdict: Verdict, reference: Verdict, count: int) -> str:
 
 def _compare_step_times(data: PageData, own: Verdict, other: Verdict) -> str:
     """Compare the step times of two verdicts' configurations in a sentence."""
-    faster, slower = fastest_first([own, other])
-    wording = describe_paired_times(paired_comparison(data.records, faster, slower))
+    faster, slower = sort_fastest_first([own, other])
+    wording = describe_paired_times(compare_paired_times(data.records, faster, slower))
     names = f"`{slower.configuration.label}` against `{faster.configuration.label}`"
     return f"{names}: {wording}."
 
@@ -306,13 +312,15 @@ def _make_worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequen
     rows = [
         (
             step.measure,
-            f"{step.k} of {step.run.problem}",
+            f"{step.step_index} of {step.run.problem}",
             step.run.configuration.call_text,
             _format_measure(step.measure, step.value),
             _format_measure(step.measure, step.median),
             describe_answer(step.step, 0),
             *(
-                _format_measure(step.measure, find_step_value(data.records, step, v.configuration))
+                _format_measure(
+                    step.measure, find_value_at_worst_step(data.records, step, v.configuration)
+                )
                 for v in others
             ),
         )
@@ -333,7 +341,7 @@ def format_worst_steps(worst: Sequence[WorstStep]) -> list[tuple[str, str]]:
     return [
         (
             f"worst {step.measure}",
-            f"step {step.k} of {step.run.problem} ({step.run.configuration.call_text}): "
+            f"step {step.step_index} of {step.run.problem} ({step.run.configuration.call_text}): "
             f"{_format_measure(step.measure, step.value)}, median "
             f"{_format_measure(step.measure, step.median)}; "
             f"{step.export_command}",

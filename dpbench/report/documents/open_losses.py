@@ -44,7 +44,7 @@ def find_open_losses(
     analyses: Sequence[ConsequenceAnalysis],
 ) -> OpenLosses:
     """Find the listed losses that are not simulated, or not held by level 1 or an analysis."""
-    known = [scenario for scenario in map(records.scenario, records.scenarios) if scenario]
+    known = [scenario for scenario in map(records.build_scenario, records.scenarios) if scenario]
     by_vessel = {s.vessel.id: s.vessel.thrusters for s in known if s.vessel.thrusters is not None}
     not_held, not_simulated = [], []
     for vessel, thrusters in by_vessel.items():
@@ -117,7 +117,7 @@ def _longest_simulation_s(group: str, thrusters: ThrusterSet, ships: Sequence[Sh
 def _has_left_after(group: str, thrusters: ThrusterSet, ships: Sequence[ShipResult]) -> bool:
     """Return whether a ship leaves its station after the loss of a group, as its result states."""
     return any(
-        ship.has_left and ship.run.exact_left_s >= at_s
+        ship.has_left_station and ship.run.exact_left_s >= at_s
         for at_s, ship in _losses_of_group(group, thrusters, ships)
     )
 

@@ -12,11 +12,11 @@ from typing import Any
 
 import vl_convert as vlc
 
-from dpbench.analysis.records.run_record import group_by
-from dpbench.analysis.suites.capability import CapabilityResult, capability_plots
-from dpbench.analysis.suites.consequence import ConsequenceAnalysis, consequence_analyses
-from dpbench.analysis.times.machine import timed_runs, total_disturbance
-from dpbench.analysis.verdict.fastest import best_verdict_by_solver, choose_solver
+from dpbench.analysis.records.run_record import group_by_key
+from dpbench.analysis.suites.capability import CapabilityResult, build_capability_results
+from dpbench.analysis.suites.consequence import ConsequenceAnalysis, build_consequence_analyses
+from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances
+from dpbench.analysis.verdict.fastest import choose_solver, list_best_verdict_of_each_solver
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.capability.edge_qps import load_capability_plots
@@ -177,11 +177,11 @@ def _fill_statement(
 ) -> str:
     """Return the text of the one-page statement: ship, solver, machine, limits, file hashes."""
     c, records = chosen.configuration, data.records
-    plots = capability_plots(records, load_capability_plots(folder))
-    analyses = consequence_analyses(records)
-    known = [s for s in map(records.scenario, records.scenarios) if s is not None]
+    plots = build_capability_results(records, load_capability_plots(folder))
+    analyses = build_consequence_analyses(records)
+    known = [s for s in map(records.build_scenario, records.scenarios) if s is not None]
     ships = [ship for ship in data.ships if not ship.run.study]
-    ships.sort(key=lambda ship: not ship.has_left)
+    ships.sort(key=lambda ship: not ship.has_left_station)
     options = resolve_settings_with_fixed_options(c.solver_settings, c.solver)
     by_solver = results.runs.groupby("solver")["solver_version"]
     versions = {name: ", ".join(sorted({str(v) for v in own if v})) for name, own in by_solver}
@@ -209,10 +209,10 @@ def _fill_statement(
         unmet=describe_unmet(ships, known),
         compared=[
             f"{solver} {versions[solver]} {v.state}, p99 {format_time(v.p99_ns)}"
-            for v in best_verdict_by_solver(data.verdicts)
+            for v in list_best_verdict_of_each_solver(data.verdicts)
             for solver in [v.configuration.solver]
         ],
-        machine_state=describe_disturbance(total_disturbance(timed_runs(records))),
+        machine_state=describe_disturbance(sum_disturbances(select_timed_replays(records))),
         c=c,
         v=chosen,
         judged_runs_text=describe_judged_runs(chosen),
@@ -228,8 +228,8 @@ def _fill_statement(
         mismatch=DRAG_MISMATCH if any(vessel.drag for vessel in vessels.values()) else "",
         experiments=[
             data.experiments[p].label
-            for p in data.judged_experiments
-            if data.state(data.index(c), p) == "pass"
+            for p in data.judged_experiment_indices
+            if data.get_state_in_experiment(data.find_index(c), p) == "pass"
         ],
         machine=defaultdict(str, results.machine),
         hashes=hash_files(folder, HASHED),
@@ -270,7 +270,7 @@ def _render_svg(lines: Iterable[TextLine], picture: LoopPicture | None) -> str:
 def describe_scenario(ship: ShipResult) -> Iterator[str]:
     """Yield one line on a scenario: what became of the ship, its title, weather and losses."""
     yield describe_ship(ship)
-    scenario = (ship.run.scenario_files or {}).get("scenario")
+    scenario = (ship.run.scenario_documents or {}).get("scenario")
     if scenario is not None:
         parts = [_describe_weather(scenario.get("environment") or {})]
         parts += [
@@ -298,7 +298,7 @@ def _describe_weather(environment: Mapping[str, Any]) -> str:
 
 def describe_thrusters(thrusters: Sequence[Mapping[str, Any]]) -> str:
     """List the thrusters of a vessel document by switchboard, with their powers; "" without any."""
-    by_board = group_by(thrusters, lambda one: str(one.get("group") or "no group"))
+    by_board = group_by_key(thrusters, lambda one: str(one.get("group") or "no group"))
     boards = [f"{board}: {', '.join(map(_name_thruster, own))}" for board, own in by_board.items()]
     return "; ".join(boards)
 

@@ -13,12 +13,20 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.run_steps import MEASURES
 from dpbench.analysis.records.thinned_runs import FORCES, TRACK, ThinnedRun, Track, thin_track
-from dpbench.analysis.statistics import upper_bound_of_none
+from dpbench.analysis.statistics import bound_probability_after_no_event
 from dpbench.analysis.suites.embedded import EmbeddedResults
 from dpbench.analysis.suites.study import Study, find_studies
-from dpbench.analysis.suites.study_pictures import error_excess_cm, mean_cm, worst_run
-from dpbench.analysis.verdict.run_matrix import Experiment, RunMatrix, common_configuration
-from dpbench.analysis.verdict.ship_results import ShipResult, ship_results
+from dpbench.analysis.suites.study_pictures import (
+    compute_error_excess_cm,
+    convert_difference_to_cm,
+    find_id_of_worst_run,
+)
+from dpbench.analysis.verdict.run_matrix import (
+    Experiment,
+    RunMatrix,
+    get_configuration_in_common_form,
+)
+from dpbench.analysis.verdict.ship_results import ShipResult, find_ship_results
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.report.formats import as_float
 from dpbench.report.page.pack import MOST_HARD, Block, Room, pack_steps, pack_track
@@ -44,14 +52,14 @@ def make_study_document(
     number_of : number on the page of a configuration, by name.
     """
     rows = study.runs[study.runs["run_id"].isin(list(runs))]
-    names = [c.name for c in study.configurations if c.name in number_of]
+    names = [c.name for c in study.results_by_cost if c.name in number_of]
     rows = rows[rows["configuration"].isin(names)]
     place = {name: i for i, name in enumerate(names)}
     return {
         "name": study.name,
         "radius_m": study.radius_m,
-        "upper_bound_of_none": upper_bound_of_none(study.realisations),
-        "reference": place.get(study.reference, 0),
+        "upper_bound_of_none": bound_probability_after_no_event(study.sample_count),
+        "reference": place.get(study.reference_name, 0),
         "keys": [str(key) for key in study.points],
         "points": [int(point) for point in study.points.index],
         "values": [
@@ -67,7 +75,7 @@ def make_study_document(
             "sea": rows["replicate"].tolist(),
             "within": [None if math.isnan(share) else int(share) for share in rows["within"]],
             "tail_m": _round_values(rows["r_tail_max_m"].where(rows["finished"])),
-            "error_excess_cm": _round_values(error_excess_cm(study, rows)),
+            "error_excess_cm": _round_values(compute_error_excess_cm(study, rows)),
             "id": rows["run_id"].tolist(),
         },
     }
@@ -75,12 +83,12 @@ def make_study_document(
 
 def _compute_mean_excess_error(study: Study, name: str) -> dict[str, Any]:
     """Return a configuration's mean excess error [cm], its interval, share of seas within."""
-    (found,) = (c for c in study.configurations if c.name == name)
+    (found,) = (c for c in study.results_by_cost if c.name == name)
     within = None if math.isnan(found.within) else found.within
     known: dict[str, Any] = {"within": within, "pairs": 0}
     if found.error_excess_m is None or found.error_excess_m.pairs == 0:
         return known
-    return known | mean_cm(found.error_excess_m)
+    return known | convert_difference_to_cm(found.error_excess_m)
 
 
 def _round_values(values: Iterable[float]) -> list[float | None]:
@@ -104,13 +112,13 @@ class PageData(RunMatrix):
         counted : steps of `embedded.parquet`, if there are any.
         """
         data = cls.from_records(records, verdicts, select_shown_runs(records.study), MOST_LOOPS)
-        data.counts = EmbeddedResults.of(records, counted)
+        data.counts = EmbeddedResults.from_counted_steps(records, counted)
         return data
 
     @cached_property
     def ships(self) -> list[ShipResult]:
         """Results of the controller itself: the ship of each scenario and sea."""
-        return ship_results(self.records)
+        return find_ship_results(self.records)
 
     @cached_property
     def studies(self) -> list[Study]:
@@ -121,21 +129,26 @@ class PageData(RunMatrix):
     def study_documents(self) -> list[dict[str, Any]]:
         """Points, configurations and runs of each study, as JSON data for the page's script."""
         runs = {run.run_id: run for run in select_shown_runs(self.records.study)}
-        numbers = {run.name: self.index(common_configuration(run)) for run in runs.values()}
+        numbers = {
+            run.solver_label: self.find_index(get_configuration_in_common_form(run))
+            for run in runs.values()
+        }
         return [make_study_document(study, runs, numbers) for study in self.studies]
 
     @property
     def opening(self) -> tuple[int, int] | None:
         """Indices of configuration and study run that a page on studies shows first; or None."""
-        if self.judged_experiments or not self.studies:
+        if self.judged_experiment_indices or not self.studies:
             return None
         study, shown = self.studies[0], select_shown_runs(self.records.study)[:MOST_LOOPS]
         kept = {run.run_id: run for run in shown if run.study == study.name}
-        worst = worst_run(study, list(kept))
+        worst = find_id_of_worst_run(study, list(kept))
         if worst is None:
             return None
         run = kept[worst]
-        return self.index(common_configuration(run)), self.experiments.index(Experiment.of(run))
+        return self.find_index(get_configuration_in_common_form(run)), self.experiments.index(
+            Experiment.from_run(run)
+        )
 
     @cached_property
     def thinned_runs(self) -> dict[str, ThinnedRun]:
@@ -143,14 +156,17 @@ class PageData(RunMatrix):
         runs = {run.run_id: run for run in self.runs.values()}
         room = Room.from_run_lengths([run.steps_done for run in runs.values() if run.has_steps])
         kept: dict[str, ThinnedRun] = {}
-        read = self.records.run_steps(list(runs.values()), (*TRACK, *FORCES))
+        read = self.records.yield_merged_and_raw_steps(list(runs.values()), (*TRACK, *FORCES))
         for run_id, steps, rows in read:
             run = runs[run_id]
-            scenario, track = self.scenario(run) if run.mode == "closed_loop" else None, None
+            scenario, track = (
+                self.build_scenario_of_run(run) if run.mode == "closed_loop" else None,
+                None,
+            )
             if scenario is not None:
                 limits = np.maximum(scenario.vessel.tau_max, -scenario.vessel.tau_min)
                 track = thin_track(rows, limits, room.points)
-            kept[run_id] = ThinnedRun.of(steps, room.steps, track)
+            kept[run_id] = ThinnedRun.from_run(steps, room.steps, track)
         return kept
 
     @property
@@ -188,7 +204,7 @@ class PageData(RunMatrix):
             "c": c,
             "p": p,
             "id": run.run_id,
-            "verdict": self.state(c, p),
+            "verdict": self.get_state_in_experiment(c, p),
             "outcome": run.outcome,
             "why": run.outcome_detail[:200],
             "infeasible": convert_to_json_number(run.infeasible_steps),

@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.times.solver_tables import configuration_columns
+from dpbench.analysis.times.solver_tables import make_configuration_columns
 from dpbench.analysis.verdict.fastest import (
-    best_verdict_by_solver,
+    find_solver_family,
     find_solver_record_or_none,
-    solver_family,
+    list_best_verdict_of_each_solver,
 )
 from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.analysis.verdict.verdict import Verdict
@@ -33,20 +33,20 @@ def make_page_document(
     Arrays of numbers go into `data.block`; words : descriptions of experiments, by index.
     """
     cells = list(data.cells())
-    verdicts = {v.configuration: v for v in data.verdicts.all}
+    verdicts = {v.configuration: v for v in data.verdicts.all_verdicts}
     rows = [
         _describe_configuration(data, recommendation, c, verdicts.get(c))
         for c in data.configurations
     ]
     document: dict[str, Any] = {
         "solvers": {
-            name: {"family": solver_family(name), "method": known.method if known else ""}
+            name: {"family": find_solver_family(name), "method": known.method if known else ""}
             for name in dict.fromkeys(c.solver for c in data.configurations)
             for known in [find_solver_record_or_none(name)]
         },
         "configurations": convert_rows_to_columns(rows),
         "experiments": [
-            _describe_experiment(data, experiment, data.first_runs.get(p))
+            _describe_experiment(data, experiment, data.first_run_by_experiment.get(p))
             | ({"shows": words[p].meaning} if p in words else {})
             for p, experiment in enumerate(data.experiments)
         ],
@@ -69,20 +69,20 @@ def _describe_configuration(
     data: PageData, recommendation: Recommendation, c: Configuration, v: Verdict | None
 ) -> dict[str, Any]:
     """Return the facts of a configuration that the page's script needs."""
-    longest = data.longest_timing(c)
+    longest = data.find_longest_timing(c)
     times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
     return {
-        **configuration_columns(c),
+        **make_configuration_columns(c),
         "verdict": "not judged" if v is None else v.state,
         "why": "" if v is None else recommendation.why(v),
         **{name: convert_to_json_number(times.get(name)) for name in ("p50", "p99", "max")},
         "replay_p99": None if v is None else convert_to_json_number(v.replay_p99_ns),
         "raw_p99": None if v is None else convert_to_json_number(v.raw_p99_ns),
         "p50_in": "" if v is None else v.timed_on,
-        "p99_in": "" if v is None else v.p99_on,
+        "p99_in": "" if v is None else v.sequence_of_largest_p99,
         "error": None if v is None else convert_to_json_number(v.error_move),
         "failed": None if v is None else v.failed_steps,
-        "timed_experiment_index": None if v is None else data.timed_experiment_index(v),
+        "timed_experiment_index": None if v is None else data.find_timed_experiment_index(v),
         "call": format_python_call(c),
         **_describe_margin(data, c),
         "longest": None if longest is None else convert_to_json_number(longest[1].raw_max_ns),
@@ -92,7 +92,7 @@ def _describe_configuration(
 
 def _describe_margin(data: PageData, c: Configuration) -> dict[str, Any]:
     """Return how much slower a computer may be for a configuration, and the limiting steps."""
-    margin = data.margin(c)
+    margin = data.get_speed_margin(c)
     if margin is None:
         return {"margin": None, "bounds": []}
     loops = {
@@ -104,9 +104,9 @@ def _describe_margin(data: PageData, c: Configuration) -> dict[str, Any]:
     bounds = [
         [loops[step.run.scenario], step.k, convert_to_json_number(step.time_ns)]
         for step in (margin.hardest, margin.p99)
-        if step.run.window_of and step.run.scenario in loops
+        if step.run.steps_searched_for_hardest and step.run.scenario in loops
     ]
-    return {"margin": convert_to_json_number(margin.factor), "bounds": bounds}
+    return {"margin": convert_to_json_number(margin.allowed_slowness_factor), "bounds": bounds}
 
 
 def _select_at_opening(
@@ -116,16 +116,17 @@ def _select_at_opening(
     report = results.suite.get("report", {})
     named = [i for i, c in enumerate(data.configurations) if c.label == report.get("configuration")]
     first, second = (
-        max(0, data.index(c)) if c else None for c in (recommendation.first, recommendation.second)
+        max(0, data.find_index(c)) if c else None
+        for c in (recommendation.first, recommendation.second)
     )
     of_study, experiment = data.opening or (None, None)
     return {
         "first": named[0] if named else first or of_study or 0,
         "second": second,
         "best": {
-            v.configuration.solver: data.index(v.configuration)
-            for v in best_verdict_by_solver(data.verdicts)
-            if data.index(v.configuration) >= 0
+            v.configuration.solver: data.find_index(v.configuration)
+            for v in list_best_verdict_of_each_solver(data.verdicts)
+            if data.find_index(v.configuration) >= 0
         },
         "experiment": experiment,
         "k": report.get("step"),
@@ -151,7 +152,7 @@ def _describe_experiment(
         return wording
     if not experiment.study:
         wording |= {"source": run.export_argument, "first": run.first_step}
-    scenario = data.scenario(run) if run.scenario else None
+    scenario = data.build_scenario_of_run(run) if run.scenario else None
     if scenario is not None:
         wording["reference"] = [float(x) for x in scenario.reference]
         wording["length_m"] = float(scenario.vessel.length_m)

@@ -8,10 +8,10 @@ import pandas as pd
 
 from dpbench.analysis.suites.study import SMALL_M
 from dpbench.analysis.times.solver_tables import (
-    experiment_table,
-    level_table,
-    pair_half_widths,
-    time_table,
+    compute_half_widths_of_pairs,
+    tabulate_best_times,
+    tabulate_experiment_verdicts,
+    tabulate_tolerance_levels,
 )
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts.embedded import draw_instructions
@@ -29,7 +29,7 @@ Charts = dict[str, Any]
 
 def _draw_deadline_charts(data: PageData) -> Charts:
     """Draw the chart of all solvers' step times against the deadline; none if not timed."""
-    timed = time_table(data)
+    timed = tabulate_best_times(data)
     if timed.empty:
         return {}
     return {
@@ -41,7 +41,9 @@ def _draw_deadline_charts(data: PageData) -> Charts:
 
 def _draw_verdict_grids(data: PageData) -> Charts:
     """Draw the grid of verdicts, wide and for narrow screens."""
-    tiles = select_tiles(experiment_table(data)).replace(inf, "inf")  # JSON has no infinity
+    tiles = select_tiles(tabulate_experiment_verdicts(data)).replace(
+        inf, "inf"
+    )  # JSON has no infinity
     if tiles.empty:
         return {}
     return {
@@ -60,11 +62,11 @@ MATRIX = (
 
 def _explain_verdict_grid(data: PageData) -> str:
     """Explain the chart of verdicts by scenario in text, and how many scenarios it leaves out."""
-    tiles = experiment_table(data)
+    tiles = tabulate_experiment_verdicts(data)
     tables = tiles, select_tiles(tiles)
     there, drawn = (table["experiment"].nunique() if len(table) else 0 for table in tables)
     wording = [MATRIX]
-    unscaled = [str(p) for p in data.judged_experiments if data.experiments[p].units == "si"]
+    unscaled = [str(p) for p in data.judged_experiment_indices if data.experiments[p].units == "si"]
     if unscaled:
         ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["verdict"].ne("not run")]
         requested = ran[ran["settings"] == "default"]
@@ -103,13 +105,13 @@ def _find_replayed_configurations(data: PageData) -> set[int]:
 
 def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
     """Pack, for each two configurations, the half-width of their log time ratio's interval."""
-    timed, widths = pair_half_widths(data)
+    timed, widths = compute_half_widths_of_pairs(data)
     return {"paired": {"c": timed, "reach": data.block.add_as_uint16_logs(widths)}}
 
 
 def _draw_accuracy(data: PageData) -> Charts:
     """Draw error against tolerance level, if several levels were run."""
-    points = level_table(data)
+    points = tabulate_tolerance_levels(data)
     return {} if points.empty else {"accuracy": draw_accuracy(points, data.requirements.error_move)}
 
 

@@ -28,7 +28,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpbench.analysis.records.thinned_runs import FORCES, ThinnedRun, Track, common_length_limit
+from dpbench.analysis.records.thinned_runs import (
+    FORCES,
+    ThinnedRun,
+    Track,
+    compute_common_length_limit,
+)
 from dpbench.arrays import Floats
 
 Kind = Literal["log", "linear", "count", "flag", "place"]
@@ -150,8 +155,8 @@ class Room:
     def from_run_lengths(cls, lengths: Sequence[int]) -> "Room":
         """Return the most steps and points to keep of each run, one limit for all runs."""
         more = max(0, len(lengths) - MANY_RUNS)
-        points = common_length_limit(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))
-        steps = common_length_limit(lengths, max(0, MOST_STEPS - STEPS_A_RUN * more))
+        points = compute_common_length_limit(lengths, max(0, MOST_POINTS - POINTS_A_RUN * more))
+        steps = compute_common_length_limit(lengths, max(0, MOST_STEPS - STEPS_A_RUN * more))
         return cls(steps, min(MOST_POINTS_EACH, points))
 
 

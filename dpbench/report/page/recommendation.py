@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from math import isnan
 from typing import Any
 
-from dpbench.analysis.times.contrasts import find_faster_inconclusive, paired_comparison
-from dpbench.analysis.times.machine import shortest_wait_ns
+from dpbench.analysis.times.contrasts import compare_paired_times, find_faster_inconclusive
+from dpbench.analysis.times.machine import find_shortest_wait_ns
 from dpbench.analysis.verdict.fastest import (
     SolverChoice,
     choose_solver,
-    fastest_configuration,
+    find_fastest_configuration,
     find_solver_record_or_none,
 )
-from dpbench.analysis.verdict.speed_margin import SlowStep, largest_stall_ns
+from dpbench.analysis.verdict.speed_margin import SlowStep, find_largest_stall_ns
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.cell import Configuration
 from dpbench.errors import InputError, format_allowed_names
@@ -90,7 +90,7 @@ class Recommendation:
             return verdict.refusal
         if verdict.state == "pass":
             return ""
-        return strip_markdown(describe_findings(verdict.causes or verdict.missing))
+        return strip_markdown(describe_findings(verdict.causes or verdict.findings_that_bar_pass))
 
 
 def build_recommendation(
@@ -104,7 +104,7 @@ def build_recommendation(
     """
     found = choose_solver(data.verdicts)
     chosen = found.chosen
-    known = [v.configuration for v in data.verdicts.all if v.state != "not run"]
+    known = [v.configuration for v in data.verdicts.all_verdicts if v.state != "not run"]
     first = chosen.configuration if chosen else known[0] if known else None
     other = found.faster or found.runner_up
     second = other.configuration if other else next((c for c in known if c != first), None)
@@ -113,7 +113,7 @@ def build_recommendation(
         if not own:
             solvers = format_allowed_names(baseline, list(dict.fromkeys(c.solver for c in known)))
             raise InputError("`baseline`", "", repr(baseline), f"a solver that was run, {solvers}")
-        fastest = fastest_configuration(data.verdicts, baseline)
+        fastest = find_fastest_configuration(data.verdicts, baseline)
         second = fastest.configuration if fastest else own[0]
     ship = summarise_ships(data.ships)
     return Recommendation(
@@ -195,7 +195,7 @@ def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
         yield "counted", counted
     elif slower := describe_speed_margin(data, chosen):
         yield "slower", slower
-    shortest_ns = shortest_wait_ns(data.records.calibration)
+    shortest_ns = find_shortest_wait_ns(data.records.calibration)
     if chosen.p50_ns < shortest_ns:
         p50, shortest = format_time(chosen.p50_ns), format_time(shortest_ns)
         yield "checked", f"Its p50, {p50}, is below the shortest wait checked, {shortest}."
@@ -204,7 +204,7 @@ def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
         yield "faster", f"{label} is faster, and is not the answer: {found.because}."
     yield from _yield_inconclusive_notes(data, found)
     if found.runner_up is not None:
-        beside = describe_paired_times(paired_comparison(data.records, chosen, found.runner_up))
+        beside = describe_paired_times(compare_paired_times(data.records, chosen, found.runner_up))
         label, time = found.runner_up.configuration.label, format_usual_time(found.runner_up)
         yield "next", f"Next: {label}, {time}, {beside}."
     for verdict in filter(None, (chosen, found.runner_up)):
@@ -238,17 +238,21 @@ def _yield_inconclusive_notes(data: PageData, found: SolverChoice) -> Iterator[t
 
 def describe_speed_margin(data: PageData, chosen: Verdict) -> str:
     """State how much slower a computer may be for a solver, and the steps that limit it."""
-    margin, requirements = data.margin(chosen.configuration), data.requirements
+    margin, requirements = data.get_speed_margin(chosen.configuration), data.requirements
     if margin is None:
         return ""
     parts = [
-        f"The computer may be up to × {format_rounded_down(margin.factor)} slower.",
+        "The computer may be up to × "
+        f"{format_rounded_down(margin.allowed_slowness_factor)} slower.",
         f"The p99 reaches {requirements.p99_ms:g} ms at × "
         f"{format_rounded_down(margin.p99_limit)}: it is {_describe_slow_step(margin.p99)}.",
         f"The hardest step takes the deadline of {requirements.deadline_ms:g} ms at × "
         f"{format_rounded_down(margin.deadline)}: it is {_describe_slow_step(margin.hardest)}.",
     ]
-    longest, arms_ns = data.longest_timing(chosen.configuration), largest_stall_ns(data.records)
+    longest, arms_ns = (
+        data.find_longest_timing(chosen.configuration),
+        find_largest_stall_ns(data.records),
+    )
     if longest is not None:
         experiment, run = longest
         arms = f", the largest stall of a calibration run {format_time(arms_ns)}" * (arms_ns > 0.0)
@@ -279,9 +283,9 @@ def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:
     """Make the badges of a solver's verdicts, one per scenario or replay, or counted."""
     if first is None:
         return []
-    c = data.index(first)
-    experiments = data.judged_experiments
-    states = [data.state(c, p) for p in experiments]
+    c = data.find_index(first)
+    experiments = data.judged_experiment_indices
+    states = [data.get_state_in_experiment(c, p) for p in experiments]
     counts = Counter(states)
     counted = {s for s in counts if len(states) > MOST_CHIPS and counts[s] > FEW}
     marks = {state: "none" if state == "not run" else state for state in states}
@@ -305,12 +309,14 @@ def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:
 
 def _describe_other_call_modes(data: PageData, chosen: Configuration, p: int) -> str:
     """State a solver's verdicts when called otherwise, if not run in the chosen way; or ""."""
-    if (data.index(chosen), p) in data.runs:
+    if (data.find_index(chosen), p) in data.runs:
         return ""
     modes: dict[str, list[str]] = {}
     for c, other in enumerate(data.configurations):
         if (other.solver, other.settings) == (chosen.solver, chosen.settings):
-            modes.setdefault(data.state(c, p), []).append(f"{other.route} {other.policy}")
+            modes.setdefault(data.get_state_in_experiment(c, p), []).append(
+                f"{other.route} {other.policy}"
+            )
     others = [
         f"{join_with_and(names)} {state}" for state, names in modes.items() if state != "not run"
     ]

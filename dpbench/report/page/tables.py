@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from dpbench.analysis.records.run_record import build_records
+from dpbench.analysis.records.run_record import build_run_records
 from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.page.data import PageData, convert_to_json_number
@@ -58,10 +58,14 @@ def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
         "solver": runs["solver"],
         "call mode": runs["route"] + " " + runs["policy"],
         "settings": runs["settings"],
-        "where": [replace(Experiment.of(run), slowdown=0.0).label for run in build_records(runs)],
+        "where": [
+            replace(Experiment.from_run(run), slowdown=0.0).label for run in build_run_records(runs)
+        ],
         "outcome": runs["outcome"],
         "verdict": [
-            "" if key is None or data.experiments[key[1]].study else data.state(*key)
+            ""
+            if key is None or data.experiments[key[1]].study
+            else data.get_state_in_experiment(*key)
             for key in keys
         ],
     }

@@ -123,7 +123,7 @@ def describe_experiments(data: PageData) -> dict[int, GlossaryEntry]:
             first[p] = run
     named = {
         p: _describe_scenario(data, data.experiments[p], first[p])
-        for p in data.judged_experiments[:MOST_EXPERIMENTS]
+        for p in data.judged_experiment_indices[:MOST_EXPERIMENTS]
     }
     return {
         p: GlossaryEntry(f"experiment-{p}", data.experiments[p].label, wording)
@@ -134,7 +134,7 @@ def describe_experiments(data: PageData) -> dict[int, GlossaryEntry]:
 
 def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -> str:
     """Describe the scenario of a closed loop or replay in plain text, for the page."""
-    scenario = data.scenario(run) if run.scenario else None
+    scenario = data.build_scenario_of_run(run) if run.scenario else None
     if scenario is None:
         return ""
     shows = re.split(r"(?<=\.)\s+(?=[A-Z])", scenario.shows.strip())[0]

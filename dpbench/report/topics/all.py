@@ -87,7 +87,9 @@ def _find_id_of_leading_topic(records: Records, topics: Sequence[str]) -> str:
         return ""
     if _is_all_in_mode(records, "replay"):
         return next((id for id in ("horizon", *_CONTRASTS) if id in topics), "")
-    ships = [run for run in records.all_runs if not run.has_topic and not run.slowdown > 0.0]
+    ships = [
+        run for run in records.all_runs if not run.is_outside_verdicts and not run.slowdown > 0.0
+    ]
     is_mostly_uncommon = 3 * (len(ships) - len(records.runs)) > len(ships)
     if "formulations" in topics and is_mostly_uncommon:
         return "formulations"

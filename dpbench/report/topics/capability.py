@@ -6,11 +6,11 @@ from math import isnan
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import CapabilityResult, capability_plots
+from dpbench.analysis.suites.capability import CapabilityResult, build_capability_results
 from dpbench.analysis.suites.consequence import (
     BatchAnswers,
     ConsequenceAnalysis,
-    consequence_analyses,
+    build_consequence_analyses,
 )
 from dpbench.report.capability_text import (
     describe_capability,
@@ -35,7 +35,7 @@ from dpbench.report.table import Table
 
 def build_capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:
     """Build the report's part on largest winds held by thrusters; None without such results."""
-    plots = [p for p in capability_plots(records, table) if len(p.edges) or p.answers]
+    plots = [p for p in build_capability_results(records, table) if len(p.edges) or p.answers]
     if not plots:
         return None
     return Topic(
@@ -53,8 +53,8 @@ def build_capability_topic(records: Records, table: pd.DataFrame | None) -> Topi
 
 def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
     """Name the solvers right on all QPs at the largest winds held, and those with untrue claims."""
-    right = sorted(a.solver for a in plot.answers if a.is_all_right)
-    qps = f"all {plural(plot.qps, 'QP')} at that edge"
+    right = sorted(a.solver for a in plot.answers if a.has_only_right_answers)
+    qps = f"all {plural(plot.qp_count, 'QP')} at that edge"
     names = f": {join_with_and(right)}" if right else ""
     verb = "answers" if len(right) == 1 else "answer"
     yield f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {qps} rightly{names}."
@@ -63,7 +63,7 @@ def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
         yield f"Untrue claims: {join_with_counts((a.solver, a.wrong) for a in wrong)}."
     else:
         yield "None makes an untrue claim."
-    if silent := [(a.solver, a.unanswered) for a in plot.answers if a.unanswered]:
+    if silent := [(a.solver, a.unanswered_count) for a in plot.answers if a.unanswered_count]:
         yield f"Without an answer, given up or out of time: {join_with_counts(silent)}."
 
 
@@ -85,14 +85,14 @@ def _draw_capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
             for a in plot.answers
             for answer, count in (
                 *((RIGHT_HELD, a.balanced), (RIGHT_NOT, a.refused)),
-                *((NOTHING, a.unanswered), (WRONG, a.wrong)),
+                *((NOTHING, a.unanswered_count), (WRONG, a.wrong)),
             )
         ]
         yield Figure(
             f"capability-answers-{plot.vessel}",
             draw_answer_shares(pd.DataFrame(rows, columns=list(ANSWERS)), "Answers at the edge"),
-            f"{plural(plot.qps, 'QP')}: the rows of the standard's table around each edge, and a "
-            "thousandth of the wind before and beyond it.",
+            f"{plural(plot.qp_count, 'QP')}: the rows of the standard's table around each edge, "
+            "and a thousandth of the wind before and beyond it.",
         )
 
 
@@ -102,16 +102,16 @@ MOST_ROWS = 8
 
 def build_consequence_topic(records: Records) -> Topic | None:
     """Build the report's part on whether thruster losses can be held; None without results."""
-    analyses = consequence_analyses(records)
+    analyses = build_consequence_analyses(records)
     if not analyses:
         return None
     tables = [
         (
             [
                 make_consequence_row(
-                    best, [a.is_all_right for a in analysis.answers if a.solver == solver]
+                    best, [a.has_only_right_answers for a in analysis.answers if a.solver == solver]
                 )
-                for solver, best in analysis.best.items()
+                for solver, best in analysis.best_answers_by_solver.items()
             ],
             analysis.name,
         )
@@ -143,9 +143,13 @@ def _draw_consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]
         draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
         f"Proven for the {describe_required_force(analysis)}: an optimum, or that there is none.",
     )
-    timed = [answers for answers in analysis.best.values() if not isnan(answers.largest)]
+    timed = [
+        answers
+        for answers in analysis.best_answers_by_solver.values()
+        if not isnan(answers.largest)
+    ]
     marks = [
-        {"name": a.name, "percent": 100.0 * a.largest, "right": a.is_all_right}
+        {"name": a.name, "percent": 100.0 * a.largest, "right": a.has_only_right_answers}
         for a in sorted(timed, key=lambda a: a.largest)
     ]
     if marks:
@@ -164,14 +168,14 @@ def _name_file_of_analysis(analysis: ConsequenceAnalysis) -> str:
 def _describe_consequences(analysis: ConsequenceAnalysis) -> str:
     """State which losses can be held, the solvers right on all QPs, the fastest, missed alarms."""
     answers = analysis.answers
-    right = [a for a in answers if a.is_all_right]
+    right = [a for a in answers if a.has_only_right_answers]
     head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs rightly"
     timed = [a for a in right if not isnan(a.largest)]
     if timed:
         best = min(timed, key=lambda a: a.largest)
         share, batch = format_sample_share(best.largest), plural(len(analysis.groups), "QP")
         head += f", the fastest {best.name} with at most {share} of the sample for its {batch}"
-    silent = join_with_counts((a.name, a.unanswered) for a in answers if a.unanswered)
+    silent = join_with_counts((a.name, a.unanswered_count) for a in answers if a.unanswered_count)
     unanswered = f"; QPs are left without an answer by {silent}" if silent else ""
     missed = join_with_counts((a.name, a.missed) for a in answers if a.missed)
     alarms = f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
@@ -188,6 +192,6 @@ def make_consequence_row(best: BatchAnswers, right: Sequence[bool]) -> dict[str,
         "not held": f"{best.refused} of {best.infeasible}",
         "missed alarms": str(best.missed),
         "other untrue claims": str(best.untrue - best.missed),
-        "no answer": str(best.unanswered),
+        "no answer": str(best.unanswered_count),
         "configurations all right": f"{sum(right)} of {len(right)}",
     }

@@ -39,7 +39,7 @@ def build_embedded_topic(results: EmbeddedResults, requirements: Requirements) -
 
 def _yield_table_rows(sequence: CountedSequence) -> Iterator[dict[str, str]]:
     """Yield a row of cells for each solver along a sequence."""
-    ranks = sequence.desk_ranks
+    ranks = sequence.desk_rank_by_solver
     for one in sequence.solvers:
         yield {
             "solver": one.solver,

@@ -10,9 +10,9 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.paper import (
     PAPER,
     State,
-    assess_claim,
-    find_paper_runs,
+    assess_paper_claim,
     is_paper_scenario,
+    read_laws_in_paper_scenario,
 )
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
 from dpbench.report.charts.ship import draw_forces, draw_increments, draw_path, draw_pose_errors
@@ -38,7 +38,7 @@ DRAWN = (
 
 def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
     """Build the report's part on the paper's figures and claims; None without its runs."""
-    laws, scenario = find_paper_runs(records), records.scenario(PAPER)
+    laws, scenario = read_laws_in_paper_scenario(records), records.build_scenario(PAPER)
     judged = judge_claims(records)
     measured = [claim for claim in judged if claim.state != "not measured"]
     if scenario is None or not laws or not measured:
@@ -127,7 +127,9 @@ class Claim:
 
 def judge_claims(records: Records) -> list[Claim]:
     """Judge all claims of the paper by the runs of a result folder, in the paper's order."""
-    requested = [(text, assess_claim(records, where, by)) for text, where, by in _WORDS["claims"]]
+    requested = [
+        (text, assess_paper_claim(records, where, by)) for text, where, by in _WORDS["claims"]
+    ]
     wording = _WORDS["found"]
     return [
         Claim(text, fill_template(wording[of.by], **of.values), of.state) for text, of in requested
@@ -136,7 +138,7 @@ def judge_claims(records: Records) -> list[Claim]:
 
 def list_choices(records: Records) -> list[tuple[str, str]]:
     """List what the paper leaves open, and the choice of the scenario `paper` in these records."""
-    scenario = records.scenario(PAPER)
+    scenario = records.build_scenario(PAPER)
     if scenario is None or not is_paper_scenario(records, PAPER):
         return []
     chosen = {

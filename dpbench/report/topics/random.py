@@ -15,19 +15,21 @@ def build_random_topic(records: Records) -> Topic | None:
     claims = RandomClaims(records)
     if not claims.runs:
         return None
-    by_solver = claims.tally_by("solver")
+    by_solver = claims.sum_tallies_by_columns("solver")
     table = pd.DataFrame(
         [
-            {"x": family, "y": solver, "count": tally.wrong}
-            for (solver, family), tally in claims.tally_by("solver", "family").items()
+            {"x": family, "y": solver, "count": tally.wrong_count}
+            for (solver, family), tally in claims.sum_tallies_by_columns("solver", "family").items()
         ]
     )
-    wrong = sorted((-tally.wrong, name) for (name,), tally in by_solver.items() if tally.wrong)
-    none = [name for (name,), tally in by_solver.items() if not tally.wrong]
+    wrong = sorted(
+        (-tally.wrong_count, name) for (name,), tally in by_solver.items() if tally.wrong_count
+    )
+    none = [name for (name,), tally in by_solver.items() if not tally.wrong_count]
     wording = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
     wording += [f"none by {join_with_and(none)}"] if none else []
     tallies = sorted(
-        by_solver.items(), key=lambda item: (-item[1].wrong, -item[1].nothing, item[0])
+        by_solver.items(), key=lambda item: (-item[1].wrong_count, -item[1].nothing, item[0])
     )
     steps = sum(tally.steps for tally in by_solver.values())
     rows = [
@@ -35,7 +37,7 @@ def build_random_topic(records: Records) -> Topic | None:
             "solver": name,
             "steps": str(tally.steps),
             "claimed and true": str(tally.right_claims + tally.right_refusals),
-            "false claims": str(tally.wrong),
+            "false claims": str(tally.wrong_count),
             "true, not claimed": str(tally.not_claimed),
             "no answer": str(tally.nothing),
             "never reached": str(tally.missed),

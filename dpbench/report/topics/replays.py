@@ -7,17 +7,21 @@ from math import isfinite
 import numpy as np
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import RunSteps
-from dpbench.analysis.statistics import Interval, paired_ratio
+from dpbench.analysis.statistics import Interval, estimate_paired_time_ratio
 from dpbench.analysis.times.contrasts import (
     compare_routes,
-    count_fastest_forms,
-    find_right_levels,
-    match_replays,
-    match_steps,
+    count_wins_of_formulations,
+    find_right_levels_by_solver,
+    match_times_by_step,
+    yield_matched_replays,
 )
-from dpbench.analysis.verdict.requirements import Requirements, is_right, is_right_to_the_end
+from dpbench.analysis.verdict.requirements import (
+    Requirements,
+    is_right_on_every_step,
+    is_right_to_the_end,
+)
 from dpbench.bench.judge.rules import median_of_known, percentile_or_nan
 from dpbench.bench.record.cell import sort_key_of_settings
 from dpbench.report.formats import (
@@ -73,13 +77,13 @@ def build_formulations_topic(records: Records, requirements: Requirements) -> To
     tables = _make_median_tables(
         records,
         requirements,
-        [run for run in records.all_runs if not run.has_topic],
+        [run for run in records.all_runs if not run.is_outside_verdicts],
         varied=lambda run: run.formulation,
         kept=lambda run: run.configuration.moved_to_common_formulation.label,
     )
     if not tables:
         return None
-    wins = count_fastest_forms(records, requirements)
+    wins = count_wins_of_formulations(records, requirements)
     counts = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
     wording = (
         "Fastest form with right answers, of "
@@ -110,7 +114,7 @@ def build_levels_topic(records: Records, requirements: Requirements) -> Topic | 
 
 def _describe_right_levels(records: Records, requirements: Requirements) -> str:
     """State with which tolerance levels each solver is right on every step."""
-    good = find_right_levels(records, requirements)
+    good = find_right_levels_by_solver(records, requirements)
     by_default = [name for name, levels in good.items() if "default" in levels]
     others = [
         f"{name} at {join_with_and(levels)}"
@@ -131,12 +135,12 @@ def build_race_topic(records: Records) -> Topic | None:
     if len(records.solvers) != 2:
         return None
     first, second = records.solvers
-    replays = list(match_replays(records, first, second))
+    replays = list(yield_matched_replays(records, first, second))
     if len({run.configuration.call_text for run, *_ in replays}) != 1:
         return None
     rows, wording = [], []
     for run, *both in replays:
-        ratio = paired_ratio(*match_steps(*both))
+        ratio = estimate_paired_time_ratio(*match_times_by_step(*both))
         options = run.configuration.call_text
         wording.append(f"{_format_ratio(ratio)} in {run.sequence} ({options})")
         p50 = [format_time(median_of_known(times.algo_ns)) for times in both]
@@ -159,13 +163,13 @@ def _make_median_tables(
     """Tabulate median step times, a table per QP sequence, with rows and columns by given keys."""
     replays = [run for run in runs if run.mode == "replay" and not run.is_baseline_law]
     tables = []
-    problems = group_by(replays, lambda run: (run.sequence, run.units))
+    problems = group_by_key(replays, lambda run: (run.sequence, run.units))
     for (sequence, units), of_problem in problems.items():
         columns = list(dict.fromkeys(varied(run) for run in of_problem))
         if len(columns) < 2:
             continue
         rows = []
-        for name, of_row in group_by(of_problem, kept).items():
+        for name, of_row in group_by_key(of_problem, kept).items():
             own = {varied(run): run for run in of_row}
             cells = (
                 _format_median_time(records, own.get(column), requirements) for column in columns
@@ -178,11 +182,11 @@ def _make_median_tables(
 
 def _format_median_time(records: Records, run: RunRecord | None, requirements: Requirements) -> str:
     """Format the median step time of a run, or why there is none."""
-    times = None if run is None else records.times(run)
+    times = None if run is None else records.get_step_times(run)
     if run is None or times is None:
         return MISSING if run is None else run.outcome.replace("_", " ")
     text = format_time(median_of_known(times.algo_ns))
-    return text if is_right(run, requirements) else f"{text} (not right)"
+    return text if is_right_on_every_step(run, requirements) else f"{text} (not right)"
 
 
 def build_worst_case_topic(records: Records) -> Topic | None:
@@ -192,7 +196,7 @@ def build_worst_case_topic(records: Records) -> Topic | None:
     if k is None:
         return None
     runs = {run.run_id: run for run in records.runs}
-    steps = records.run_steps(records.runs)
+    steps = records.yield_merged_and_raw_steps(records.runs)
     row_of = {run_id: _make_step_row(runs[run_id], of_run, k) for run_id, of_run, _ in steps}
     rows = [row for run_id in runs if (row := row_of.get(run_id)) is not None]
     if not rows:
@@ -234,9 +238,9 @@ def _make_step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] |
 
 def build_loops_topic(records: Records, requirements: Requirements) -> Topic | None:
     """Build the report's part on solvers in closed loop; None without such runs."""
-    loops = records.select(mode="closed_loop")
+    loops = records.select_runs(mode="closed_loop")
     steered = [run for run in loops if not run.is_baseline_law and run.outcome != "refused"]
-    by_name = group_by(steered, lambda run: run.configuration.moved_to_common_formulation.label)
+    by_name = group_by_key(steered, lambda run: run.configuration.moved_to_common_formulation.label)
     if not by_name:
         return None
     whole = {

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import is_numeric_dtype
 
-from dpbench.analysis.statistics import upper_bound_of_none
+from dpbench.analysis.statistics import bound_probability_after_no_event
 from dpbench.analysis.suites import study_pictures as pictures
 from dpbench.analysis.suites.study import (
     ALPHA,
@@ -21,9 +21,9 @@ from dpbench.analysis.suites.study import (
 from dpbench.analysis.suites.study_effects import (
     ERROR,
     STEP_TIME,
-    study_effects,
+    compute_study_effects,
 )
-from dpbench.analysis.verdict.verdict import outcome_cause
+from dpbench.analysis.verdict.verdict import explain_outcome
 from dpbench.report.charts.study import (
     draw_effects,
     draw_excess_errors,
@@ -61,7 +61,7 @@ def build_study_topic(known: Sequence[Study]) -> Topic | None:
 def _yield_study_sentences(study: Study) -> Iterator[str]:
     """Yield sentences on a study: larger errors, unfinished runs, runs within the radius."""
     runs, points = study.runs, len(study.points)
-    seas = plural(study.replicates, "realisation")
+    seas = plural(study.seas_per_point, "realisation")
     yield (
         f"{study.name}: {plural(len(runs), 'run')} at {plural(points, 'point')} in {seas}; "
         f"{_describe_larger_errors(study)}"
@@ -69,11 +69,11 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
     yield from _yield_unfinished_sentences(study)
     yield from _yield_disturbance_sentences(study)
     yield from _yield_failed_steps_sentences(study)
-    within = study.configurations[0].within
-    worst = min(study.configurations, key=lambda c: c.known_within)
+    within = study.results_by_cost[0].within
+    worst = min(study.results_by_cost, key=lambda c: c.share_within_radius)
     radius = f"within {study.radius_m:g} m in the second half of a run"
     yield (
-        f"With {study.reference} the ship stays {radius} in "
+        f"With {study.reference_name} the ship stays {radius} in "
         f"{_format_share_with_bound(within, study)} of them"
         + (
             f", with {worst.name} in {_format_share_with_bound(worst.within, study)}."
@@ -81,7 +81,7 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
             else ", as with all."
         )
     )
-    if study.loosest:
+    if study.loosest_cheap_by_solver:
         yield _describe_loosest_tolerances(study)
 
 
@@ -91,13 +91,13 @@ def _yield_unfinished_sentences(study: Study) -> Iterator[str]:
     stopped, refused = int(runs["stopped"].sum()), len(study.refused)
     unfinished = int((~runs["finished"]).sum()) - refused
     if refused:
-        counts = Counter(f"{run.name} ({outcome_cause(run)})" for run in study.refused)
+        counts = Counter(f"{run.solver_label} ({explain_outcome(run)})" for run in study.refused)
         yield (
             f"{study.name}: {refused} of {every} refused and not judged: "
             f"{name_counts(counts.most_common())}."
         )
     if stopped:
-        named = [(c.name, c.stopped) for c in study.configurations if c.stopped]
+        named = [(c.name, c.stopped) for c in study.results_by_cost if c.stopped]
         yield (
             f"{study.name}: {stopped} of {every} stopped at the time limit (cell_limit_s) and not "
             f"judged: {name_counts(named)}. They are in no share of runs within the radius."
@@ -137,17 +137,19 @@ def _yield_failed_steps_sentences(study: Study) -> Iterator[str]:
 
 def _describe_larger_errors(study: Study) -> str:
     """State which configurations have significantly larger errors than the reference."""
-    others = study.configurations[1:]
-    excess_m = {c.name: c.error_excess_m.mean.value for c in others if c.error_excess_m}
-    worse = sorted((c for c in others if c.has_larger_error), key=lambda c: -excess_m[c.name])
+    others = study.results_by_cost[1:]
+    excess_m = {c.name: c.error_excess_m.mean_interval.value for c in others if c.error_excess_m}
+    worse = sorted(
+        (c for c in others if c.has_larger_error_than_reference), key=lambda c: -excess_m[c.name]
+    )
     wording = [f"{c.name} by {significant(100.0 * excess_m[c.name], 2)} cm" for c in worse[:3]]
     unnamed = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
     if not worse:
-        return f"none is significantly behind {study.reference} in the same realisation."
+        return f"none is significantly behind {study.reference_name} in the same realisation."
     same = len(others) - len(worse)
     rest = f"; {same} {'is' if same == 1 else 'are'} not" if same else ""
     return (
-        f"significantly behind {study.reference} in the same realisation: {', '.join(wording)}"
+        f"significantly behind {study.reference_name} in the same realisation: {', '.join(wording)}"
         f"{unnamed}{rest}."
     )
 
@@ -156,7 +158,7 @@ def _format_share_with_bound(share: float, study: Study) -> str:
     """Format a share of seas in percent; at 0 % or 100 % with its 95 % bound; of no sea a dash."""
     if np.isnan(share):
         return MISSING
-    bound = 100 * upper_bound_of_none(study.realisations)
+    bound = 100 * bound_probability_after_no_event(study.sample_count)
     wording = f"{100 * share:.0f} %"
     if share in (0.0, 1.0):
         wording += f" (at {'least' if share else 'most'} {abs(100 * share - bound):.0f} %)"
@@ -165,8 +167,8 @@ def _format_share_with_bound(share: float, study: Study) -> str:
 
 def _describe_loosest_tolerances(study: Study) -> str:
     """State the loosest tolerance of each solver that costs no more than a small limit."""
-    cheap = {s: c for s, c in study.loosest.items() if c is not None}
-    none = [s for s, c in study.loosest.items() if c is None]
+    cheap = {s: c for s, c in study.loosest_cheap_by_solver.items() if c is not None}
+    none = [s for s, c in study.loosest_cheap_by_solver.items() if c is None]
     limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
     parts = [f"{solver} {c.tolerance:g}" for solver, c in cheap.items()]
     wording = (
@@ -181,7 +183,10 @@ def _describe_loosest_tolerances(study: Study) -> str:
 def _draw_study_figures(study: Study) -> Iterator[Figure]:
     """Yield charts of a study: share within the radius over its points, errors by realisation."""
     name = study.name.replace("@", "-").replace("/", "-")
-    maps, whole = pictures.within_maps(study), pictures.has_point_per_tile(study)
+    maps, whole = (
+        pictures.tabulate_shares_in_position(study),
+        pictures.has_few_enough_points_for_tiles(study),
+    )
     keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
     title = f"Within {study.radius_m:g} m, {study.name}"
     if len(keys) > 1:
@@ -195,10 +200,10 @@ def _draw_study_figures(study: Study) -> Iterator[Figure]:
         chart = draw_within_lines(maps, title, keys[0])
         yield Figure(f"study-within-{name}", chart, "Share of seas at each value.")
     yield from draw_effect_figures(study, name)
-    table, seas, seas_all = pictures.error_excess_by_sea(study)
+    table, seas, seas_all = pictures.tabulate_error_excess_by_sea(study)
     if len(table):
         chart = draw_excess_errors(
-            table, seas, f"Behind {study.reference}, {study.name}", 100 * SMALL_M
+            table, seas, f"Behind {study.reference_name}, {study.name}", 100 * SMALL_M
         )
         of = "" if len(seas) == seas_all else f", {len(seas)} of {seas_all} at even ranks"
         caption = (
@@ -210,8 +215,10 @@ def _draw_study_figures(study: Study) -> Iterator[Figure]:
 
 def _make_study_tables(study: Study) -> Iterator[Table]:
     """Yield the tables of a study: its configurations, its points, the effects of its factors."""
-    rows = [_make_configuration_row(configuration, study) for configuration in study.configurations]
-    title = f"{study.name}: against {study.reference} in the same realisation"
+    rows = [
+        _make_configuration_row(configuration, study) for configuration in study.results_by_cost
+    ]
+    title = f"{study.name}: against {study.reference_name} in the same realisation"
     note = (
         "Intervals hold at 95 % for each row alone and are conditional on the realisations that "
         "both finished. None is stated where fewer than half of the points have two. Shown: the "
@@ -250,13 +257,16 @@ def _make_configuration_row(configuration: StudiedConfiguration, study: Study) -
     }
     if behind_it is None:
         return row | {"shown": "", "seas for 1 cm": ""}
-    seas = str(behind_it.replicates_for(SMALL_M) or MISSING)
-    return row | {"shown": "yes" if configuration.differs else "no", "seas for 1 cm": seas}
+    seas = str(behind_it.count_seas_needed_for(SMALL_M) or MISSING)
+    return row | {
+        "shown": "yes" if configuration.differs_from_reference else "no",
+        "seas for 1 cm": seas,
+    }
 
 
 def _format_difference(difference: PairedDifference, scale: float) -> str:
     """Format a mean difference between configurations, times a scale, with its interval."""
-    mean = difference.mean
+    mean = difference.mean_interval
     if not np.isfinite(mean.low):
         return f"{significant(scale * mean.value, 2)} (no interval)"
     if difference.is_constant:
@@ -268,20 +278,20 @@ def _format_difference(difference: PairedDifference, scale: float) -> str:
 
 def draw_effect_figures(study: Study, name: str) -> Iterator[Figure]:
     """Draw what each factor changes in the step time and the radial error."""
-    names = [configuration.name for configuration in study.configurations][:MOST_DRAWN]
+    names = [configuration.name for configuration in study.results_by_cost][:MOST_DRAWN]
     rows = [
         {
             "measure": make_head_of_measure(effect.measure, study),
-            "effect": f"{_shorten_factor(effect.factor)}: {effect.levels}",
+            "effect": f"{_shorten_factor(effect.factor)}: {effect.levels_text}",
             "configuration": effect.configuration,
             **dict(zip(("value", "low", "high"), convert_effect_and_interval(effect), strict=True)),
         }
-        for effect in study_effects(study)
+        for effect in compute_study_effects(study)
         if effect.configuration in names and effect.measure in DRAWN
     ]
     table = pd.DataFrame(rows)
     if len(table) and np.isfinite(table["value"]).any():
-        left = len(study.configurations) - len(names)
+        left = len(study.results_by_cost) - len(names)
         caption = (
             "Change of each factor, with its 95 % interval where there is one; zero: no effect."
             + (f" {left} more configurations are in the table." if left > 0 else "")

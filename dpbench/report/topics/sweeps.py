@@ -6,14 +6,14 @@ from collections.abc import Sequence
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.slowdown import delayed_groups
+from dpbench.analysis.suites.slowdown import group_delayed_loops
 from dpbench.analysis.times.horizon_sweep import (
     Sweep,
     SweptConfiguration,
-    count_variables,
+    count_qp_variables,
     find_sweeps,
 )
-from dpbench.analysis.verdict.requirements import MARGIN, Requirements, cost_ratio
+from dpbench.analysis.verdict.requirements import MARGIN, Requirements, compute_cost_ratio
 from dpbench.report.charts.lines import draw_lines
 from dpbench.report.formats import MISSING, format_time, join_with_and, significant
 from dpbench.report.page.section import Figure, Topic
@@ -27,12 +27,12 @@ def build_horizon_topic(records: Records, requirements: Requirements) -> Topic |
     for sweep in all_sweeps:
         rows, points = [], []
         limit = f"{_name_judging_statistic(sweep)} within {requirements.p99_ms:g} ms"
-        for swept in sweep.best:
+        for swept in sweep.best_configurations:
             name = swept.configuration.label
-            growth = swept.growth
+            growth = swept.growth_exponent
             points += [
-                {"name": name, "x": count_variables(h), "y": p.median_ns / 1e3, "good": p.right}
-                for h, p in swept.timed.items()
+                {"name": name, "x": count_qp_variables(h), "y": p.median_ns / 1e3, "good": p.right}
+                for h, p in swept.timed_points.items()
             ]
             rows.append(
                 {
@@ -71,14 +71,14 @@ def _describe_longest_horizons(
     for sweep in all_sweeps:
         largest = {
             swept.configuration.label: fits
-            for swept in sweep.best
-            if (fits := sweep.longest_within(swept, requirements.p99_ns)) is not None
+            for swept in sweep.best_configurations
+            if (fits := sweep.find_longest_horizons_within(swept, requirements.p99_ns)) is not None
         }
         limit = f"with {_name_judging_statistic(sweep)} within {requirements.p99_ms:g} ms"
         if not largest:
             wording.append(f"In {sweep.name} no solver is right and {limit} at any horizon.")
             continue
-        longest = max(largest.values(), key=count_variables)
+        longest = max(largest.values(), key=count_qp_variables)
         who = [name for name, horizons in largest.items() if horizons == longest]
         some = (
             join_with_and(who) if len(who) <= 3 else f"{', '.join(who[:3])} and {len(who) - 3} more"
@@ -100,28 +100,28 @@ def _format_longest_horizons(sweep: Sweep, swept: SweptConfiguration, limit_ns: 
     """Format a solver's longest horizons within a time limit, with `?` if in doubt."""
     if sweep.has_p99 and not swept.has_p99:
         return MISSING
-    largest = sweep.longest_within(swept, limit_ns)
-    doubt = " ?" if sweep.has_p99 and not swept.is_settled(limit_ns) else ""
+    largest = sweep.find_longest_horizons_within(swept, limit_ns)
+    doubt = " ?" if sweep.has_p99 and not swept.has_certain_horizons_within(limit_ns) else ""
     if largest is None:
         return f"none{doubt}"
-    least = "≥ " if sweep.has_p99 and not swept.has_p99_beyond(largest) else ""
+    least = "≥ " if sweep.has_p99 and not swept.has_p99_at_longer_horizons(largest) else ""
     return f"{least}{largest[0]}/{largest[1]}{doubt}"
 
 
 def build_slowdown_topic(records: Records) -> Topic | None:
     """Build the report's part on simulated slower computers; None where none was simulated."""
     figures, tables, leads = [], [], []
-    for group in delayed_groups(records):
+    for group in group_delayed_loops(records):
         points = [
             {
                 "name": delayed.configuration.label,
                 "x": slow,
-                "y": cost_ratio(run),
-                "good": cost_ratio(run) <= 1.0 + MARGIN,
+                "y": compute_cost_ratio(run),
+                "good": compute_cost_ratio(run) <= 1.0 + MARGIN,
             }
             for delayed in group.configurations
             for slow, run in delayed.loops.items()
-            if math.isfinite(cost_ratio(run)) and cost_ratio(run) > 0
+            if math.isfinite(compute_cost_ratio(run)) and compute_cost_ratio(run) > 0
         ]
         if points:
             title = f"Cost of the loop on a slower computer, {group.scenario}"
@@ -135,7 +135,7 @@ def build_slowdown_topic(records: Records) -> Topic | None:
             figures.append(Figure(f"slowdown-{group.scenario}", chart, "Dashed: 10 % more cost."))
         rows = []
         for delayed in group.configurations:
-            survived = delayed.survived_slowdown
+            survived = delayed.largest_survived_slowdown
             latest_ns = max(
                 (run.latency_max_ns for run in delayed.loops.values()), default=math.nan
             )
@@ -143,8 +143,8 @@ def build_slowdown_topic(records: Records) -> Topic | None:
             row["survives ×"] = MISSING if math.isnan(survived) else f"{survived:g}"
             rows.append(row | {"latest answer": format_time(latest_ns)})
         tables.append(Table.from_rows(rows, group.scenario))
-        survivors = [c for c in group.configurations if c.survived_slowdown > 0]
-        best = [f"{c.configuration.label} × {c.survived_slowdown:g}" for c in survivors[:3]]
+        survivors = [c for c in group.configurations if c.largest_survived_slowdown > 0]
+        best = [f"{c.configuration.label} × {c.largest_survived_slowdown:g}" for c in survivors[:3]]
         named = ", ".join(best) if best else "no solver survives a slow-down"
         leads.append(f"Slower computers, {group.scenario}: {named}.")
     if not tables:

@@ -9,24 +9,24 @@ from collections.abc import Iterator, Sequence
 from math import isfinite
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.suites.consequence import (
     HELD,
-    answers_in_all,
-    consequence_analyses,
-    largest_share,
+    build_consequence_analyses,
+    find_largest_share_of_sample,
+    select_configurations_in_all_analyses,
 )
 from dpbench.analysis.verdict.fastest import choose_solver
 from dpbench.analysis.verdict.findings import MISSED
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
-from dpbench.analysis.verdict.speed_margin import SpeedMargin, speed_margins
+from dpbench.analysis.verdict.speed_margin import SpeedMargin, compute_speed_margins
 from dpbench.analysis.verdict.thruster_verdicts import (
     ThrusterVerdicts,
     compare_thrusters_with_forces,
-    is_about_thrusters,
-    largest_ratio,
-    late_losses,
-    thruster_control_loops,
+    find_largest_ratio_to_best,
+    is_mostly_thruster_control,
+    list_late_losses,
+    select_thruster_control_loops,
 )
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.report.formats import (
@@ -48,12 +48,12 @@ LIKE = 0.01
 
 def build_thrusters_topic(records: Records, requirements: Requirements) -> Topic | None:
     """Build the report's part on thruster power and wear by solver; None without such runs."""
-    found = thruster_control_loops(records, requirements)
+    found = select_thruster_control_loops(records, requirements)
     if not found.best:
         return None
     best, configurations = found.best, found.configurations
     lead = _describe_thruster_load(best, configurations, requirements)
-    if not is_about_thrusters(records):
+    if not is_mostly_thruster_control(records):
         # Where thrusters are one scenario among others, what they cost is not what is asked.
         return Topic("thrusters", "Thrusters", (lead,))
     rows = [
@@ -114,7 +114,7 @@ def _format_largest_ratio(
     runs: Sequence[RunRecord], best: dict[str, RunRecord], column: str
 ) -> str:
     """Format the largest ratio of a loop's metric, as wear, to that of the best loop."""
-    largest = largest_ratio(runs, best, column)
+    largest = find_largest_ratio_to_best(runs, best, column)
     if math.isnan(largest):
         return MISSING
     return "alike" if abs(largest - 1.0) < LIKE else f"× {significant(largest)}"
@@ -122,13 +122,13 @@ def _format_largest_ratio(
 
 def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     """Build the report's conclusions for an operator; None unless most loops command thrusters."""
-    if not is_about_thrusters(records):
+    if not is_mostly_thruster_control(records):
         return None
     requirements, chosen = verdicts.requirements, choose_solver(verdicts).chosen
     commanded = compare_thrusters_with_forces(records, requirements)
     if not commanded.with_thrusters:
         return None
-    margins = speed_margins(records, requirements)
+    margins = compute_speed_margins(records, requirements)
     margin = None if chosen is None else margins.get(chosen.configuration)
     first = [_describe_solver_to_use(chosen, margin), _compare_with_forces(commanded)]
     second = [
@@ -159,7 +159,10 @@ def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
     before = commanded.passing_with_forces
     if not before:
         return ""
-    missed, where = commanded.names(*MISSED), join_with_and(list(commanded.forces))
+    missed, where = (
+        commanded.list_solvers_with_state(*MISSED),
+        join_with_and(list(commanded.forces)),
+    )
     lost = [solver for solver in before if solver in missed]
     verb = "passes" if len(before) == 1 else "pass"
     head = f"Of {plural(len(before), 'solver')} that {verb} with three forces ({where})"
@@ -171,7 +174,7 @@ def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
 
 def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
     """List solvers as text, grouped by why they fail with thrusters."""
-    of_fault = group_by(solvers, lambda solver: commanded.faults[solver])
+    of_fault = group_by_key(solvers, lambda solver: commanded.faults[solver])
     return "; ".join(f"{join_with_and(names)}, {fault}" for fault, names in of_fault.items())
 
 
@@ -181,9 +184,9 @@ def _yield_offset_after_loss_sentences(
     """State how far from its reference the ship stays after thrusters are lost."""
     if chosen is None:
         return
-    for run in records.select(mode="closed_loop", units="scaled"):
+    for run in records.select_runs(mode="closed_loop", units="scaled"):
         lost, own = (
-            late_losses(run),
+            list_late_losses(run),
             run.configuration.moved_to_common_formulation == chosen.configuration,
         )
         if own and lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, requirements):
@@ -201,14 +204,14 @@ def _yield_offset_after_loss_sentences(
 
 def _compute_seconds_after_loss(run: RunRecord) -> float:
     """Return how long a closed loop runs after its first loss of thrusters [s]."""
-    scenario = (run.scenario_files or {})["scenario"]
+    scenario = (run.scenario_documents or {})["scenario"]
     at_s = min(fault["at_s"] for fault in scenario["faults"] if fault.get("lost"))
     return float(scenario["sample_s"] * run.steps_done - at_s)
 
 
 def _yield_consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator[str]:
     """State which further thruster losses could be held, and which solvers report so rightly."""
-    analyses = consequence_analyses(records)
+    analyses = build_consequence_analyses(records)
     if not analyses:
         return
     held_at_end = []
@@ -220,9 +223,9 @@ def _yield_consequence_sentences(records: Records, chosen: Verdict | None) -> It
         at_s = f"{last['to_s'].max():.0f} s"
         held_at_end.append(f"at {at_s} of {where} {count} of {len(last)} {losses} could be held")
     yield f"{', '.join(held_at_end).capitalize()}."
-    own = answers_in_all(analyses)
-    right = [name for name, of_it in own.items() if all(a.is_all_right for a in of_it)]
-    shares = {name: largest_share(own[name]) for name in right}
+    own = select_configurations_in_all_analyses(analyses)
+    right = [name for name, of_it in own.items() if all(a.has_only_right_answers for a in of_it)]
+    shares = {name: find_largest_share_of_sample(own[name]) for name in right}
     timed = {name: share for name, share in shares.items() if isfinite(share)}
     wording = ["no solver answers all of that correctly"]
     if timed:

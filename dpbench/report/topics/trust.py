@@ -8,12 +8,12 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.machine import (
-    calibration_medians,
-    delayed_runs,
-    round_spread,
-    shortest_wait_ns,
-    timed_runs,
-    total_disturbance,
+    compute_repetition_spread,
+    find_largest_median_by_test_solver,
+    find_shortest_wait_ns,
+    select_delayed_loops,
+    select_timed_replays,
+    sum_disturbances,
 )
 from dpbench.bench.judge.calibration import compute_excess_over_wait_ns, is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
@@ -37,7 +37,7 @@ COVERED = (
 
 def _describe_round_spread(records: Records) -> list[str]:
     """State by which ratio two step times must differ, within a run and between runs."""
-    usual, high = round_spread(records)
+    usual, high = compute_repetition_spread(records)
     if math.isnan(high):
         return []
     return [
@@ -86,16 +86,16 @@ def _describe_machine_load(disturbance: Disturbance, machine: Mapping[str, Any])
 
 def build_trust_topic(records: Records) -> Topic | None:
     """Build the report's part on how far its times can be trusted; None if nothing was timed."""
-    timed = timed_runs(records) or delayed_runs(records)
-    disturbance = total_disturbance(timed)
-    medians = calibration_medians(records.calibration)
+    timed = select_timed_replays(records) or select_delayed_loops(records)
+    disturbance = sum_disturbances(timed)
+    medians = find_largest_median_by_test_solver(records.calibration)
     waits = {name: p50_ns for name, p50_ns in medians.items() if name in WAITS_NS}
     if not disturbance.seconds > 0 and not waits:
         return None
     lines = _describe_round_spread(records)
     figures = []
     if waits:
-        lines.append(_describe_measured_waits(waits, shortest_wait_ns(records.calibration)))
+        lines.append(_describe_measured_waits(waits, find_shortest_wait_ns(records.calibration)))
         requested = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
         table = pd.DataFrame(requested, columns=["name", "x", "y"])
         chart = draw_dots(table, "Waits of known length", "requested [µs]", "p50 of timings [µs]")

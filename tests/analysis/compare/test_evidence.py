@@ -10,11 +10,11 @@ from dpbench.analysis.compare.evidence import (
     CONFIGURATION_NOISE,
     Evidence,
     Prior,
-    assess_ratios,
-    remove_machine_factor,
+    assess_time_ratios,
+    remove_factor_shared_by_group,
     remove_reference_factor,
 )
-from dpbench.analysis.statistics import adjust_holm
+from dpbench.analysis.statistics import adjust_p_values_by_holm
 
 FLAT = Prior(sd=0.01, df=6.0)
 """The prior of the simulations, whose noise is drawn with this standard deviation."""
@@ -35,7 +35,7 @@ def test_holm_rejects_what_the_step_down_procedure_rejects(p: list[float], alpha
         if values[index] > thresholds[i]:
             break
         wanted[index] = True
-    assert ((adjust_holm(values) <= alpha) == wanted).all()
+    assert ((adjust_p_values_by_holm(values) <= alpha) == wanted).all()
 
 
 def configurations(
@@ -57,7 +57,9 @@ def test_no_change_is_no_claim(count: int) -> None:
     for _ in range(300):
         logs, own = configurations(rng, count, FLAT.sd)
         logs = logs - (np.log(1.3) if count < 4 else 0.0)
-        found = assess_ratios(remove_machine_factor(logs, own, ["paper"] * count, FLAT), 0.05, 0.05)
+        found = assess_time_ratios(
+            remove_factor_shared_by_group(logs, own, ["paper"] * count, FLAT), 0.05, 0.05
+        )
         false += any(one.verdict in ("slower", "faster") for one in found)
     assert false <= stats.binom.ppf(0.999, 300, 0.05)
 
@@ -74,7 +76,7 @@ def test_a_change_at_the_margin_is_the_hardest_no_claim() -> None:
     known = np.full(6, 0.01), np.full(6, 1e6)
     for _ in range(400):
         effect = at + 0.01 * rng.standard_normal(6)
-        found = assess_ratios(Evidence(effect, np.zeros(6), *known), 0.05, 0.05)
+        found = assess_time_ratios(Evidence(effect, np.zeros(6), *known), 0.05, 0.05)
         false += any(one.verdict in ("slower", "faster") for one in found)
     assert stats.binom.ppf(0.001, 400, 0.025) <= false <= stats.binom.ppf(0.999, 400, 0.05)
 
@@ -86,7 +88,7 @@ def test_equivalence_at_the_margin_is_not_claimed() -> None:
     for _ in range(400):
         effect = at + 0.01 * rng.standard_normal(6)
         known = Evidence(effect, np.zeros(6), np.full(6, 0.01), np.full(6, 1e6))
-        false += any(one.verdict == "equivalent" for one in assess_ratios(known, 0.05, 0.05))
+        false += any(one.verdict == "equivalent" for one in assess_time_ratios(known, 0.05, 0.05))
     assert false <= stats.binom.ppf(0.999, 400, 0.05)
 
 
@@ -101,7 +103,9 @@ def test_a_planted_change_is_found_and_no_other_configuration_pays_for_it() -> N
     for _ in range(200):
         logs, own = configurations(rng, 12, FLAT.sd)
         logs[4] += np.log(1.15)
-        found = assess_ratios(remove_machine_factor(logs, own, ["paper"] * 12, FLAT), 0.05, 0.05)
+        found = assess_time_ratios(
+            remove_factor_shared_by_group(logs, own, ["paper"] * 12, FLAT), 0.05, 0.05
+        )
         hit += found[4].verdict == "slower"
         false += any(one.verdict in ("slower", "faster") for one in found[:4] + found[5:])
     assert hit >= 190
@@ -117,9 +121,9 @@ def test_a_noisy_machine_is_noticed() -> None:
         logs, own = configurations(rng, 12, 0.08)
         logs[0] += np.log(1.15)
         hit += (
-            assess_ratios(remove_machine_factor(logs, own, ["paper"] * 12, FLAT), 0.05, 0.05)[
-                0
-            ].verdict
+            assess_time_ratios(
+                remove_factor_shared_by_group(logs, own, ["paper"] * 12, FLAT), 0.05, 0.05
+            )[0].verdict
             == "slower"
         )
     assert hit <= 30
@@ -129,7 +133,7 @@ def test_the_machine_factor_is_that_of_the_sequence_and_never_the_configurations
     """Two sequences with machine factors 1.2 and 0.9; each configuration is judged by its
     neighbours."""
     logs = np.log(np.array([1.2, 1.2, 1.2, 1.2, 0.9, 0.9, 0.9, 1.8]))
-    found = remove_machine_factor(
+    found = remove_factor_shared_by_group(
         logs, np.zeros(8), ["paper"] * 4 + ["rough"] * 4, CONFIGURATION_NOISE
     )
     assert np.exp(found.machine) == pytest.approx([1.2] * 4 + [0.9] * 4)
@@ -138,9 +142,11 @@ def test_the_machine_factor_is_that_of_the_sequence_and_never_the_configurations
 
 def test_the_error_inside_the_runs_counts() -> None:
     logs = np.array([0.0, 0.0, 0.0, 0.0, np.log(1.3)])
-    quiet = assess_ratios(remove_machine_factor(logs, np.zeros(5), ["paper"] * 5), 0.05, 0.05)
+    quiet = assess_time_ratios(
+        remove_factor_shared_by_group(logs, np.zeros(5), ["paper"] * 5), 0.05, 0.05
+    )
     own = np.array([0.0, 0.0, 0.0, 0.0, 0.2])
-    loud = assess_ratios(remove_machine_factor(logs, own, ["paper"] * 5), 0.05, 0.05)
+    loud = assess_time_ratios(remove_factor_shared_by_group(logs, own, ["paper"] * 5), 0.05, 0.05)
     assert (quiet[4].verdict, loud[4].verdict) == ("slower", "no difference shown")
 
 
@@ -155,8 +161,8 @@ def test_the_error_inside_the_runs_counts_once() -> None:
     for _ in range(200):
         logs = 0.02 * rng.standard_normal(12)
         logs[4] += np.log(1.15)
-        found = assess_ratios(
-            remove_machine_factor(logs, np.full(12, 0.02), ["paper"] * 12, FLAT), 0.05, 0.05
+        found = assess_time_ratios(
+            remove_factor_shared_by_group(logs, np.full(12, 0.02), ["paper"] * 12, FLAT), 0.05, 0.05
         )
         hit += found[4].verdict == "slower"
         false += any(one.verdict in ("slower", "faster") for one in found[:4] + found[5:])
@@ -168,8 +174,8 @@ def test_a_machine_that_nothing_tells_leaves_no_verdict() -> None:
     """Two configurations, no kernel that stands for the machine: any ratio may be the machine's."""
     unknown = np.full(2, np.nan)
     logs = np.log([3.0, 1.0])
-    found = assess_ratios(
-        remove_machine_factor(logs, np.zeros(2), ["paper"] * 2, kernel=unknown), 0.05, 0.05
+    found = assess_time_ratios(
+        remove_factor_shared_by_group(logs, np.zeros(2), ["paper"] * 2, kernel=unknown), 0.05, 0.05
     )
     assert [one.verdict for one in found] == ["no difference shown"] * 2
     assert [(one.ratio.low, one.ratio.high) for one in found] == [(0.0, np.inf)] * 2
@@ -186,7 +192,7 @@ def test_false_claims_against_a_reference_are_rare() -> None:
         logs = 0.4 + 0.1 * rng.standard_normal(10)
         logs[9] += np.log(3.0)
         evidence = remove_reference_factor(logs, np.full(10, 0.01), groups, rows)
-        verdicts = [one.verdict for one in assess_ratios(evidence, 0.05, 0.05)]
+        verdicts = [one.verdict for one in assess_time_ratios(evidence, 0.05, 0.05)]
         false += any(verdict in ("slower", "faster") for verdict in verdicts[1:9])
         missed += verdicts[9] != "slower"
     assert false <= 0.05 * 400
@@ -197,4 +203,6 @@ def test_without_a_reference_nothing_is_known() -> None:
     logs = np.log([1.0, 9.0, 9.0])
     evidence = remove_reference_factor(logs, np.zeros(3), ["a", "a", "b"], np.array([0, 0, -1]))
     assert evidence.effect[:2] == pytest.approx([0.0, np.log(9.0)])
-    assert [one.verdict for one in assess_ratios(evidence, 0.05, 0.05)][2] == "no difference shown"
+    assert [one.verdict for one in assess_time_ratios(evidence, 0.05, 0.05)][
+        2
+    ] == "no difference shown"

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import Count, RunRecord, build_records
+from dpbench.analysis.records.run_record import Count, RunRecord, build_run_records
 from dpbench.bench.judge.rules import mask_counted_rows
 from dpbench.bench.record.cell import Configuration
 from dpbench.bench.record.result_folder import Results
@@ -31,7 +31,7 @@ DERIVED = [
 
 
 def _record(**columns: Any) -> RunRecord:
-    (record,) = build_records(convert_to_run_columns(pd.DataFrame([columns])))
+    (record,) = build_run_records(convert_to_run_columns(pd.DataFrame([columns])))
     return record
 
 
@@ -60,7 +60,7 @@ def test_a_random_sequence_has_the_family_it_was_drawn_of() -> None:
     record = _record(cell=json.dumps({"source": {"kind": "random", "recipe": recipe}}))
     assert record.family == "plain"
     recorded = _record(cell=json.dumps({"source": {"kind": "recorded", "name": "x"}}))
-    assert (recorded.family, recorded.scenario_files) == ("", None)
+    assert (recorded.family, recorded.scenario_documents) == ("", None)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_a_configuration_is_called_by_its_options(
     plain = {"policy": "fresh", "settings": "default", "units": "scaled"}
     plain |= {"solver": "osqp", "route": "native", "formulation": "condensed_box"}
     record = _record(**(plain | columns))
-    assert (record.configuration.label, record.name) == (label, name)
+    assert (record.configuration.label, record.solver_label) == (label, name)
 
 
 def test_an_alias_makes_no_other_configuration() -> None:
@@ -116,9 +116,9 @@ def _spoil(records: Any, rounds: list[int]) -> Records:
 def test_algorithmic_time_is_the_minimum_over_rounds(records: Any) -> None:
     records.replay("daqp", steps=100, rounds=3)
     view = records.view()
-    steps = view.steps(view.runs[0])
+    steps = view.read_step_table(view.runs[0])
     pivot = steps[~steps["warmup"]].pivot(index="k", columns="repeat", values="total_ns")
-    times = view.times(view.runs[0])
+    times = view.get_step_times(view.runs[0])
     np.testing.assert_array_equal(times.algo_ns, pivot.min(axis=1).astype(float))
     assert times.raw_max_ns == pivot.max().max()
 
@@ -127,7 +127,7 @@ def test_disturbed_rounds_do_not_count(records: Any) -> None:
     records.replay("daqp", steps=100, rounds=3)
     for disturbed, counting in (([1], [2, 3]), ([1, 2, 3], [1, 2, 3])):
         view = _spoil(records, disturbed)
-        steps, times = view.steps(view.runs[0]), view.times(view.runs[0])
+        steps, times = view.read_step_table(view.runs[0]), view.get_step_times(view.runs[0])
         least = steps[steps["repeat"].isin(counting)].groupby("k")["total_ns"].min()
         np.testing.assert_array_equal(times.algo_ns, least.astype(float))
 
@@ -135,11 +135,11 @@ def test_disturbed_rounds_do_not_count(records: Any) -> None:
 def test_a_run_without_counting_rounds_has_no_time(records: Any) -> None:
     records.replay("daqp", steps=100, rounds=0)
     view = records.view()
-    assert view.times(view.runs[0]) is None
+    assert view.get_step_times(view.runs[0]) is None
 
 
 def test_the_scenario_comes_from_the_rows(records: Any) -> None:
     records.loop("daqp")
-    scenario = records.view().scenario("paper")
+    scenario = records.view().build_scenario("paper")
     np.testing.assert_allclose(scenario.problem.du_max, [32736.0, 11008.0, 475200.0], rtol=1e-12)
-    assert records.view().scenario("rough") is None
+    assert records.view().build_scenario("rough") is None

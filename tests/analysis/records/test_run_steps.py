@@ -10,9 +10,9 @@ from dpbench.analysis.records.run_steps import (
     MEASURES,
     Measure,
     RunSteps,
-    counting_rows,
+    extract_counting_rows,
     find_hardest_steps,
-    run_steps,
+    yield_merged_steps_by_run,
 )
 from dpbench.bench.record.schema import convert_to_step_columns
 
@@ -27,7 +27,7 @@ def _several(records: Any) -> pd.DataFrame:
 
 
 def _by_run(steps: pd.DataFrame) -> dict[str, RunSteps]:
-    return dict(run_steps(counting_rows(steps)))
+    return dict(yield_merged_steps_by_run(extract_counting_rows(steps)))
 
 
 def _floats(column: Any) -> Any:
@@ -36,7 +36,7 @@ def _floats(column: Any) -> Any:
 
 def test_every_run_with_a_counting_step_is_there_once(records: Any) -> None:
     steps = _several(records)
-    found = [name for name, _ in run_steps(counting_rows(steps))]
+    found = [name for name, _ in yield_merged_steps_by_run(extract_counting_rows(steps))]
     assert found == ["run0000", "run0001", "run0002"]
 
 
@@ -91,7 +91,7 @@ def test_planted_hard_steps_are_found_hardest_first(records: Any, measure: Measu
     (run,) = _by_run(convert_to_step_columns(steps)).values()
     found = find_hardest_steps(run, measure)
     assert len(found) == 5
-    values = run.values(measure)[found].tolist()
+    values = run.get_values_of_measure(measure)[found].tolist()
     assert run.k[found[:2]].tolist() == list(planted)
     assert values[:2] == [float(v) for v in planted.values()]
     assert values == sorted(values, reverse=True)

@@ -7,7 +7,11 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import Answers, capability_plots, count_answers
+from dpbench.analysis.suites.capability import (
+    Answers,
+    build_capability_results,
+    count_answers_by_run,
+)
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
 from dpbench.report.topics.capability import build_capability_topic
@@ -41,7 +45,7 @@ def results_of(records: Any, said: dict[str, list[dict[str, Any]]]) -> Results:
 def asked(results: Results) -> list[Answers]:
     """The answers of all runs."""
     records = Records(results)
-    return count_answers(records, records.runs)
+    return count_answers_by_run(records, records.runs)
 
 
 def test_claims_are_held_against_certificates(records: Any) -> None:
@@ -56,7 +60,7 @@ def test_claims_are_held_against_certificates(records: Any) -> None:
     )
     answers = asked(results)
     assert [a.solver for a in answers] == ["quadprog", "daqp", "osqp"]
-    counts = {a.solver: (a.balanced, a.refused, a.wrong, a.right) for a in answers}
+    counts = {a.solver: (a.balanced, a.refused, a.wrong, a.right_count) for a in answers}
     assert counts == {"quadprog": (2, 2, 0, 4), "daqp": (2, 0, 0, 2), "osqp": (1, 1, 2, 2)}
     assert {(a.asked, a.feasible, a.infeasible) for a in answers} == {(4, 2, 2)}
     assert (answers[0].p50_ns, answers[0].max_ns) == (2500.0, 4000.0)
@@ -101,10 +105,10 @@ def plot_table() -> pd.DataFrame:
 
 def test_an_untrue_claim_is_found_on_the_plot(records: Any) -> None:
     """From 90°, by one solver; the other is right everywhere."""
-    (plot,) = capability_plots(edge_runs(records), plot_table())
+    (plot,) = build_capability_results(edge_runs(records), plot_table())
     assert plot.edges["untrue"].tolist() == [0, 1]
     assert plot.edges["wind_mps"].tolist() == [20.0, 12.0]
-    assert {a.solver: (a.right, a.wrong, a.unanswered) for a in plot.answers} == {
+    assert {a.solver: (a.right_count, a.wrong, a.unanswered_count) for a in plot.answers} == {
         "quadprog": (4, 0, 0),
         "osqp": (2, 1, 1),
     }
@@ -119,10 +123,10 @@ def test_the_notation_is_that_of_the_plot_and_none_of_a_plot_with_gaps(records: 
     ]
     table = pd.DataFrame(rows, columns=["case", "from_deg", "number"])
     table = table.assign(k=range(72), sequence="plot", vessel="osv", sides=8, lost="", edge_mps=9.0)
-    (plot,) = capability_plots(records.view(), table)
-    assert plot.notation == "DP capability-L1(8, 3, 3, 3)"
-    (gaps,) = capability_plots(records.view(), table[table["from_deg"] > 0])
-    assert gaps.notation == ""
+    (plot,) = build_capability_results(records.view(), table)
+    assert plot.capability_numbers_text == "DP capability-L1(8, 3, 3, 3)"
+    (gaps,) = build_capability_results(records.view(), table[table["from_deg"] > 0])
+    assert gaps.capability_numbers_text == ""
 
 
 def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:

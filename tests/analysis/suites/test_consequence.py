@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN, consequence_analyses
+from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN, build_consequence_analyses
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_step_columns
 from dpbench.report.capability_text import describe_consequence_solver, describe_unanswered_qps
@@ -86,7 +86,7 @@ def storm(records: Any) -> Records:
 
 
 def test_each_qp_counts_once_by_its_worst_round(storm: Records) -> None:
-    (analysis,) = consequence_analyses(storm)
+    (analysis,) = build_consequence_analyses(storm)
     assert (analysis.name, analysis.groups) == ("thrusters_loss[2:6]", ("board A", "board B"))
     found = {a.solver: a for a in analysis.answers}
     assert list(found) == ["quadprog", "daqp", "osqp"]
@@ -99,12 +99,12 @@ def test_each_qp_counts_once_by_its_worst_round(storm: Records) -> None:
         "daqp": (8, 6, 1, 6, 1, 0, 0),
         "osqp": (8, 6, 2, 4, 0, 1, 3),
     }
-    assert [a.is_all_right for a in analysis.answers] == [True, False, False]
+    assert [a.has_only_right_answers for a in analysis.answers] == [True, False, False]
 
 
 def test_a_batch_takes_what_its_groups_take_together(storm: Records) -> None:
     """At the fourth sample 4 µs a group, of 0.3 s; four samples have no p99, a gap no time."""
-    (analysis,) = consequence_analyses(storm)
+    (analysis,) = build_consequence_analyses(storm)
     found = {a.solver: a for a in analysis.answers}
     assert found["quadprog"].largest == pytest.approx(8e-6 / 0.3)
     assert pd.isna(found["quadprog"].p99) and pd.isna(found["daqp"].largest)
@@ -112,7 +112,7 @@ def test_a_batch_takes_what_its_groups_take_together(storm: Records) -> None:
 
 def test_spans_join_what_is_proven_alike(storm: Records) -> None:
     """Board A throughout, board B until 0.6 s."""
-    (analysis,) = consequence_analyses(storm)
+    (analysis,) = build_consequence_analyses(storm)
     spans = [tuple(row) for row in analysis.spans.round(9).itertuples(index=False)]
     wanted = [("board A", 0.0, 1.2, HELD), ("board B", 0.0, 0.6, HELD), ("board B", 0.6, 1.2, LOST)]
     assert spans == wanted
@@ -156,8 +156,8 @@ def test_it_says_nothing_of_what_steers_the_ship(records: Any, storm: Records) -
     assert not storm.runs and len(storm.consequence) == 6
     records.replay("daqp")
     assert [run.sequence for run in records.view().runs] == ["paper"]
-    assert {run.lost_group for run in records.view().runs} == {""}
-    assert UNKNOWN not in set(consequence_analyses(storm)[0].spans["state"])
+    assert {run.lost_thruster_group for run in records.view().runs} == {""}
+    assert UNKNOWN not in set(build_consequence_analyses(storm)[0].spans["state"])
 
 
 def test_a_solver_that_leaves_qps_unanswered_is_named(storm: Records) -> None:

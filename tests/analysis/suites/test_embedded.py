@@ -17,11 +17,11 @@ def test_the_desk_is_timed_on_the_counted_steps_alone(records: MadeRecords) -> N
     """The steps from 50 on are a hundred times as slow, and not among those counted."""
     slow = dict.fromkeys(range(50, 1000), 100.0)
     records.replay("daqp", median_us=10.0, spread=1e-9, slow=slow, **NATIVE)
-    (found,) = EmbeddedResults.of(
+    (found,) = EmbeddedResults.from_counted_steps(
         records.view(), make_counts("daqp", [1000] * 50, "paper[0:50]")
     ).sequences
     assert found.solvers[0].desk_p99_ns == pytest.approx(10e3, rel=1e-3)
-    (later,) = EmbeddedResults.of(
+    (later,) = EmbeddedResults.from_counted_steps(
         records.view(), make_counts("daqp", [1000] * 50, "paper[60:110]")
     ).sequences
     assert later.solvers[0].desk_p99_ns == pytest.approx(1e6, rel=1e-3)
@@ -30,7 +30,9 @@ def test_the_desk_is_timed_on_the_counted_steps_alone(records: MadeRecords) -> N
 def test_a_warm_start_comes_before_a_kept_workspace(records: MadeRecords) -> None:
     for policy, median_us in (("reuse", 5.0), ("warm", 20.0)):
         records.replay("daqp", median_us=median_us, spread=1e-9, route="native", policy=policy)
-    (found,) = EmbeddedResults.of(records.view(), make_counts("daqp", [1000] * 200)).sequences
+    (found,) = EmbeddedResults.from_counted_steps(
+        records.view(), make_counts("daqp", [1000] * 200)
+    ).sequences
     assert found.solvers[0].desk_p99_ns == pytest.approx(20e3, rel=1e-3)
 
 
@@ -41,9 +43,9 @@ def test_without_a_replay_of_these_steps_there_is_no_time(
     records.replay("daqp", **NATIVE)
     steps = 1001 if sequence.endswith("1001]") else 200
     counts = make_counts("daqp", [1000] * steps, sequence)
-    (found,) = EmbeddedResults.of(records.view(), counts).sequences
+    (found,) = EmbeddedResults.from_counted_steps(records.view(), counts).sequences
     assert isnan(found.solvers[0].desk_p99_ns)
-    assert found.desk_ranks == {}
+    assert found.desk_rank_by_solver == {}
 
 
 def test_desk_and_counts_disagree_where_both_differ_enough(records: MadeRecords) -> None:
@@ -58,10 +60,10 @@ def test_desk_and_counts_disagree_where_both_differ_enough(records: MadeRecords)
             make_counts("paper_active_set", [900] * 200),
         ]
     )
-    (found,) = EmbeddedResults.of(records.view(), counts).sequences
+    (found,) = EmbeddedResults.from_counted_steps(records.view(), counts).sequences
     assert [one.solver for one in found.solvers] == ["paper_active_set", "daqp", "quadprog"]
-    assert found.desk_ranks == {"quadprog": 1, "paper_active_set": 2, "daqp": 3}
-    pairs = found.find_disagreements(1e-2)
+    assert found.desk_rank_by_solver == {"quadprog": 1, "paper_active_set": 2, "daqp": 3}
+    pairs = found.find_pairs_ranked_otherwise(1e-2)
     assert [(few.solver, many.solver) for few, many in pairs] == [("daqp", "quadprog")]
 
 
@@ -70,9 +72,9 @@ def test_a_solver_beyond_the_required_error_is_not_ranked(records: MadeRecords) 
     records.replay("osqp", median_us=10.0, **NATIVE)
     loose = make_counts("osqp", [2000] * 200, error=0.5)
     counts = pd.concat([make_counts("daqp", [1000] * 200), loose])
-    (found,) = EmbeddedResults.of(records.view(), counts).sequences
-    assert found.find_disagreements(1e-2) == []
-    assert len(found.find_disagreements(1.0)) == 1
+    (found,) = EmbeddedResults.from_counted_steps(records.view(), counts).sequences
+    assert found.find_pairs_ranked_otherwise(1e-2) == []
+    assert len(found.find_pairs_ranked_otherwise(1.0)) == 1
 
 
 def test_the_largest_step_of_a_solver_is_found_over_all_sequences(records: MadeRecords) -> None:
@@ -84,8 +86,8 @@ def test_the_largest_step_of_a_solver_is_found_over_all_sequences(records: MadeR
             make_counts("daqp", peak.tolist(), "rough[900:1100]"),
         ]
     )
-    results = EmbeddedResults.of(records.view(), counts)
-    largest = results.find_largest("daqp")
+    results = EmbeddedResults.from_counted_steps(records.view(), counts)
+    largest = results.find_largest_count_of_solver("daqp")
     assert largest is not None
     assert (largest[0].sequence, largest[1].worst, largest[1].k) == ("rough[900:1100]", 5000, 17)
-    assert results.find_largest("osqp") is None
+    assert results.find_largest_count_of_solver("osqp") is None

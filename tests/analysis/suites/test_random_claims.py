@@ -61,11 +61,11 @@ def test_each_step_counts_as_what_it_is(records: Any) -> None:
         steps_planned=20,
         steps_done=14,
     )
-    tally = RandomClaims(view).tally_by("solver")[("osqp",)]
+    tally = RandomClaims(view).sum_tallies_by_columns("solver")[("osqp",)]
     assert (tally.steps, tally.missed, tally.false_claims) == (11, 6, 5)
     assert (tally.right_claims, tally.not_claimed, tally.nothing) == (2, 1, 1)
     assert (tally.right_refusals, tally.wrong_refusals) == (1, 1)
-    assert tally.wrong == 6
+    assert tally.wrong_count == 6
 
 
 def test_settings_without_effect_are_counted_once(records: Any) -> None:
@@ -85,7 +85,7 @@ def test_settings_without_effect_are_counted_once(records: Any) -> None:
     )
     found = {
         configuration: tally.false_claims
-        for configuration, tally in claims.tally_by("policy", "settings").items()
+        for configuration, tally in claims.sum_tallies_by_columns("policy", "settings").items()
     }
     assert found == {("fresh", "default, high"): 1, ("warm", "default"): 1, ("warm", "high"): 1}
 

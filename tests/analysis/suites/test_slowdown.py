@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.suites.slowdown import DelayedGroup, delayed_groups
-from dpbench.analysis.verdict.requirements import Requirements, cost_ratio
+from dpbench.analysis.suites.slowdown import DelayedGroup, group_delayed_loops
+from dpbench.analysis.verdict.requirements import Requirements, compute_cost_ratio
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.topics.capability import build_consequence_topic
 from dpbench.report.topics.random import build_random_topic
@@ -39,7 +39,7 @@ def fill(records: Any) -> None:
 
 def group_of(records: Any) -> DelayedGroup:
     """The only group of the records."""
-    (group,) = delayed_groups(records.view())
+    (group,) = group_delayed_loops(records.view())
     return group
 
 
@@ -47,7 +47,7 @@ def test_survival_ends_at_the_first_loop_that_costs_more(records: Any) -> None:
     """109.9 is within 10 % of 100, 111 is not; what comes after a lost loop does not count."""
     fill(records)
     survives = {
-        configuration.configuration.solver: configuration.survived_slowdown
+        configuration.configuration.solver: configuration.largest_survived_slowdown
         for configuration in group_of(records).configurations
     }
     assert (survives["daqp"], survives["hildreth"]) == (1000.0, 1.0)
@@ -58,9 +58,11 @@ def test_a_violated_limit_or_an_early_end_is_no_survival(records: Any) -> None:
     slow(records, "daqp", 1, 100.0, limit_violations=1)
     slow(records, "osqp", 1, 100.0, done=119, outcome="timed_out")
     configurations = group_of(records).configurations
-    assert all(math.isnan(configuration.survived_slowdown) for configuration in configurations)
+    assert all(
+        math.isnan(configuration.largest_survived_slowdown) for configuration in configurations
+    )
     ratios = {
-        configuration.configuration.solver: cost_ratio(configuration.loops[1.0])
+        configuration.configuration.solver: compute_cost_ratio(configuration.loops[1.0])
         for configuration in configurations
     }
     assert ratios["daqp"] == 1.0 and math.isnan(ratios["osqp"])
@@ -70,7 +72,7 @@ def test_a_violated_limit_or_an_early_end_is_no_survival(records: Any) -> None:
 def test_budgets_are_groups_of_their_own(records: Any, budget: float) -> None:
     slow(records, "daqp", 10, 100.0, deadline_s=0.2)
     slow(records, "daqp", 10, 100.0, deadline_s=budget)
-    assert [group.deadline_s for group in delayed_groups(records.view())] == [0.2, budget]
+    assert [group.deadline_s for group in group_delayed_loops(records.view())] == [0.2, budget]
 
 
 def test_the_topic_shows_who_survives_best_first(records: Any) -> None:
@@ -98,7 +100,7 @@ def test_loops_on_slow_computers_are_in_no_verdict(records: Any) -> None:
     fill(records)
     after = records.view()
     assert [run.run_id for run in after.runs] == [run.run_id for run in before.runs]
-    old, new = (judge_solvers(view, Requirements()).all for view in (before, after))
+    old, new = (judge_solvers(view, Requirements()).all_verdicts for view in (before, after))
     assert [(v.configuration, v.state, v.loops, v.steps) for v in new] == [
         (v.configuration, v.state, v.loops, v.steps) for v in old
     ]

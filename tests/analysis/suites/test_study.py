@@ -11,8 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from dpbench.analysis.statistics import adjust_holm
-from dpbench.analysis.suites.study import NOTHING, Study, mean_over_points, paired_difference
+from dpbench.analysis.statistics import adjust_p_values_by_holm
+from dpbench.analysis.suites.study import (
+    NOTHING,
+    Study,
+    compute_paired_difference,
+    estimate_mean_over_points,
+)
 
 COLUMNS = ["point", "replicate"]
 
@@ -27,19 +32,19 @@ def _values(table: np.ndarray) -> pd.Series:
 @given(seed=st.integers(0, 2**32 - 1), replicates=st.integers(6, 30))
 def test_at_one_point_it_is_the_paired_t_test(seed: int, replicates: int) -> None:
     one, other = np.random.default_rng(seed).normal(size=(2, 1, replicates))
-    difference = paired_difference(_values(one), _values(other))
+    difference = compute_paired_difference(_values(one), _values(other))
     expected = stats.ttest_rel(one[0], other[0])
     estimate, interval = difference.estimate, expected.confidence_interval(0.95)
     assert estimate.value / estimate.error == pytest.approx(expected.statistic, rel=1e-9)
     assert estimate.df == pytest.approx(expected.df)
-    assert difference.mean.low <= interval.low + 1e-12
-    assert difference.mean.high >= interval.high - 1e-12
+    assert difference.mean_interval.low <= interval.low + 1e-12
+    assert difference.mean_interval.high >= interval.high - 1e-12
 
 
 @given(seed=st.integers(0, 2**32 - 1), points=st.integers(6, 40))
 def test_points_without_replicates_are_the_sample(seed: int, points: int) -> None:
     one, other = np.random.default_rng(seed).normal(size=(2, points, 1))
-    estimate = paired_difference(_values(one), _values(other)).estimate
+    estimate = compute_paired_difference(_values(one), _values(other)).estimate
     expected = stats.ttest_rel(one[:, 0], other[:, 0])
     assert estimate.value / estimate.error == pytest.approx(expected.statistic, rel=1e-9)
     assert estimate.df == pytest.approx(points - 1)
@@ -51,7 +56,7 @@ def test_the_unit_is_a_realisation(seed: int, points: int, replicates: int) -> N
     share in a sea is not counted once a point."""
     values = np.random.default_rng(seed).normal(size=(points, replicates))
     values += np.random.default_rng(seed + 1).normal(size=replicates)
-    estimate = paired_difference(_values(values), _values(0.0 * values)).estimate
+    estimate = compute_paired_difference(_values(values), _values(0.0 * values)).estimate
     expected = stats.ttest_1samp(values.mean(axis=0), 0.0)
     assert estimate.value / estimate.error == pytest.approx(expected.statistic, rel=1e-9)
     assert estimate.df == pytest.approx(replicates - 1)
@@ -66,7 +71,9 @@ def test_lost_runs_worked_by_hand() -> None:
     15²/(84.5 + 4 + 60.5 + 4) = 25/17 degrees of freedom.
     """
     lost = math.nan
-    estimate = mean_over_points(np.array([[0.0, 2.0, 4.0], [1.0, 3.0, lost], [5.0, lost, lost]]))
+    estimate = estimate_mean_over_points(
+        np.array([[0.0, 2.0, 4.0], [1.0, 3.0, lost], [5.0, lost, lost]])
+    )
     assert estimate.value == pytest.approx(3.0)
     assert estimate.error**2 == pytest.approx(3.4 * (7 / 3 + 2 / math.sqrt(3)) / 9)
     assert estimate.df == pytest.approx(25 / 17)
@@ -78,10 +85,10 @@ def test_the_sea_drops_out(seed: int) -> None:
     draw = np.random.default_rng(seed)
     one, other = draw.normal(size=(2, 5, 6))
     sea = 50.0 * draw.normal(size=(5, 6))
-    alone = paired_difference(_values(one), _values(other))
-    together = paired_difference(_values(one + sea), _values(other + sea))
-    assert together.mean.low == pytest.approx(alone.mean.low, abs=1e-9)
-    assert together.mean.high == pytest.approx(alone.mean.high, abs=1e-9)
+    alone = compute_paired_difference(_values(one), _values(other))
+    together = compute_paired_difference(_values(one + sea), _values(other + sea))
+    assert together.mean_interval.low == pytest.approx(alone.mean_interval.low, abs=1e-9)
+    assert together.mean_interval.high == pytest.approx(alone.mean_interval.high, abs=1e-9)
 
 
 @pytest.mark.parametrize("shared", [0.0, 0.3])
@@ -96,9 +103,9 @@ def test_intervals_hold_the_truth_where_runs_are_lost(shared: float) -> None:
         values = math.sqrt(1.0 - shared) * draw.normal(size=(8, 4))
         values += math.sqrt(shared) * draw.normal(size=4)
         values[draw.uniform(size=values.shape) < 0.3] = np.nan
-        estimate = mean_over_points(values[np.isfinite(values).any(axis=1)])
-        stated += estimate.is_supported
-        inside += estimate.is_supported and estimate.interval.spans(0.0)
+        estimate = estimate_mean_over_points(values[np.isfinite(values).any(axis=1)])
+        stated += estimate.has_error_estimate
+        inside += estimate.has_error_estimate and estimate.confidence_interval.contains(0.0)
     assert stated > 280 and inside / stated > 0.9
 
 
@@ -107,25 +114,29 @@ def test_without_spread_an_interval_has_a_width() -> None:
     wide as what counts as nothing."""
     for offset in (0.0, 0.03):
         values = np.random.default_rng(2).uniform(size=(2, 5))
-        found = paired_difference(_values(values + offset), _values(values))
-        assert found.is_constant and found.mean.value == pytest.approx(offset)
-        assert found.mean.high - found.mean.low > 2 * NOTHING
-    assert not paired_difference(_values(values**2), _values(values)).is_constant
+        found = compute_paired_difference(_values(values + offset), _values(values))
+        assert found.is_constant and found.mean_interval.value == pytest.approx(offset)
+        assert found.mean_interval.high - found.mean_interval.low > 2 * NOTHING
+    assert not compute_paired_difference(_values(values**2), _values(values)).is_constant
 
 
 def test_only_seas_that_both_ended_are_paired() -> None:
     one, other = _values(np.arange(8.0).reshape(2, 4)), _values(np.zeros((2, 4)))
-    assert paired_difference(one.drop((0, 1)), other.drop((1, 2))).pairs == 6
-    few = paired_difference(one.iloc[:3], other)
-    assert few.pairs == 3 and few.mean.low == -np.inf and few.estimate.p_beyond(0.0) == 1.0
-    assert paired_difference(one.iloc[:0], other).pairs == 0
+    assert compute_paired_difference(one.drop((0, 1)), other.drop((1, 2))).pairs == 6
+    few = compute_paired_difference(one.iloc[:3], other)
+    assert (
+        few.pairs == 3
+        and few.mean_interval.low == -np.inf
+        and few.estimate.compute_p_value_of_mean_beyond(0.0) == 1.0
+    )
+    assert compute_paired_difference(one.iloc[:0], other).pairs == 0
 
 
 def test_as_many_replicates_as_it_says_tell_the_difference() -> None:
     values = np.random.default_rng(3).normal(scale=0.05, size=(3, 10))
-    difference = paired_difference(_values(values), _values(np.zeros((3, 10))))
+    difference = compute_paired_difference(_values(values), _values(np.zeros((3, 10))))
     for size in (0.1, 0.03, 0.01):
-        count = difference.replicates_for(size)
+        count = difference.count_seas_needed_for(size)
 
         def reach(replicates: int) -> float:
             quantile = float(stats.t.ppf(0.975, replicates - 1))
@@ -143,7 +154,7 @@ def _runs(away: dict[str, float], *, points: int = 2, seas: int = 6, **odd: str)
     return [
         SimpleNamespace(
             run_id=f"{name} {settings} {p} {r}",
-            name=f"{name} ({settings})" if settings else name,
+            solver_label=f"{name} ({settings})" if settings else name,
             solver=name.partition(" ")[0],
             settings=settings or "default",
             study_point=float(p),
@@ -177,14 +188,17 @@ def test_the_reference_is_chosen_by_settings_not_by_results() -> None:
     is shown, a tenth of a millimetre is not."""
     away = {"osqp/1e-4": 0.0, "osqp/1e-6": 0.02, "daqp": 0.03, "quadprog": 0.0, "aaa": 0.0}
     for reference in ("daqp", "quadprog", "osqp (1e-6)", "osqp (1e-4)", "aaa"):
-        assert _study(_runs(away)).reference == reference
+        assert _study(_runs(away)).reference_name == reference
         away.pop(reference.replace(" (", "/").rstrip(")"))
     study = _study(_runs({"far": 0.03, "exact": 0.0, "same": 0.0}))
-    assert study.reference == "exact"
-    by_name = {c.name: c for c in study.configurations}
-    assert by_name["far"].has_larger_error and not by_name["same"].has_larger_error
+    assert study.reference_name == "exact"
+    by_name = {c.name: c for c in study.results_by_cost}
+    assert (
+        by_name["far"].has_larger_error_than_reference
+        and not by_name["same"].has_larger_error_than_reference
+    )
     behind = by_name["far"].error_excess_m
-    assert behind is not None and behind.mean.value == pytest.approx(0.03, abs=2e-4)
+    assert behind is not None and behind.mean_interval.value == pytest.approx(0.03, abs=2e-4)
 
 
 @pytest.mark.slow
@@ -199,30 +213,30 @@ def test_claims_hold_together_over_all_configurations() -> None:
         runs = _runs({f"same{i:02d}": 0.0 for i in range(13)}, points=2, seas=8)
         for run in runs:
             run.r_95_m = 1.0 + 0.01 * rng.normal()
-        others = _study(runs).configurations[1:]
-        adjusted = adjust_holm(np.array([c.p_unadjusted[0] for c in others]))
+        others = _study(runs).results_by_cost[1:]
+        adjusted = adjust_p_values_by_holm(np.array([c.unadjusted_p_values[0] for c in others]))
         assert [c.p_differs for c in others] == pytest.approx(adjusted.tolist())
-        wrong += any(c.differs for c in others)
+        wrong += any(c.differs_from_reference for c in others)
     assert wrong <= 6
 
 
 def test_who_lost_a_run_is_no_reference_and_its_other_seas_are_paired() -> None:
     study = _study(_runs({"near": 0.0, "off": 0.03}, near="crashed"), radius_m=9.0)
-    assert study.reference == "off"
-    near = next(c for c in study.configurations if c.name == "near")
+    assert study.reference_name == "off"
+    near = next(c for c in study.results_by_cost if c.name == "near")
     assert (near.runs, near.finished) == (12, 11)
     assert near.within == pytest.approx(11 / 12)
     assert near.error_excess_m is not None and near.error_excess_m.pairs == 11
-    assert not near.is_cheap
+    assert not near.adds_little_error_and_cost
 
 
 @pytest.mark.parametrize("outcome", ["timed_out", "lost", "invalid"])
 def test_what_the_solver_did_not_end_is_not_judged(outcome: str) -> None:
     """11 of 11 judged runs are within, and no run of the one sea is held against the solver."""
     study = _study(_runs({"near": 0.0, "off": 0.03}, near=outcome), radius_m=9.0)
-    near = next(c for c in study.configurations if c.name == "near")
+    near = next(c for c in study.results_by_cost if c.name == "near")
     assert (near.runs, near.finished, near.stopped) == (12, 11, int(outcome == "timed_out"))
-    assert near.within == 1.0 and not near.is_cheap
+    assert near.within == 1.0 and not near.adds_little_error_and_cost
 
 
 def test_the_loosest_tolerance_that_costs_little() -> None:
@@ -237,7 +251,7 @@ def test_the_loosest_tolerance_that_costs_little() -> None:
         "quadprog/1e-4": 0.0,
     }
     study = _study(_runs(away))
-    loosest = study.loosest
+    loosest = study.loosest_cheap_by_solver
     assert set(loosest) == {"osqp", "piqp"} and loosest["piqp"] is None
     assert loosest["osqp"] is not None and loosest["osqp"].settings == "1e-4"
 
@@ -246,5 +260,5 @@ def test_a_solver_that_is_not_known_here_has_no_tolerance() -> None:
     runs = _runs({"daqp default": 0.0, "daqp 1e-4": 0.001})
     for run in runs:
         run.solver = "somebodys_own"
-    assert [c.tolerance for c in _study(runs).configurations] == [None, None]
-    assert _study(runs).loosest == {}
+    assert [c.tolerance for c in _study(runs).results_by_cost] == [None, None]
+    assert _study(runs).loosest_cheap_by_solver == {}

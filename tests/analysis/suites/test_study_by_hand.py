@@ -13,11 +13,11 @@ from dpbench.analysis.suites.study import (
     PairedDifference,
     StudiedConfiguration,
     Study,
+    compute_paired_difference,
+    estimate_mean_over_points,
     find_studies,
-    mean_over_points,
-    paired_difference,
 )
-from dpbench.analysis.suites.study_pictures import within_maps
+from dpbench.analysis.suites.study_pictures import tabulate_shares_in_position
 
 LOST = math.nan
 
@@ -26,7 +26,7 @@ def _run(name: str, point: int, replicate: int, **columns: Any) -> Any:
     """A finished run of a solver with a cost of 2, where the reference loop has 1."""
     usual = {
         "run_id": f"{name} {point} {replicate}",
-        "name": name,
+        "solver_label": name,
         "solver": name,
         "settings": "default",
         "study_point": float(point),
@@ -80,7 +80,7 @@ def _configuration(
 )
 def test_mean_by_hand(values: list[list[float]], mean: float, error2: float, df: float) -> None:
     """Squares of 1 to 6 about 3.5 are 17.5; opposite deviations at two points cancel."""
-    found = mean_over_points(np.array(values))
+    found = estimate_mean_over_points(np.array(values))
     assert (found.value, found.df) == pytest.approx((mean, df))
     assert found.error == pytest.approx(max(1e-6, math.sqrt(error2)))
 
@@ -99,7 +99,7 @@ def test_mean_by_hand(values: list[list[float]], mean: float, error2: float, df:
 )
 def test_six_values_are_enough(values: list[list[float]], supported: bool) -> None:
     """Fewer than six, of whichever points, have no error; half of the points must be repeated."""
-    assert math.isnan(mean_over_points(np.array(values)).error) is not supported
+    assert math.isnan(estimate_mean_over_points(np.array(values)).error) is not supported
 
 
 @pytest.mark.parametrize("unit", [1.0, 3.0])
@@ -109,7 +109,7 @@ def test_the_skewness_of_a_mean_by_hand(unit: float) -> None:
     The sum of the cubes of u over the 3/2 power of that of the squares is 120 / 30^1.5 in any unit,
     and the factor of five degrees of freedom sqrt(30) / 4.
     """
-    found = mean_over_points(unit * np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 6.0]]))
+    found = estimate_mean_over_points(unit * np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 6.0]]))
     assert found.error == pytest.approx(unit)
     assert found.skew == pytest.approx(math.sqrt(30.0) / 4.0 * 120.0 / 30.0**1.5)
 
@@ -117,10 +117,10 @@ def test_the_skewness_of_a_mean_by_hand(unit: float) -> None:
 def test_an_error_as_small_as_nothing_has_no_skewness(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is set to the error itself, then to the next smaller number."""
     values = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 6.0]])
-    error = mean_over_points(values).error
+    error = estimate_mean_over_points(values).error
     for nothing, is_skewed in ((error, False), (math.nextafter(error, 0.0), True)):
         monkeypatch.setattr("dpbench.analysis.suites.study.NOTHING", nothing)
-        found = mean_over_points(values)
+        found = estimate_mean_over_points(values)
         assert found.error == error and (found.skew > 0.0) is is_skewed
 
 
@@ -128,7 +128,7 @@ def test_an_error_as_small_as_nothing_has_no_skewness(monkeypatch: pytest.Monkey
 def test_differences_within_a_millionth_are_constant(extent: float, constant: bool) -> None:
     index = pd.MultiIndex.from_product([[0], [1, 2, 3]], names=["point", "replicate"])
     one = pd.Series([0.0, extent, 0.0], index=index)
-    assert paired_difference(one, 0.0 * one).is_constant is constant
+    assert compute_paired_difference(one, 0.0 * one).is_constant is constant
 
 
 def test_a_paired_difference_by_hand() -> None:
@@ -136,19 +136,19 @@ def test_a_paired_difference_by_hand() -> None:
     index = pd.MultiIndex.from_product([[0, 1], [1, 2, 3]], names=["point", "replicate"])
     one = pd.Series([10.0, 12.0, 14.0, 20.0, 22.0, 24.0], index=index)
     other = pd.Series([10.0, 10.0, 10.0, 20.0, 20.0, 20.0], index=index)
-    found = paired_difference(one, other)
+    found = compute_paired_difference(one, other)
     assert (found.pairs, found.points, found.is_constant) == (6, 2, False)
     assert found.estimate.value == pytest.approx(2.0)
     assert found.estimate.error == pytest.approx(math.sqrt(4.0 / 3.0))
     assert found.spread == pytest.approx(2.0)
-    lost = paired_difference(one.iloc[:5], other)
+    lost = compute_paired_difference(one.iloc[:5], other)
     assert (lost.pairs, lost.points) == (5, 2)
     longer = one.reindex(pd.MultiIndex.from_product([[0, 1], [1, 2, 3, 4]], names=index.names))
     longer[0, 4] = 11.0
-    seven = paired_difference(longer, 0.0 * longer)
+    seven = compute_paired_difference(longer, 0.0 * longer)
     assert seven.pairs == 7
     assert seven.spread == pytest.approx(seven.estimate.error * math.sqrt(3.5))
-    empty = paired_difference(one.iloc[:0], other)
+    empty = compute_paired_difference(one.iloc[:0], other)
     assert (empty.pairs, empty.points, empty.is_constant) == (0, 0, False)
     assert math.isnan(empty.spread)
 
@@ -158,8 +158,8 @@ def test_a_paired_difference_by_hand() -> None:
 )
 def test_replicates_for_a_difference(difference: float, count: int) -> None:
     """The quantiles 12.71, 4.303, 3.182 over the roots of 2, 3, 4 are 8.98, 2.48, 1.591."""
-    assert _difference(0.0, spread=1.0).replicates_for(difference) == count
-    assert _difference(0.0).replicates_for(difference) is None
+    assert _difference(0.0, spread=1.0).count_seas_needed_for(difference) == count
+    assert _difference(0.0).count_seas_needed_for(difference) is None
 
 
 @pytest.mark.parametrize(
@@ -171,18 +171,18 @@ def test_a_cheap_configuration_costs_less_than_a_percent_and_a_centimetre(
 ) -> None:
     """The logarithm of 1.01 is 0.00995; both have to be below their limit."""
     found = _configuration(_difference(behind), _difference(dearer))
-    p = found.p_unadjusted[1]
+    p = found.unadjusted_p_values[1]
     assert (p < 1e-3) is cheap and (p > 0.999) is not cheap
 
 
 def test_a_configuration_differs_on_either_side() -> None:
     p_values = [
-        _configuration(_difference(value), _difference(0.0)).p_unadjusted[0]
+        _configuration(_difference(value), _difference(0.0)).unadjusted_p_values[0]
         for value in (1e-3, -1e-3, 1e-7)
     ]
     assert [p < 1e-3 for p in p_values] == [True, True, False]
     for lacking in ((None, None), (None, _difference(0.0)), (_difference(0.0), None)):
-        assert _configuration(*lacking).p_unadjusted == (1.0, 1.0)
+        assert _configuration(*lacking).unadjusted_p_values == (1.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -197,17 +197,20 @@ def test_a_configuration_differs_on_either_side() -> None:
 def test_who_is_significantly_behind(p: float, value: float, differs: bool, behind: bool) -> None:
     """At a family-wise error of 5 %, and with a larger radial error."""
     found = _configuration(_difference(value), None, p_differs=p)
-    assert (found.differs, found.has_larger_error) == (differs, behind)
-    assert not _configuration(None, None, p_differs=p).has_larger_error
+    assert (found.differs_from_reference, found.has_larger_error_than_reference) == (
+        differs,
+        behind,
+    )
+    assert not _configuration(None, None, p_differs=p).has_larger_error_than_reference
 
 
 def test_who_is_cheap() -> None:
     """The reference always is, others at 5 %; a lost run excludes it."""
     difference = _difference(0.0)
-    assert _configuration(difference, None, p_cheap=0.05).is_cheap
-    assert not _configuration(difference, None, p_cheap=0.051).is_cheap
-    assert _configuration(None, None).is_cheap
-    assert not _configuration(None, None, finished=5).is_cheap
+    assert _configuration(difference, None, p_cheap=0.05).adds_little_error_and_cost
+    assert not _configuration(difference, None, p_cheap=0.051).adds_little_error_and_cost
+    assert _configuration(None, None).adds_little_error_and_cost
+    assert not _configuration(None, None, finished=5).adds_little_error_and_cost
 
 
 def test_the_figures_of_a_configuration() -> None:
@@ -220,17 +223,17 @@ def test_the_figures_of_a_configuration() -> None:
         _run("law", 0, 1, is_baseline_law=True, solver="daqp"),
     ]
     study = Study("seas", runs, 1.0)
-    assert study.reference == "osqp"
-    reference, law = study.configurations
+    assert study.reference_name == "osqp"
+    reference, law = study.results_by_cost
     assert (reference.runs, reference.finished, reference.within) == (4, 3, 2 / 3)
     assert reference.cost == pytest.approx((0.5 + 1.0 + 1.0) / 3)
     assert reference.r_95_m == pytest.approx((0.5 + 0.5) / 3)
     assert (reference.error_excess_m, reference.log_cost_excess, law.name) == (None, None, "law")
     assert (reference.p_differs, reference.p_cheap) == (1.0, 1.0)
     assert law.error_excess_m is not None and law.error_excess_m.pairs == 1
-    assert (study.replicates, study.realisations) == (2, 2)
+    assert (study.seas_per_point, study.sample_count) == (2, 2)
     assert study.points["hs_m"].to_dict() == {0: 0.0, 1: 1.0}
-    maps = within_maps(study)
+    maps = tabulate_shares_in_position(study)
     assert maps["configuration"].tolist() == ["osqp", "osqp", "law"]
     assert maps["runs"].tolist() == [2, 1, 1] and maps["within"].tolist() == [1.0, 0.0, 1.0]
 
@@ -244,17 +247,17 @@ def test_the_reference_is_the_most_exact(order: list[str]) -> None:
         for name in order
     ]
     while runs:
-        assert Study("seas", runs, 1.0).reference == runs.pop(0).name
+        assert Study("seas", runs, 1.0).reference_name == runs.pop(0).solver_label
 
 
 def test_points_that_are_run_once_are_the_realisations() -> None:
     """Three points with one sea each are three draws, with two seas they are two; the law alone is
     its own reference."""
     study = Study("seas", [_run("law", p, 4, is_baseline_law=True) for p in (2, 0, 1)], 1.0)
-    assert (study.replicates, study.realisations, study.reference) == (1, 3, "law")
+    assert (study.seas_per_point, study.sample_count, study.reference_name) == (1, 3, "law")
     assert list(study.points.index) == [0, 1, 2]
     twice = [_run("law", p, r, is_baseline_law=True) for p in (0, 1, 2) for r in (1, 2)]
-    assert Study("seas", twice, 1.0).realisations == 2
+    assert Study("seas", twice, 1.0).sample_count == 2
 
 
 def test_configurations_are_in_the_order_of_their_cost() -> None:
@@ -262,7 +265,7 @@ def test_configurations_are_in_the_order_of_their_cost() -> None:
     costs = {"c": 0.7, "a": 1.2, "daqp": 5.0, "d": LOST, "b": 1.1}
     runs = [_run(name, 0, 1, closed_loop_cost=cost) for name, cost in costs.items()]
     study = Study("seas", runs, 1.0)
-    assert [c.name for c in study.configurations] == ["daqp", "b", "a", "c", "d"]
+    assert [c.name for c in study.results_by_cost] == ["daqp", "b", "a", "c", "d"]
 
 
 def test_the_studies_of_a_folder(records: Any) -> None:

@@ -15,7 +15,7 @@ from dpbench.analysis.suites.study_effects import (
     UNTRUE,
     Effect,
     Measure,
-    study_effects,
+    compute_study_effects,
 )
 
 HORIZON, EAST, WIND = "controller.prediction_horizon", "start.east_m", "environment.wind.speed_mps"
@@ -25,7 +25,7 @@ HEIGHT, PERIOD = "environment.waves.hs_m", "environment.waves.tp_s"
 def _study(points: list[dict[str, Any]], results: Any, seas: int = 8, **columns: Any) -> Study:
     """A study of one solver with a given error [m] of each point (row) and sea (column)."""
     usual = {
-        "name": "daqp",
+        "solver_label": "daqp",
         "solver": "daqp",
         "settings": "default",
         "outcome": "finished",
@@ -55,7 +55,9 @@ def _study(points: list[dict[str, Any]], results: Any, seas: int = 8, **columns:
 
 
 def _effects(study: Study, measure: Measure = ERROR) -> dict[tuple[str, str], Effect]:
-    return {(e.factor, e.levels): e for e in study_effects(study) if e.measure == measure}
+    return {
+        (e.factor, e.levels_text): e for e in compute_study_effects(study) if e.measure == measure
+    }
 
 
 def test_the_effect_of_two_levels_is_the_paired_t_test() -> None:
@@ -65,7 +67,7 @@ def test_the_effect_of_two_levels_is_the_paired_t_test() -> None:
     errors = rng.normal(size=(4, 8)) + 10.0 * rng.normal(size=8)
     effects = _effects(_study(points, errors))
     assert set(effects) == {(HORIZON, "20 → 60"), (EAST, "0 → 3")}
-    found = effects[HORIZON, "20 → 60"].difference
+    found = effects[HORIZON, "20 → 60"].mean_difference
     expected = stats.ttest_rel(errors[[0, 2]].mean(axis=0), errors[[1, 3]].mean(axis=0))
     assert found.estimate.value / found.estimate.error == pytest.approx(expected.statistic)
     assert (found.pairs, found.points, found.estimate.df) == (16, 2, pytest.approx(7.0))
@@ -90,9 +92,9 @@ def test_a_design_has_slopes_that_are_found_again() -> None:
     found = list(_effects(_study(points, truth[:, None] + noise)).values())
     assert [effect.factor for effect in found] == [WIND, EAST]
     for effect, expected in zip(found, (2.0, -1.0), strict=True):
-        assert effect.levels.endswith(", slope") and effect.difference.pairs == 160
-        assert effect.difference.mean.spans(expected)
-        assert effect.difference.estimate.value == pytest.approx(expected, abs=0.1)
+        assert effect.levels_text.endswith(", slope") and effect.mean_difference.pairs == 160
+        assert effect.mean_difference.mean_interval.contains(expected)
+        assert effect.mean_difference.estimate.value == pytest.approx(expected, abs=0.1)
 
 
 def test_points_that_are_run_once_are_the_sample_of_a_slope() -> None:
@@ -103,7 +105,7 @@ def test_points_that_are_run_once_are_the_sample_of_a_slope() -> None:
     study = _study([{WIND: float(value)} for value in x], errors[:, None], seas=1)
     (effect,) = _effects(study).values()
     line = stats.linregress((x - x.min()) / np.ptp(x), errors)
-    estimate = effect.difference.estimate
+    estimate = effect.mean_difference.estimate
     assert estimate.value == pytest.approx(line.slope)
     assert estimate.error == pytest.approx(line.stderr, rel=0.2)
     assert estimate.df == 58.0
@@ -118,14 +120,14 @@ def test_intervals_of_slopes_hold_the_truth() -> None:
     for _ in range(200):
         errors = x[:, None] * (1.0 + rng.normal(size=8)) + 0.1 * rng.normal(size=(12, 8))
         (effect,) = _effects(_study(points, errors)).values()
-        inside += effect.difference.mean.spans(1.0)
+        inside += effect.mean_difference.mean_interval.contains(1.0)
     assert inside >= 180
 
 
 def test_few_realisations_give_no_interval() -> None:
     points = [{HORIZON: 20}, {HORIZON: 60}]
     study = _study(points, np.random.default_rng(2).normal(size=(2, 5)), seas=5)
-    assert np.isinf(_effects(study)[HORIZON, "20 → 60"].difference.mean.low)
+    assert np.isinf(_effects(study)[HORIZON, "20 → 60"].mean_difference.mean_interval.low)
 
 
 def test_a_design_of_few_points_has_no_slope() -> None:
@@ -143,8 +145,8 @@ def test_other_measures_are_of_all_runs() -> None:
     expected = {STEP_TIME: 100.0, OUTSIDE: 100.0, UNTRUE: 25.0}
     for measure, change in expected.items():
         (effect,) = _effects(study, measure).values()
-        assert measure.convert(effect.difference.mean.value) == pytest.approx(change)
-    assert study.step_time == "raw_p99_ns"
+        assert measure.convert(effect.mean_difference.mean_interval.value) == pytest.approx(change)
+    assert study.step_time_column == "raw_p99_ns"
 
 
 def test_a_step_time_without_an_interval_has_no_effect() -> None:
@@ -152,7 +154,8 @@ def test_a_step_time_without_an_interval_has_no_effect() -> None:
     points = [{HORIZON: 20}, {HORIZON: 60}]
     study = _study(points, np.array([[1.0], [2.0]]), seas=1)
     (error,) = _effects(study).values()
-    assert error.difference.mean.value == 1.0 and np.isinf(error.difference.mean.low)
+    interval = error.mean_difference.mean_interval
+    assert interval.value == 1.0 and np.isinf(interval.low)
     assert _effects(study, STEP_TIME) == {}
     assert len(_effects(_study(points, np.ones((2, 8))), STEP_TIME)) == 1
 
@@ -162,8 +165,8 @@ def test_a_slope_that_no_sea_changes_is_constant() -> None:
     points = [{WIND: float(w)} for w in range(12)]
     errors = np.ones((12, 1)) * np.arange(8.0)
     (effect,) = _effects(_study(points, errors)).values()
-    assert effect.difference.is_constant and effect.measured.same_sign == 8.0
-    assert effect.difference.mean.value == pytest.approx(0.0, abs=1e-12)
+    assert effect.mean_difference.is_constant and effect.measured.count_with_sign_of_median == 8.0
+    assert effect.mean_difference.mean_interval.value == pytest.approx(0.0, abs=1e-12)
 
 
 def test_units_are_means_over_points_or_the_points_themselves() -> None:
@@ -173,4 +176,4 @@ def test_units_are_means_over_points_or_the_points_themselves() -> None:
     for seas, units in ((2, (2.0, 4.0)), (1, (1.0, 3.0))):
         effect = _effects(_study(points, errors, seas=seas))[HORIZON, "20 → 60"]
         assert effect.measured.units == units
-        assert effect.measured.median == sum(units) / 2
+        assert effect.measured.median_change == sum(units) / 2

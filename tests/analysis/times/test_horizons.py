@@ -10,7 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpbench.analysis.times.horizon_sweep import SweptConfiguration, find_sweeps, growth_exponent
+from dpbench.analysis.times.horizon_sweep import (
+    SweptConfiguration,
+    find_sweeps,
+    fit_growth_exponent,
+)
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.report.topics.sweeps import build_horizon_topic
 
@@ -48,14 +52,14 @@ def test_a_pure_power_law_is_found_exactly(power: float, scale: float, sizes: li
 
     Sizes that differ by one in 400 leave it to rounding of the logarithms over 0.0025.
     """
-    exponent = growth_exponent(sizes, [np.full(80, scale * n**power) for n in sizes])
+    exponent = fit_growth_exponent(sizes, [np.full(80, scale * n**power) for n in sizes])
     assert exponent == pytest.approx(power, abs=1e-9)
 
 
 def test_no_exponent_below_three_sizes() -> None:
     times = [np.full(20, 1.0), np.full(20, 2.0), np.full(20, 3.0)]
-    assert growth_exponent([15, 30], times[:2]) is None
-    assert growth_exponent([15, 30, 30], times) is None
+    assert fit_growth_exponent([15, 30], times[:2]) is None
+    assert fit_growth_exponent([15, 30, 30], times) is None
 
 
 def test_a_p99_whose_interval_holds_the_limit_settles_nothing(records: Any) -> None:
@@ -70,23 +74,25 @@ def test_a_p99_whose_interval_holds_the_limit_settles_nothing(records: Any) -> N
             if a.configuration.solver == solver
         )
         limit_ns = configuration.points[100, 20].p99_ns / factor
-        assert configuration.is_settled(limit_ns) is (solver == "osqp")
+        assert configuration.has_certain_horizons_within(limit_ns) is (solver == "osqp")
 
 
 def test_the_best_way_is_right_first_and_fast_second(records: Any) -> None:
     _law(records, "osqp", 1.0, 1.0, policy="warm", error=0.4)
     _law(records, "osqp", 3.0, 1.0, policy="reuse")
     (sweep,) = find_sweeps(records.view(), REQUIREMENTS)
-    assert [configuration.configuration.call_text for configuration in sweep.best] == [
-        "native reuse"
-    ]
+    assert [
+        configuration.configuration.call_text for configuration in sweep.best_configurations
+    ] == ["native reuse"]
     every = [configuration.configuration.call_text for configuration in sweep.swept]
     assert every == ["native warm", "native reuse"]
 
 
 def _best(records: Any) -> dict[tuple[str, str], SweptConfiguration]:
     (sweep,) = find_sweeps(records.view(), REQUIREMENTS)
-    return {(s.configuration.solver, s.configuration.formulation): s for s in sweep.best}
+    return {
+        (s.configuration.solver, s.configuration.formulation): s for s in sweep.best_configurations
+    }
 
 
 def test_two_formulations_grow_as_they_were_made_to(records: Any) -> None:
@@ -95,7 +101,7 @@ def test_two_formulations_grow_as_they_were_made_to(records: Any) -> None:
     _law(records, "piqp", 9.0, 1.0, formulation="sparse")
     best = _best(records)
     box, sparse = best["piqp", "condensed_box"], best["piqp", "sparse"]
-    assert (box.growth, sparse.growth) == pytest.approx((3.0, 1.0), abs=1e-4)
+    assert (box.growth_exponent, sparse.growth_exponent) == pytest.approx((3.0, 1.0), abs=1e-4)
     medians = [s.points[100, 20].median_ns for s in (box, sparse)]
     assert medians == pytest.approx([2160e3, 540e3])
 
@@ -114,11 +120,11 @@ def test_the_largest_horizon_needs_right_answers_and_enough_steps(records: Any) 
         if pair in PAIRS[:2]:
             _replay(records, "piqp", pair, **exact)
     best = {solver: swept for (solver, _), swept in _best(records).items()}
-    within = {solver: swept.largest_within(1e6) for solver, swept in best.items()}
+    within = {solver: swept.find_largest_horizons_within(1e6) for solver, swept in best.items()}
     assert within == {"daqp": (100, 20), "osqp": (60, 10), "piqp": (60, 10)}
-    beyond = {solver: swept.has_p99_beyond((60, 10)) for solver, swept in best.items()}
+    beyond = {solver: swept.has_p99_at_longer_horizons((60, 10)) for solver, swept in best.items()}
     assert beyond == {"daqp": True, "osqp": True, "piqp": False}
-    assert best["daqp"].largest_within(1e7) == (200, 40)
+    assert best["daqp"].find_largest_horizons_within(1e7) == (200, 40)
 
 
 def test_the_topic_says_no_more_of_a_limit_than_the_runs(records: Any) -> None:
@@ -146,7 +152,7 @@ def test_a_thin_sweep_has_no_p99(records: Any) -> None:
     _law(records, "daqp", 10.0, 1.0, steps=999)
     (swept,) = _best(records).values()
     assert all(math.isnan(point.p99_ns) for point in swept.points.values())
-    assert swept.largest_within(1e9) is None
+    assert swept.find_largest_horizons_within(1e9) is None
     topic = build_horizon_topic(records.view(), REQUIREMENTS)
     assert topic is not None and topic.lines[0].endswith("with each of 999 steps within 3 ms.")
     assert topic.tables[0].rows[0][2] == "200/40"
@@ -170,8 +176,8 @@ def test_a_cell_that_was_stopped_is_no_point(records: Any) -> None:
     swept = _best(records)["highs", "condensed_box"]
     assert swept.points[200, 40].times is None
     assert swept.points[200, 40].run.outcome == "timed_out"
-    assert list(swept.timed) == list(PAIRS[:3])
-    assert swept.growth == pytest.approx(2.0)
+    assert list(swept.timed_points) == list(PAIRS[:3])
+    assert swept.growth_exponent == pytest.approx(2.0)
 
 
 def test_there_is_a_sweep_only_with_two_horizons_of_one_scenario(records: Any) -> None:

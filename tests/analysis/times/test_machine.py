@@ -4,7 +4,11 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.machine import round_spread, timed_runs, total_disturbance
+from dpbench.analysis.times.machine import (
+    compute_repetition_spread,
+    select_timed_replays,
+    sum_disturbances,
+)
 from dpbench.report.formats import format_share, join_with_and
 from dpbench.report.topics.trust import build_trust_topic
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
@@ -89,7 +93,7 @@ def test_a_quiet_machine_and_a_disturbed_one(records: Any) -> None:
     records.replay("quadprog", **same)
     records.replay("quadprog", **(same | {"settings": "high"}))
     view = records.view()
-    found = total_disturbance(timed_runs(view))
+    found = sum_disturbances(select_timed_replays(view))
     assert (found.rounds, found.seconds, found.involuntary, found.rerun) == (3, 2.0, 4, 1)
     assert records.ending()["machine"] == "quiet."
     records.replay("daqp", **(QUIET | {"involuntary_switches": 96, "steal_s": 0.2}))
@@ -148,6 +152,6 @@ def test_how_far_rounds_lie_apart_is_said(records: Any) -> None:
     steps = records._steps[-1]
     for repeat, total_ns in zip((1, 2, 3), (10_000, 15_000, 20_000), strict=True):
         steps.loc[steps["repeat"] == repeat, "total_ns"] = total_ns
-    assert round_spread(records.view()) == (2.0, 2.0)
+    assert compute_repetition_spread(records.view()) == (2.0, 2.0)
     topic = build_trust_topic(records.view())
     assert "only a ratio beyond × 2.00 counts" in topic.lines[0]

@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.contrasts import PairedComparison, paired_comparison
+from dpbench.analysis.times.contrasts import PairedComparison, compare_paired_times
 from dpbench.analysis.times.solver_tables import (
-    experiment_table,
-    level_points,
-    time_table,
-    verdict_table,
+    build_level_points,
+    tabulate_best_times,
+    tabulate_experiment_verdicts,
+    tabulate_verdicts,
 )
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.run_matrix import RunMatrix
@@ -32,11 +32,11 @@ def test_the_ladder_is_that_of_the_verdicts(records: Any) -> None:
     records.loop("daqp")
     records.replay("daqp", median_us=20.0)
     records.loop("scs")
-    assert time_table(_matrix(records))["share"].tolist() == [0.0]
+    assert tabulate_best_times(_matrix(records))["share"].tolist() == [0.0]
     records.replay(COPY_ONLY, algo_p50_ns=30e3, route="native", policy="reuse")
     matrix = _matrix(records)
-    (row,) = time_table(matrix).to_dict("records")
-    verdict = matrix.verdicts.references[0]
+    (row,) = tabulate_best_times(matrix).to_dict("records")
+    verdict = matrix.verdicts.verdicts_on_references[0]
     assert row["solver"] == "daqp" and row["share"] == 1.0
     times = [row[name] * 1e6 for name in ("p50_ms", "p99_ms", "max_ms")]
     expected = [verdict.p50_ns, verdict.p99_ns, verdict.algo_max_ns]
@@ -53,7 +53,7 @@ def test_the_ladder_has_settings_of_ones_own(records: Any) -> None:
             records.loop("osqp", policy=policy, **own)
             slower = 1.0 if policy == "warm" else 2.0
             records.replay("osqp", median_us=slower * median_us, policy=policy, **own)
-    assert time_table(_matrix(records))["label"].tolist() == [
+    assert tabulate_best_times(_matrix(records))["label"].tolist() == [
         "osqp (qpsolvers fresh)",
         "osqp (qpsolvers warm, rho=1)",
         "osqp (qpsolvers warm, rho=2)",
@@ -64,7 +64,9 @@ def test_a_level_that_was_not_run_somewhere_is_hatched_there(records: Any) -> No
     records.loop("osqp", "paper", error=0.4)
     records.loop("osqp", "calm", error=0.4)
     records.loop("osqp", "paper", settings="high")
-    tiles = experiment_table(_matrix(records)).set_index(["settings", "experiment"])["verdict"]
+    tiles = tabulate_experiment_verdicts(_matrix(records)).set_index(["settings", "experiment"])[
+        "verdict"
+    ]
     assert tiles.to_dict() == {
         ("default", "paper"): "fail",
         ("default", "calm"): "fail",
@@ -86,7 +88,7 @@ def test_settings_that_ran_in_another_call_mode_show_their_verdict_there(records
         columns = {"tuned": tuned, "mine": mine}.get(settings, {"error": 0.4})
         call = {"route": "native", "policy": "reuse" if settings == "mine" else "warm"}
         records.replay("osqp", **(columns | call | {"settings": settings}))
-    table = experiment_table(_matrix(records)).set_index(["settings", "experiment"])
+    table = tabulate_experiment_verdicts(_matrix(records)).set_index(["settings", "experiment"])
     assert table["verdict"].to_dict() == {
         ("default", "paper"): "fail",
         ("default", "calm"): "not run",
@@ -107,7 +109,7 @@ def test_settings_of_ones_own_are_judged_apart_and_have_their_options_beside(rec
     """A preset has none."""
     records.loop("osqp", error=0.4)
     records.loop("osqp", settings="mine", options='{"eps_abs": 1e-05, "rho": 2}')
-    table = verdict_table(_matrix(records)).set_index("settings")
+    table = tabulate_verdicts(_matrix(records)).set_index("settings")
     assert table["options"].to_dict() == {"default": "", "mine": "eps_abs=1e-5,rho=2"}
     assert table["verdict"].to_dict() == {"default": "fail", "mine": "inconclusive"}
 
@@ -118,8 +120,8 @@ EXACT = {"spread": 0.0, "rounds": 1}
 
 def _compared(records: Any) -> PairedComparison:
     view = records.view()
-    first, second = judge_solvers(view, Requirements()).references
-    return paired_comparison(view, first, second)
+    first, second = judge_solvers(view, Requirements()).verdicts_on_references
+    return compare_paired_times(view, first, second)
 
 
 def test_sequences_weigh_the_same_in_a_ratio(records: Any) -> None:
@@ -167,7 +169,7 @@ def test_a_point_is_the_worst_of_its_sequences(records: Any) -> None:
     """Worst p50 and p99, largest error, of two sequences long enough for a p99."""
     records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
     records.replay("osqp", BOTH[1], median_us=30.0, spread=0.0, error=1e-3, failed=2)
-    (point,) = level_points(records.view(), BOTH, USUAL)["osqp"]
+    (point,) = build_level_points(records.view(), BOTH, USUAL)["osqp"]
     assert (point.p50_ns, point.p99_ns, point.error_move) == (30e3, 30e3, 1e-3)
     assert point.failed == 2
 
@@ -176,9 +178,9 @@ def test_both_times_of_a_point_are_of_the_same_steps(records: Any) -> None:
     """A sequence too short for a p99 gives no p50 either, or that would exceed the p99."""
     records.replay("osqp", BOTH[0], median_us=10.0, spread=0.0, error=1e-5)
     records.replay("osqp", BOTH[1], steps=500, median_us=30.0, spread=0.0, error=1e-3)
-    (point,) = level_points(records.view(), BOTH, USUAL)["osqp"]
+    (point,) = build_level_points(records.view(), BOTH, USUAL)["osqp"]
     assert (point.p50_ns, point.p99_ns, point.error_move) == (10e3, 10e3, 1e-3)
-    (short,) = level_points(records.view(), BOTH[1:], USUAL)["osqp"]
+    (short,) = build_level_points(records.view(), BOTH[1:], USUAL)["osqp"]
     assert short.p50_ns == 30e3 and math.isnan(short.p99_ns)
 
 
@@ -186,7 +188,7 @@ def test_the_points_have_their_levels_in_order_and_leaves_out_other_ways(records
     for settings in ("high", "default", "low", "mid"):
         records.replay("osqp", settings=settings)
     records.replay("osqp", settings="mid", policy="warm", median_us=1.0)
-    (points,) = level_points(records.view(), BOTH[:1], USUAL).values()
+    (points,) = build_level_points(records.view(), BOTH[:1], USUAL).values()
     assert [point.configuration.settings for point in points] == ["default", "low", "mid", "high"]
     assert {point.configuration.policy for point in points} == {"fresh"}
 
@@ -199,7 +201,7 @@ def test_all_points_of_a_solver_are_of_the_way_that_is_asked_for(records: Any) -
         records.replay("osqp", **way, median_us=us, spread=0.0)
     records.replay("osqp", median_us=1.0)
     records.replay("daqp", route="native", policy="warm")
-    levels = level_points(records.view(), BOTH[:1], {"osqp": ("native", "warm")})
+    levels = build_level_points(records.view(), BOTH[:1], {"osqp": ("native", "warm")})
     found = {
         solver: [(p.configuration.settings, p.p50_ns) for p in points]
         for solver, points in levels.items()
@@ -211,7 +213,7 @@ def test_a_solver_on_one_sequence_of_two_has_no_point(records: Any) -> None:
     records.replay("whole", BOTH[0])
     records.replay("whole", BOTH[1])
     records.replay("half", BOTH[0])
-    assert list(level_points(records.view(), BOTH, USUAL)) == ["whole"]
+    assert list(build_level_points(records.view(), BOTH, USUAL)) == ["whole"]
 
 
 @pytest.mark.parametrize("sequence", ["paper", "rough"])

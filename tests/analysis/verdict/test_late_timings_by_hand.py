@@ -10,12 +10,12 @@ import pytest
 from dpbench.analysis.verdict.lateness import (
     LateTimings,
     StallModel,
-    choose_trusted_runs,
-    estimate_stalls,
+    choose_runs_that_show_stalls,
+    estimate_stall_model,
     find_late_timings,
 )
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.time_findings import report_late_timings
+from dpbench.analysis.verdict.time_findings import convert_late_timings_to_findings
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 from dpbench.solvers.calibration import COPY_ONLY
 
@@ -77,7 +77,9 @@ def test_the_tail_of_the_stalls(count: int, allowed: int, below: float) -> None:
     The allowed timings are late with 1 %: of two, 0, 1 and 2 with 0.9801, 0.0198 and 0.0001.
     """
     machine = StallModel(rate=1e-3, shape=2.0)
-    assert machine.tail_probability(count, 2000.0, allowed) == pytest.approx(1.0 - below, rel=1e-9)
+    assert machine.compute_tail_probability(count, 2000.0, allowed) == pytest.approx(
+        1.0 - below, rel=1e-9
+    )
 
 
 def test_a_machine_of_two_rounds() -> None:
@@ -85,14 +87,14 @@ def test_a_machine_of_two_rounds() -> None:
 
     The moments give (361/9 + 361/36) / (64/9 - 9 + 361/36) = 1805/293.
     """
-    machine = estimate_stalls(np.array([9.0, 0.0]), np.array([4.0, 2.0]))
+    machine = estimate_stall_model(np.array([9.0, 0.0]), np.array([4.0, 2.0]))
     assert machine.rate == pytest.approx(19 / 12)
     assert machine.shape == pytest.approx(1805 / 293)
 
 
 def test_a_machine_more_even_than_chance() -> None:
     """One stall in two equal rounds has a rate of 0.75 and moments of -15/16 + 9/16 < 0."""
-    machine = estimate_stalls(np.array([1.0, 0.0]), np.array([1.0, 1.0]))
+    machine = estimate_stall_model(np.array([1.0, 0.0]), np.array([1.0, 1.0]))
     assert (machine.rate, machine.shape) == (0.75, 50.0)
 
 
@@ -102,7 +104,7 @@ class _Stalls:
     def __init__(self, *counts: int) -> None:
         self.counts = np.array(counts)
 
-    def count_stalls(self, longer_than_ns: float) -> Any:
+    def count_stalls_by_repetition(self, longer_than_ns: float) -> Any:
         """Return the counts; the limit is half that of the p99."""
         assert longer_than_ns == 1.5e6
         return self.counts
@@ -126,11 +128,13 @@ def test_the_half_of_the_solvers_with_fewer_stalls_is_trusted(solvers: str, expe
         SimpleNamespace(run_id=name, solver=name[0]) for name in stalls if name[0] in solvers
     ]
     assert (
-        "".join(run.solver for run in choose_trusted_runs(replays, [], stalls, REQUIREMENTS))
+        "".join(
+            run.solver for run in choose_runs_that_show_stalls(replays, [], stalls, REQUIREMENTS)
+        )
         == expected
     )
     arm: Any = SimpleNamespace(run_id="arm", solver="arm")
-    assert choose_trusted_runs(replays, [arm], stalls, REQUIREMENTS) == [arm]
+    assert choose_runs_that_show_stalls(replays, [arm], stalls, REQUIREMENTS) == [arm]
 
 
 def test_a_loop_against_one_late_timing_in_a_hundred(records: Any) -> None:
@@ -140,9 +144,9 @@ def test_a_loop_against_one_late_timing_in_a_hundred(records: Any) -> None:
     (found,) = _found(records)["daqp"]
     fewer = sum(math.comb(450, n) * 0.01**n * 0.99 ** (450 - n) for n in range(11))
     assert (found.kind, found.late, found.samples) == ("late timings", 14, 450)
-    assert found.machine == 3 / 450 and found.share == 14 / 450
+    assert found.machine == 3 / 450 and found.late_share == 14 / 450
     assert found.p == pytest.approx(1.0 - fewer, rel=1e-6)
-    assert not found.is_proven
+    assert not found.is_proven_late
 
 
 def test_switches_outside_of_the_timed_calls_explain_nothing(records: Any) -> None:
@@ -168,8 +172,8 @@ def test_a_disturbed_loop_proves_nothing(
     slow = dict.fromkeys(range(200), 7e6)
     _loop(records, 450, slow, involuntary_switches=switches, replay_s=replay_s)
     (found,) = _found(records)["daqp"]
-    assert found.p < 0.001 and found.is_proven == proven
-    (finding,) = report_late_timings([found.run], {found.run.run_id: [found]})
+    assert found.p < 0.001 and found.is_proven_late == proven
+    (finding,) = convert_late_timings_to_findings([found.run], {found.run.run_id: [found]})
     assert finding.kind == ("late timings" if proven else "late when disturbed")
 
 
@@ -214,7 +218,7 @@ def test_a_replay_of_one_round_is_tested_like_a_loop(records: Any) -> None:
     frame.loc[frame["counts"] & (frame["k"] < 40), "total_ns"] = 6_000_001
     (found,) = _found(records)["daqp"]
     assert (found.kind, found.late, found.samples, found.machine) == ("late timings", 40, 1000, 0)
-    assert found.is_proven
+    assert found.is_proven_late
 
 
 @pytest.mark.parametrize(
@@ -258,7 +262,7 @@ def test_a_replay_beside_a_solver_without_stalls(records: Any) -> None:
     assert (found.kind, found.late, found.samples) == ("late at random", 6, 4000)
     assert found.p == pytest.approx(2 * (4 * q**3 * (1 - q) + q**4), rel=1e-9)
     assert found.machine == pytest.approx(0.5 / 3000)
-    assert found.is_proven
+    assert found.is_proven_late
 
 
 def test_who_remembers_answers_hides_nobody(records: Any) -> None:
@@ -268,7 +272,7 @@ def test_who_remembers_answers_hides_nobody(records: Any) -> None:
     (found,) = _found(records)["daqp"]
     # Half a stall in about as much time; 900.5 would be 225 of 1000.
     assert found.machine == pytest.approx(0.5 / 3000, rel=0.1)
-    assert found.is_proven
+    assert found.is_proven_late
 
 
 @pytest.mark.parametrize(("long_ns", "found"), [(9_000_000, False), (9_000_001, True)])
@@ -293,7 +297,7 @@ def test_a_replay_with_more_late_timings_than_a_p99_allows(records: Any) -> None
     _replay(records, "daqp", {2: 30, 3: 30, 4: 30})
     _replay(records, "piqp", {})
     found = _found(records)["daqp"]
-    assert [(late.kind, late.is_proven) for late in found] == [
+    assert [(late.kind, late.is_proven_late) for late in found] == [
         ("late at random", True),
         ("late timings", True),
     ]

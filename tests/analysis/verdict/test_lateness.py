@@ -6,13 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.step_times import delays_by_run, find_delays
+from dpbench.analysis.records.step_times import find_delays, yield_delays_by_run
 from dpbench.analysis.verdict.lateness import (
     DOUBTFUL,
     PROVEN,
     LateTimings,
     adjust_p_values,
-    estimate_stalls,
+    estimate_stall_model,
 )
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
@@ -78,7 +78,7 @@ def test_the_same_delays_in_all_solvers_are_the_machine(records: Any, call: int)
     _campaign(records, **shifted)
     found = {
         finding.kind
-        for v in judge_solvers(records.view(), REQUIREMENTS).all
+        for v in judge_solvers(records.view(), REQUIREMENTS).all_verdicts
         for finding in v.doubts
     }
     assert "late at random" not in found
@@ -97,10 +97,10 @@ def test_delays_of_two_rounds_by_hand() -> None:
     delays = find_delays(repeat, k, times, np.full(6, np.nan))
     assert delays.base_ns.tolist() == [60.0, 60.0]
     assert delays.delay_ns.tolist() == [45.0] and delays.own_ns.tolist() == [20.0]
-    assert delays.count_late(44.0).tolist() == [0, 1]
-    assert delays.count_late(45.0).tolist() == [0, 0]
-    assert delays.count_stalls(24.0).tolist() == [0, 1]
-    assert delays.count_stalls(25.0).tolist() == [0, 0]
+    assert delays.count_late_by_repetition(44.0).tolist() == [0, 1]
+    assert delays.count_late_by_repetition(45.0).tolist() == [0, 0]
+    assert delays.count_stalls_by_repetition(24.0).tolist() == [0, 1]
+    assert delays.count_stalls_by_repetition(25.0).tolist() == [0, 0]
 
 
 def test_delays_of_a_loop_are_its_timings_above_the_median() -> None:
@@ -190,7 +190,7 @@ def test_delays_know_waits_where_all_are_recorded() -> None:
             "waited_ns": pd.array([0, 0, 0, 35, 0, 0, None, 35], dtype="Int64"),
         }
     )
-    delays = dict(delays_by_run(steps))
+    delays = dict(yield_delays_by_run(steps))
     assert [one.has_waits for one in delays.values()] == [True, False]
     assert [one.delay_ns.tolist() for one in delays.values()] == [[50.0], [50.0]]
     assert [one.net_ns.tolist() for one in delays.values()] == [[15.0], [50.0]]
@@ -211,25 +211,25 @@ def test_a_delay_is_late_by_a_tenth_of_the_limit(waited_ns: float, late: int, st
     """A step of 10 ns that took 101 ns, beyond a limit of 100 ns, and half of it."""
     repeat, k = np.array([1, 2]), np.array([0, 0])
     delays = find_delays(repeat, k, np.array([10.0, 101.0]), np.array([0.0, waited_ns + 1.0]))
-    assert delays.count_late(100.0).tolist() == [0, late]
-    assert delays.count_late(101.0).tolist() == [0, 0]
-    assert delays.count_stalls(50.0).tolist() == [0, stalls]
-    assert delays.without_waits.count_late(100.0).tolist() == [0, 1]
+    assert delays.count_late_by_repetition(100.0).tolist() == [0, late]
+    assert delays.count_late_by_repetition(101.0).tolist() == [0, 0]
+    assert delays.count_stalls_by_repetition(50.0).tolist() == [0, stalls]
+    assert delays.without_waits.count_late_by_repetition(100.0).tolist() == [0, 1]
 
 
 def test_a_hard_step_is_late_by_itself() -> None:
     """In a loop whose median is near the limit, a step little beyond it is late all the same."""
     times = np.array([99.0, 99.0, 99.0, 102.0])
     delays = find_delays(np.zeros(4, np.int64), np.arange(4), times, np.array([0.0, 0, 0, 1.0]))
-    assert delays.count_late(100.0).tolist() == [1]
-    assert delays.count_late(101.0).tolist() == [0]
+    assert delays.count_late_by_repetition(100.0).tolist() == [1]
+    assert delays.count_late_by_repetition(101.0).tolist() == [0]
 
 
 def test_uneven_rounds_make_a_small_shape() -> None:
     """Ten rounds of equal exposure: one stall in each, or all ten in one of them."""
     exposed = np.full(10, 1e9)
     even, uneven = np.ones(10), np.array([10.0, *np.zeros(9)])
-    machines = estimate_stalls(even, exposed), estimate_stalls(uneven, exposed)
+    machines = estimate_stall_model(even, exposed), estimate_stall_model(uneven, exposed)
     assert machines[0].rate == machines[1].rate == pytest.approx(1.05e-9)
     assert machines[0].shape == 50.0 and machines[1].shape == 0.5
 
@@ -242,4 +242,4 @@ def test_p_values_are_adjusted_together(records: Any) -> None:
     first, second, _ = adjusted = adjust_p_values(tests)
     assert [test.p for test in adjusted] == pytest.approx([0.04, 9e-4, 0.9])
     assert second.p <= PROVEN < first.p <= DOUBTFUL
-    assert second.is_proven and not first.is_proven
+    assert second.is_proven_late and not first.is_proven_late

@@ -6,15 +6,15 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.verdict.fastest import (
-    best_verdict_by_solver,
     choose_solver,
-    deployment_blocker,
-    fastest_configuration,
-    fastest_first,
+    explain_deployment_blocker,
+    find_fastest_configuration,
+    find_solver_family,
     find_solver_record_or_none,
+    list_best_verdict_of_each_solver,
     rank_configurations,
     rank_solvers,
-    solver_family,
+    sort_fastest_first,
 )
 from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.requirements import Requirements
@@ -63,7 +63,7 @@ def test_verdicts_are_sorted_by_p99_then_largest_step_then_name() -> None:
         _verdict("a", 20.0, algo_max_ns=1.0),
         _verdict("g", 10.0, algo_max_ns=99.0),
     ]
-    found = [verdict.configuration.solver for verdict in fastest_first(verdicts)]
+    found = [verdict.configuration.solver for verdict in sort_fastest_first(verdicts)]
     assert found == ["g", "a", "b", "f", "c", "d", "e"]
 
 
@@ -97,7 +97,7 @@ def test_usual_settings_within_3_percent(
     """The default of the same route and policy is chosen up to 1.03 times the time."""
     best = _verdict("daqp", 100.0, settings="high")
     usual = _verdict("daqp", p99_ns, route=route, policy=policy)
-    found = fastest_configuration(_verdicts(usual, best), "daqp")
+    found = find_fastest_configuration(_verdicts(usual, best), "daqp")
     assert found is not None and found.configuration.settings == settings
 
 
@@ -124,7 +124,7 @@ def test_overlapping_rounds_are_alike(rounds_ns: tuple[float, float], settings: 
     """Rounds of 10 to 20 ns overlap with rounds from 20 ns on or up to 10 ns."""
     best = _verdict("daqp", 100.0, settings="high", rounds_ns=(10.0, 20.0))
     usual = _verdict("daqp", 150.0, rounds_ns=rounds_ns)
-    found = fastest_configuration(_verdicts(usual, best), "daqp")
+    found = find_fastest_configuration(_verdicts(usual, best), "daqp")
     assert found is not None and found.configuration.settings == settings
 
 
@@ -133,8 +133,8 @@ def test_without_a_p99_medians_are_compared() -> None:
     apart = {"rounds_ns": (1.0, 2.0)}
     best = _verdict("daqp", settings="high", p50_ns=100.0, algo_max_ns=200.0, **apart)
     usual = _verdict("daqp", p50_ns=102.0, algo_max_ns=300.0, rounds_ns=(3.0, 4.0))
-    assert fastest_configuration(_verdicts(usual, best), "daqp") is usual
-    assert fastest_configuration(_verdicts(usual, best), "piqp") is None
+    assert find_fastest_configuration(_verdicts(usual, best), "daqp") is usual
+    assert find_fastest_configuration(_verdicts(usual, best), "piqp") is None
 
 
 def test_the_recommendation_is_the_fastest_that_can_be_deployed() -> None:
@@ -145,7 +145,7 @@ def test_the_recommendation_is_the_fastest_that_can_be_deployed() -> None:
     )
     found = choose_solver(_verdicts(third, second, fast))
     assert (found.chosen, found.runner_up, found.faster) == (second, third, fast)
-    assert found.because == deployment_blocker(PYTHON_CODE) != ""
+    assert found.because == explain_deployment_blocker(PYTHON_CODE) != ""
     alone = choose_solver(_verdicts(second, third))
     assert (alone.chosen, alone.runner_up, alone.faster) == (second, third, None)
     assert alone.because == ""
@@ -183,12 +183,15 @@ def test_a_better_verdict_precedes_a_time(states: tuple[str, str, str], chosen: 
 
 def test_a_solver_that_is_not_known_here() -> None:
     assert find_solver_record_or_none("nobody") is None
-    assert solver_family("nobody") == "not stated"
-    assert deployment_blocker("nobody") == "not in the table of this installation"
-    assert find_solver_record_or_none("daqp") is not None and solver_family("daqp") == "active set"
-    assert {deployment_blocker(name) for name in ("daqp", "osqp", "clarabel")} == {""}
-    assert deployment_blocker("qtqp") == "written in Python"
-    assert deployment_blocker(PYTHON_CODE).startswith("written in Python")
+    assert find_solver_family("nobody") == "not stated"
+    assert explain_deployment_blocker("nobody") == "not in the table of this installation"
+    assert (
+        find_solver_record_or_none("daqp") is not None
+        and find_solver_family("daqp") == "active set"
+    )
+    assert {explain_deployment_blocker(name) for name in ("daqp", "osqp", "clarabel")} == {""}
+    assert explain_deployment_blocker("qtqp") == "written in Python"
+    assert explain_deployment_blocker(PYTHON_CODE).startswith("written in Python")
 
 
 LATE, WRONG = (Finding("p99 late"),), (Finding("failed"),)
@@ -204,7 +207,7 @@ def test_the_verdict_that_shows_each_solver() -> None:
         "e": _verdict("e", 90.0, state="inconclusive", replays=0, timed_on=""),
         "f": _verdict("f", 60.0, state="borderline"),
     }
-    found = best_verdict_by_solver(
+    found = list_best_verdict_of_each_solver(
         _verdicts(
             _verdict("d", 10.0, state="pass", loops=0, doubts=(Finding("lost"),)),
             shown["d"],

@@ -14,13 +14,13 @@ from dpbench.analysis.verdict.findings import (
     NEAR,
     OWN_DOING,
     STATES,
-    finding_on_worst,
+    make_finding_on_worst_runs,
 )
 from dpbench.analysis.verdict.requirements import (
     Requirements,
-    cost_ratio,
+    compute_cost_ratio,
     has_survived,
-    is_right,
+    is_right_on_every_step,
     is_right_to_the_end,
 )
 from dpbench.analysis.verdict.verdict import judge_solvers
@@ -59,7 +59,7 @@ def test_a_run_is_right_with_all_steps_within_the_limits_and_no_memory(
     mode: str, columns: dict[str, Any], right: bool, records: Any
 ) -> None:
     getattr(records, mode)("daqp", **columns)
-    assert is_right(only_run(records), REQUIREMENTS) is right
+    assert is_right_on_every_step(only_run(records), REQUIREMENTS) is right
 
 
 @pytest.mark.parametrize(
@@ -78,14 +78,14 @@ def test_the_verdict_of_figures_at_the_requirements(
 ) -> None:
     records.loop("daqp", **loop)
     records.replay("daqp", **replay)
-    (verdict,) = judge_solvers(records.view(), REQUIREMENTS).references
+    (verdict,) = judge_solvers(records.view(), REQUIREMENTS).verdicts_on_references
     assert verdict.state == state
     assert bool(verdict.causes) is (state == "fail")
 
 
 def test_a_stopped_loop_is_not_right_to_the_end(records: Any) -> None:
     records.loop("daqp", outcome="timed_out")
-    assert is_right(only_run(records), REQUIREMENTS)
+    assert is_right_on_every_step(only_run(records), REQUIREMENTS)
     assert not is_right_to_the_end(only_run(records), REQUIREMENTS)
 
 
@@ -100,18 +100,18 @@ def test_a_loop_survives_within_a_tenth_of_the_exact_cost(
     figures = {"closed_loop_cost": cost, "exact_cost": 80.0, "limit_violations": violations}
     records.loop("daqp", **figures)
     assert has_survived(only_run(records)) is kept
-    assert cost_ratio(only_run(records)) == cost / 80.0
+    assert compute_cost_ratio(only_run(records)) == cost / 80.0
 
 
 def test_the_worst_run_is_first_and_the_others_keep_their_order() -> None:
     runs: list[Any] = [
-        SimpleNamespace(name=n, x=x) for n, x in zip("abcd", (2, 5, 1, 5), strict=True)
+        SimpleNamespace(solver_label=n, x=x) for n, x in zip("abcd", (2, 5, 1, 5), strict=True)
     ]
-    (found,) = finding_on_worst("failed", runs, lambda run: float(run.x))
-    assert [run.name for run in found.runs] == ["b", "a", "c", "d"]
+    (found,) = make_finding_on_worst_runs("failed", runs, lambda run: float(run.x))
+    assert [run.solver_label for run in found.runs] == ["b", "a", "c", "d"]
     assert (found.kind, found.value, found.steps) == ("failed", 5.0, 0)
     assert math.isnan(found.machine)
-    assert finding_on_worst("failed", [], lambda run: 0.0) == []
+    assert make_finding_on_worst_runs("failed", [], lambda run: 0.0) == []
 
 
 def test_verdicts_are_ordered_from_best_to_worst() -> None:
@@ -122,8 +122,8 @@ def test_verdicts_are_ordered_from_best_to_worst() -> None:
 
 
 def test_the_requirements_of_a_suite() -> None:
-    assert Requirements.of({}) == Requirements(1e-2, 0, 3.0, 300.0)
-    found = Requirements.of(
+    assert Requirements.from_suite({}) == Requirements(1e-2, 0, 3.0, 300.0)
+    found = Requirements.from_suite(
         {"requirements": {"p99_ms": 2.0, "deadline_ms": 50.0, "failed_steps": 1, "x": 1}}
     )
     assert found == Requirements(1e-2, 1, 2.0, 50.0)
@@ -135,6 +135,6 @@ def test_the_cost_of_a_complete_loop(records: Any, done: int, ratio: float | Non
     columns = {"closed_loop_cost": 3.0, "exact_cost": 2.0, "limit_violations": 0}
     records.loop("daqp", steps=120, done=done, **columns)
     (run,) = records.view().runs
-    found = cost_ratio(run)
+    found = compute_cost_ratio(run)
     assert math.isnan(found) if ratio is None else found == ratio
     assert not has_survived(run)

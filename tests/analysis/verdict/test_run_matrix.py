@@ -7,7 +7,11 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.run_matrix import Experiment, RunMatrix, common_configuration
+from dpbench.analysis.verdict.run_matrix import (
+    Experiment,
+    RunMatrix,
+    get_configuration_in_common_form,
+)
 from dpbench.analysis.verdict.verdict import judge_solvers
 
 REQUIREMENTS = Requirements()
@@ -62,12 +66,12 @@ def test_the_experiment_of_each_kind_of_run(records: Any) -> None:
     records.replay("daqp", "paper[0:300]", steps=300)
     records.sea("daqp", 3, 2, {"hs_m": 1.0}, slowdown=4.0, formulation="sparse")
     loop, slow, replay, sea = records.view().all_runs
-    assert Experiment.of(loop, "sparse") == Experiment(
+    assert Experiment.from_run(loop, "sparse") == Experiment(
         "closed_loop", "paper", "scaled", 0.0, "sparse"
     )
-    assert Experiment.of(slow) == Experiment("closed_loop", "paper", "scaled", 0.5)
-    assert Experiment.of(replay) == Experiment("replay", "paper[0:300]", "scaled")
-    assert Experiment.of(sea, "sparse") == Experiment(
+    assert Experiment.from_run(slow) == Experiment("closed_loop", "paper", "scaled", 0.5)
+    assert Experiment.from_run(replay) == Experiment("replay", "paper[0:300]", "scaled")
+    assert Experiment.from_run(sea, "sparse") == Experiment(
         "closed_loop", "paper", "scaled", 0.0, "", "seas", 3, 2
     )
 
@@ -98,9 +102,9 @@ def test_units_belong_to_the_experiment_of_a_configuration(records: Any) -> None
     matrix = _matrix(records)
     assert _labels(matrix) == ["paper", "paper (in N and N·m)", "paper (replay, in N and N·m)"]
     assert sorted(matrix.runs) == [(0, 0), (0, 1), (0, 2)]
-    assert matrix.configurations == [common_configuration(records.view().runs[0])]
+    assert matrix.configurations == [get_configuration_in_common_form(records.view().runs[0])]
     assert {c.units for c in matrix.configurations} == {"scaled"}
-    assert {p: run.run_id for p, run in matrix.first_runs.items()} == {
+    assert {p: run.run_id for p, run in matrix.first_run_by_experiment.items()} == {
         0: "run0002",
         1: "run0001",
         2: "run0000",
@@ -114,24 +118,24 @@ def test_the_runs_of_a_study_that_are_kept(records: Any) -> None:
     matrix = _matrix(records, kept=1)
     assert _labels(matrix) == ["paper", "seas: point 0, sea 1", "seas: point 0, sea 2"]
     assert sorted(matrix.runs) == [(0, 0), (1, 1)]
-    assert matrix.judged_experiments == [0]
-    assert matrix.levels == ["default"]
+    assert matrix.judged_experiment_indices == [0]
+    assert matrix.settings_levels == ["default"]
     assert [c.solver for c in matrix.configurations] == ["daqp", "scs"]
-    assert [c.solver for c in matrix.references] == ["daqp"]
+    assert [c.solver for c in matrix.reference_configurations] == ["daqp"]
     assert sorted(_matrix(records, kept=0).runs) == [(0, 0)]
 
 
 def test_references_where_nothing_is_judged_are_the_first_of_each_solver(records: Any) -> None:
     for solver, settings in (("daqp", "high"), ("daqp", "default"), ("scs", "default")):
         records.sea(solver, 0, 1, {"hs_m": 1.0}, settings=settings)
-    references = _matrix(records).references
+    references = _matrix(records).reference_configurations
     assert [(c.solver, c.settings) for c in references] == [("daqp", "high"), ("scs", "default")]
 
 
 def test_levels_are_in_the_order_of_use(records: Any) -> None:
     for settings in ("special", "high", "low", "default"):
         records.loop("daqp", settings=settings)
-    assert _matrix(records).levels == ["default", "low", "high", "special"]
+    assert _matrix(records).settings_levels == ["default", "low", "high", "special"]
 
 
 def test_scenarios_are_those_that_rows_carry(records: Any) -> None:
@@ -143,10 +147,10 @@ def test_scenarios_are_those_that_rows_carry(records: Any) -> None:
     records.loop("daqp", cell=json.dumps(bare), **named)
     matrix = _matrix(records)
     loop, sea, same, unknown = matrix.records.all_runs
-    assert matrix.scenario(loop) is matrix.records.scenario("paper")
-    assert (found := matrix.scenario(sea)) is not None and found.name == "paper"
-    assert matrix.scenario(same) is found
-    assert matrix.scenario(unknown) is None
+    assert matrix.build_scenario_of_run(loop) is matrix.records.build_scenario("paper")
+    assert (found := matrix.build_scenario_of_run(sea)) is not None and found.name == "paper"
+    assert matrix.build_scenario_of_run(same) is found
+    assert matrix.build_scenario_of_run(unknown) is None
 
 
 @pytest.mark.parametrize(
@@ -167,8 +171,8 @@ def test_scenarios_are_those_that_rows_carry(records: Any) -> None:
 def test_the_state_of_a_run_alone(records: Any, columns: dict[str, Any], state: str) -> None:
     records.loop("daqp", **columns)
     matrix = _matrix(records)
-    assert matrix.state(0, 0) == state
-    assert matrix.state(0, 1) == matrix.state(1, 0) == "not run"
+    assert matrix.get_state_in_experiment(0, 0) == state
+    assert matrix.get_state_in_experiment(0, 1) == matrix.get_state_in_experiment(1, 0) == "not run"
 
 
 @pytest.mark.parametrize(
@@ -189,8 +193,8 @@ def test_a_window_counts_in_its_loop(records: Any, columns: dict[str, Any], stat
     _window(records, "daqp", **columns)
     matrix = _matrix(records)
     assert _labels(matrix) == ["paper", "paper (in N and N·m)", "paper (replay)"]
-    loop = matrix.index(common_configuration(matrix.records.all_runs[0]))
-    states = [matrix.state(loop, p) for p in range(3)]
+    loop = matrix.find_index(get_configuration_in_common_form(matrix.records.all_runs[0]))
+    states = [matrix.get_state_in_experiment(loop, p) for p in range(3)]
     assert states == [state, "pass", "pass"]
 
 
@@ -199,10 +203,10 @@ def test_the_replay_behind_a_p99(records: Any) -> None:
     records.replay("daqp", "rough[900:1400]", steps=500, median_us=10.0, spread=0.0)
     records.replay("daqp", median_us=50.0, spread=0.0)
     matrix = _matrix(records)
-    (verdict,) = matrix.verdicts.references
-    margin = matrix.margin(verdict.configuration)
-    assert margin is not None and margin.factor == pytest.approx(60.0, rel=1e-3)
-    number = matrix.timed_experiment_index(verdict)
+    (verdict,) = matrix.verdicts.verdicts_on_references
+    margin = matrix.get_speed_margin(verdict.configuration)
+    assert margin is not None and margin.allowed_slowness_factor == pytest.approx(60.0, rel=1e-3)
+    number = matrix.find_timed_experiment_index(verdict)
     assert number is not None and matrix.experiments[number] == Experiment(
         "replay", "paper", "scaled"
     )
@@ -211,10 +215,10 @@ def test_the_replay_behind_a_p99(records: Any) -> None:
 def test_without_a_replay_no_p99_has_an_experiment(records: Any) -> None:
     records.loop("daqp", raw_max_ns=math.nan)
     matrix = _matrix(records)
-    (verdict,) = matrix.verdicts.references
-    assert matrix.timed_experiment_index(verdict) is None
-    assert matrix.margin(verdict.configuration) is None
-    assert matrix.longest_timing(verdict.configuration) is None
+    (verdict,) = matrix.verdicts.verdicts_on_references
+    assert matrix.find_timed_experiment_index(verdict) is None
+    assert matrix.get_speed_margin(verdict.configuration) is None
+    assert matrix.find_longest_timing(verdict.configuration) is None
 
 
 def test_the_longest_timing_is_of_scaled_runs_outside_studies(records: Any) -> None:
@@ -225,7 +229,7 @@ def test_the_longest_timing_is_of_scaled_runs_outside_studies(records: Any) -> N
     records.sea("daqp", 0, 1, {"hs_m": 1.0}, raw_max_ns=9e6)
     records.loop("scs", raw_max_ns=9e6)
     matrix = _matrix(records, kept=1)
-    found = matrix.longest_timing(matrix.configurations[0])
+    found = matrix.find_longest_timing(matrix.configurations[0])
     assert (found[0].label, found[1].raw_max_ns) == ("paper (replay)", 3e6)
 
 
@@ -253,6 +257,6 @@ def test_the_index_of_a_configuration(records: Any) -> None:
     records.loop("scs")
     matrix = _matrix(records)
     first, second = matrix.configurations
-    assert (matrix.index(first), matrix.index(second)) == (0, 1)
+    assert (matrix.find_index(first), matrix.find_index(second)) == (0, 1)
     records.loop("osqp")
-    assert matrix.index(_matrix(records).configurations[2]) == -1
+    assert matrix.find_index(_matrix(records).configurations[2]) == -1

@@ -7,7 +7,11 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.speed_margin import SpeedMargin, largest_stall_ns, speed_margins
+from dpbench.analysis.verdict.speed_margin import (
+    SpeedMargin,
+    compute_speed_margins,
+    find_largest_stall_ns,
+)
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.solvers.calibration import COPY_ONLY
 
@@ -15,7 +19,7 @@ REQUIREMENTS = Requirements()
 
 
 def _margin(records: Any) -> SpeedMargin:
-    (margin,) = speed_margins(records.view(), REQUIREMENTS).values()
+    (margin,) = compute_speed_margins(records.view(), REQUIREMENTS).values()
     return margin
 
 
@@ -44,7 +48,7 @@ def test_the_margin_is_that_of_the_hardest_step_and_of_the_p99(records: Any) -> 
     margin = _margin(records)
     assert margin.deadline == pytest.approx(5000.0, rel=1e-4)
     assert margin.p99_limit == pytest.approx(150.0, rel=1e-4)
-    assert margin.factor == margin.p99_limit
+    assert margin.allowed_slowness_factor == margin.p99_limit
     assert (margin.hardest.k, margin.hardest.run.scenario) == (500, "paper")
     assert margin.hardest.iterations == 5 + 500 % 4
 
@@ -55,7 +59,7 @@ def test_a_stall_changes_no_margin(records: Any) -> None:
     quiet = _margin(records)
     frame = records._steps[-1]
     frame.loc[(frame["repeat"] == 2) & (frame["k"] == 7), "total_ns"] = 9_000_000
-    assert _margin(records).factor == quiet.factor
+    assert _margin(records).allowed_slowness_factor == quiet.allowed_slowness_factor
 
 
 def test_without_a_p99_the_hardest_step_has_to_keep_its_limit(records: Any) -> None:
@@ -83,20 +87,20 @@ def test_late_steps_of_a_window_beyond_a_hundredth_of_its_stretch(
     records.loop("daqp", "turn")
     records.replay("daqp", median_us=20.0, spread=0.0)
     _window(records, 450, dict.fromkeys(range(late), 500.0))
-    (verdict,) = judge_solvers(records.view(), REQUIREMENTS).references
+    (verdict,) = judge_solvers(records.view(), REQUIREMENTS).verdicts_on_references
     assert verdict.state == state
     assert (verdict.replays, verdict.windows) == (1, 1)
 
 
 def test_the_largest_stall_is_that_of_a_calibration_run(records: Any) -> None:
     """A timing of 5 ms where the fastest round took 20 µs; a solver's own is none of them."""
-    assert math.isnan(largest_stall_ns(records.view()))
+    assert math.isnan(find_largest_stall_ns(records.view()))
     records.replay(COPY_ONLY, median_us=20.0, spread=0.0, route="native", policy="reuse")
-    assert math.isnan(largest_stall_ns(records.view())), "no delay"
+    assert math.isnan(find_largest_stall_ns(records.view())), "no delay"
     frame = records._steps[-1]
     frame.loc[(frame["repeat"] == 2) & (frame["k"] == 7), "total_ns"] = 5_000_000
     records.replay("daqp", median_us=20.0, spread=0.0)
-    assert largest_stall_ns(records.view()) == pytest.approx(4.98e6, rel=1e-4)
+    assert find_largest_stall_ns(records.view()) == pytest.approx(4.98e6, rel=1e-4)
 
 
 def test_a_short_replay_bounds_the_deadline_alone(records: Any) -> None:
@@ -125,6 +129,6 @@ def test_only_scaled_replays_with_steps_have_a_margin(records: Any) -> None:
     records.replay("scs", units="si")
     records.replay("daqp", median_us=20.0, spread=0.0)
     records.replay("daqp", median_us=30.0, spread=0.0, settings="high")
-    margins = speed_margins(records.view(), REQUIREMENTS)
+    margins = compute_speed_margins(records.view(), REQUIREMENTS)
     limits = {(c.solver, c.settings): round(margin.p99_limit) for c, margin in margins.items()}
     assert limits == {("daqp", "default"): 150, ("daqp", "high"): 100}

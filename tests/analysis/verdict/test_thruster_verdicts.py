@@ -12,10 +12,10 @@ from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.thruster_verdicts import (
     ThrusterVerdicts,
     compare_thrusters_with_forces,
-    is_about_thrusters,
-    largest_ratio,
-    late_losses,
-    thruster_control_loops,
+    find_largest_ratio_to_best,
+    is_mostly_thruster_control,
+    list_late_losses,
+    select_thruster_control_loops,
 )
 
 REQUIREMENTS = Requirements()
@@ -55,9 +55,9 @@ def test_who_passes_with_thrusters_and_with_forces() -> None:
         },
         {},
     )
-    assert verdicts.names("pass") == ["a", "c"]
-    assert verdicts.names("borderline", "inconclusive") == ["d", "e"]
-    assert verdicts.names(*MISSED) == ["b", "f"]
+    assert verdicts.list_solvers_with_state("pass") == ["a", "c"]
+    assert verdicts.list_solvers_with_state("borderline", "inconclusive") == ["d", "e"]
+    assert verdicts.list_solvers_with_state(*MISSED) == ["b", "f"]
     assert verdicts.passing_with_forces == ["a", "b", "d"]
 
 
@@ -74,7 +74,7 @@ def test_a_folder_is_about_thrusters_by_more_than_half_of_its_scenarios(
         for solver in ("daqp", "scs") if cell == FORCES else ("daqp",):
             records.loop(solver, name, cell=cell)
     records.replay("daqp", "rough[0:300]", cell=THRUSTERS, steps=300)
-    assert is_about_thrusters(records.view()) is about
+    assert is_mostly_thruster_control(records.view()) is about
 
 
 def test_the_best_outcome_of_a_solver_counts(records: Any) -> None:
@@ -98,7 +98,7 @@ def test_the_best_outcome_of_a_solver_counts(records: Any) -> None:
     }
     assert found.with_thrusters == {"daqp": "pass", "piqp": "late", "scs": "fail"}
     assert found.faults == {"piqp": "too late", "scs": "wrong"}
-    assert found.names("pass") == ["daqp"]
+    assert found.list_solvers_with_state("pass") == ["daqp"]
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ def test_the_best_loop_is_right_ran_farthest_and_is_nearest(records: Any) -> Non
     _powered(records, "unpowered", steps=300, power_share=math.nan, dev_position_max_m=0.0)
     _powered(records, "law", steps=300, formulation="none", dev_position_max_m=0.0)
     _powered(records, "lone", "calm", error=0.5)
-    found = thruster_control_loops(records.view(), REQUIREMENTS)
+    found = select_thruster_control_loops(records.view(), REQUIREMENTS)
     assert {name: run.solver for name, run in found.best.items()} == {"turn": "near"}
     names = ["wrong", "short", "far", "near", "stopped"]
     assert list(found.configurations) == [f"{name} (qpsolvers fresh)" for name in names]
@@ -147,7 +147,7 @@ def test_loops_are_grouped_by_configuration(records: Any) -> None:
     for scenario in ("turn", "calm"):
         _powered(records, "daqp", scenario)
         _powered(records, "daqp", scenario, settings="high")
-    found = thruster_control_loops(records.view(), REQUIREMENTS)
+    found = select_thruster_control_loops(records.view(), REQUIREMENTS)
     assert list(found.best) == ["calm", "turn"]
     assert {
         label: [run.scenario for run in runs] for label, runs in found.configurations.items()
@@ -165,13 +165,16 @@ def test_the_largest_ratio_of_a_metric_by_hand() -> None:
     """3 / 2 and 5 / 4: the first is larger; a metric of zero or without a value has no ratio."""
     best: Any = {"a": _run(power_share=2.0), "b": _run(power_share=4.0), "c": _run(power_share=0.0)}
     runs = [_run(scenario=name, power_share=x) for name, x in (("b", 5.0), ("a", 3.0), ("c", 9.0))]
-    assert largest_ratio(runs, best, "power_share") == 1.5
-    assert largest_ratio(runs[:1], best, "power_share") == 1.25
-    assert math.isnan(largest_ratio(runs[2:], best, "power_share"))
+    assert find_largest_ratio_to_best(runs, best, "power_share") == 1.5
+    assert find_largest_ratio_to_best(runs[:1], best, "power_share") == 1.25
+    assert math.isnan(find_largest_ratio_to_best(runs[2:], best, "power_share"))
     unknown = best | {"a": _run(power_share=math.nan)}
-    assert largest_ratio(runs[1::-1], unknown, "power_share") == 1.25
+    assert find_largest_ratio_to_best(runs[1::-1], unknown, "power_share") == 1.25
     small: Any = {"a": _run(power_share=0.5)}
-    assert largest_ratio([_run(scenario="a", power_share=0.25)], small, "power_share") == 0.5
+    assert (
+        find_largest_ratio_to_best([_run(scenario="a", power_share=0.25)], small, "power_share")
+        == 0.5
+    )
 
 
 @pytest.mark.parametrize(
@@ -193,15 +196,19 @@ def test_losses_in_the_second_half(at_s: list[float], lost: list[str]) -> None:
     """200 steps of 0.5 s are 100 s: every loss must be at 50 s or later, and before the end."""
     faults = [{"at_s": at, "lost": ["bow"]} for at in at_s]
     scenario = {"sample_s": 0.5, "faults": [{"at_s": 1.0, "lost": []}, {"at_s": 2.0}, *faults]}
-    assert late_losses(_run(scenario_files={"scenario": scenario}, steps_done=200)) == lost
+    assert list_late_losses(_run(scenario_documents={"scenario": scenario}, steps_done=200)) == lost
 
 
 def test_all_that_one_fault_takes_is_lost() -> None:
     faults = [{"at_s": 80.0, "lost": ["group 1", 2]}, {"at_s": 70.0, "lost": ["stern"]}]
     files = {"scenario": {"sample_s": 0.5, "faults": faults}}
-    assert late_losses(_run(scenario_files=files, steps_done=200)) == ["group 1", "2", "stern"]
+    assert list_late_losses(_run(scenario_documents=files, steps_done=200)) == [
+        "group 1",
+        "2",
+        "stern",
+    ]
 
 
 @pytest.mark.parametrize("files", [None, {}, {"scenario": {"faults": None}}])
 def test_a_loop_without_faults_loses_nothing(files: dict[str, Any] | None) -> None:
-    assert late_losses(_run(scenario_files=files, steps_done=200)) == []
+    assert list_late_losses(_run(scenario_documents=files, steps_done=200)) == []

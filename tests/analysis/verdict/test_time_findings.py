@@ -14,12 +14,12 @@ from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.lateness import LateTimings
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.time_findings import (
-    find_hidden_work,
+    compute_p99_ns,
+    convert_late_timings_to_findings,
     find_own_times_ns,
     find_slow_loops,
-    judge_times,
-    p99_ns,
-    report_late_timings,
+    find_work_in_other_threads,
+    judge_replay_times,
 )
 from dpbench.analysis.verdict.uncertainty import Uncertainty
 
@@ -83,7 +83,7 @@ def test_threads_that_work_longer_than_the_timed_calls_are_hidden_work(records: 
     source = {"kind": "hardest", "name": "paper hardest 30", "of": 450}
     cell = json.dumps({"source": source})
     records.replay("window", steps=30, thread_s=9.0, solve_s=1.0, cell=cell)
-    found = find_hidden_work(records.view().runs)
+    found = find_work_in_other_threads(records.view().runs)
     assert _found(found) == [("hidden work", ["thrice", "twice"], 3.0)]
 
 
@@ -91,7 +91,9 @@ def test_clocks_that_differ_are_no_hidden_work(records: Any) -> None:
     """A call that only waited for the core has no time of its own to divide by."""
     records.replay("clocks", thread_s=25e-6, solve_s=0.0)
     records.replay("thread", thread_s=4e-3, solve_s=0.0)
-    assert _found(find_hidden_work(records.view().runs)) == [("hidden work", ["thread"], 4.0)]
+    assert _found(find_work_in_other_threads(records.view().runs)) == [
+        ("hidden work", ["thread"], 4.0)
+    ]
 
 
 def _late(run: Any, kind: Any, late: int, p: float) -> LateTimings:
@@ -108,7 +110,7 @@ def test_late_timings_are_reported_by_kind_with_the_worst_run_first() -> None:
         "d": [_late(d, "late timings", 40, 0.002), _late(d, "past the deadline", 2, 0.0001)],
         "e": [_late(d, "late timings", 90, 0.0001)],
     }
-    found = report_late_timings(runs, late)
+    found = convert_late_timings_to_findings(runs, late)
     assert _found(found) == [
         ("late timings", ["b", "c", "a"], 0.3),
         ("late at random", ["a", "c"], 0.08),
@@ -117,12 +119,12 @@ def test_late_timings_are_reported_by_kind_with_the_worst_run_first() -> None:
         ("past the deadline", ["d"], 0.02),
     ]
     assert {(finding.steps, finding.machine) for finding in found} == {(100, 0.25)}
-    assert report_late_timings(runs, {}) == []
+    assert convert_late_timings_to_findings(runs, {}) == []
 
 
 def _judged(records: Any) -> tuple[list[Finding], dict[str, Any]]:
     view = records.view()
-    return judge_times(view, view.runs, REQUIREMENTS, UNCERTAINTY)
+    return judge_replay_times(view, view.runs, REQUIREMENTS, UNCERTAINTY)
 
 
 def _even_replay(records: Any, ns: float, steps: int, **columns: Any) -> None:
@@ -325,15 +327,15 @@ def test_a_slow_window_has_its_own_cause(records: Any, ns: int, kinds: list[str]
 )
 def test_the_p99_of_a_stretch_by_hand(of: int, expected: float) -> None:
     """One step in 100 may be slower than the p99, two in 200; a window ends at its fastest."""
-    run: Any = SimpleNamespace(window_of=of)
-    assert p99_ns(run, np.array([20.0, 50.0, 10.0, 40.0, 30.0])) == expected
+    run: Any = SimpleNamespace(steps_searched_for_hardest=of)
+    assert compute_p99_ns(run, np.array([20.0, 50.0, 10.0, 40.0, 30.0])) == expected
 
 
 def test_a_replay_of_all_steps_has_the_usual_p99() -> None:
     """Without a window the percentile is that of the steps, and needs 1000 of them."""
-    run: Any = SimpleNamespace(window_of=0)
-    assert p99_ns(run, np.arange(1001.0)) == 990.0
-    assert math.isnan(p99_ns(run, np.arange(999.0)))
+    run: Any = SimpleNamespace(steps_searched_for_hardest=0)
+    assert compute_p99_ns(run, np.arange(1001.0)) == 990.0
+    assert math.isnan(compute_p99_ns(run, np.arange(999.0)))
 
 
 def test_replays_without_times_are_doubts_and_hide_no_other(records: Any) -> None:

@@ -6,7 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.verdict.uncertainty import Uncertainty, estimate_uncertainty, factor_quantile
+from dpbench.analysis.verdict.uncertainty import (
+    Uncertainty,
+    compute_factor_quantile,
+    estimate_uncertainty,
+)
 
 
 def _replay(records: Any, solver: str, rounds_us: tuple[float, ...], **columns: Any) -> None:
@@ -84,11 +88,11 @@ def test_the_factor_of_a_run(records: Any) -> None:
     replay, loop, other = records.view().runs
     known = replay.configuration.moved_to_common_formulation
     found = Uncertainty({known: 1.25}, {known: 1.5}, {known: 9.0}, usual=1.125)
-    assert [found.of(run) for run in (replay, loop, other)] == [1.25, 1.5, 1.125]
+    assert [found.get_factor_of_run(run) for run in (replay, loop, other)] == [1.25, 1.5, 1.125]
     larger = Uncertainty({known: 1.25}, {known: 1.5}, {known: 9.0}, usual=1.375)
-    assert [larger.of(run) for run in (replay, loop, other)] == [1.375, 1.5, 1.375]
+    assert [larger.get_factor_of_run(run) for run in (replay, loop, other)] == [1.375, 1.5, 1.375]
 
 
 def test_the_usual_factor_is_a_quantile_of_95_percent() -> None:
     """The factor of 1.00, 1.01, ..., 2.00 is 1.95."""
-    assert factor_quantile(1.0 + np.arange(101) / 100.0) == pytest.approx(1.95)
+    assert compute_factor_quantile(1.0 + np.arange(101) / 100.0) == pytest.approx(1.95)

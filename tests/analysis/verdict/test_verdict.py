@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.contrasts import paired_comparison
-from dpbench.analysis.verdict.fastest import fastest_first
+from dpbench.analysis.times.contrasts import compare_paired_times
+from dpbench.analysis.verdict.fastest import sort_fastest_first
 from dpbench.analysis.verdict.findings import MISSED
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
@@ -32,7 +32,7 @@ def _verdict(records: Any, solver: str, settings: str = "default") -> Any:
 def _why(verdict: Any) -> str:
     """Return the reasons against a verdict, or those it lacks, in the words of terminal and
     tables."""
-    return verdict.refusal or describe_findings(verdict.causes or verdict.missing)
+    return verdict.refusal or describe_findings(verdict.causes or verdict.findings_that_bar_pass)
 
 
 def test_exact_and_fast_meets(records: Any) -> None:
@@ -42,7 +42,7 @@ def test_exact_and_fast_meets(records: Any) -> None:
     assert verdict.state == "pass"
     assert verdict.steps == 120 + 1000
     assert Recommendation.why(verdict) == ""
-    assert not verdict.causes and not verdict.missing
+    assert not verdict.causes and not verdict.findings_that_bar_pass
 
 
 CAUSES = [
@@ -153,8 +153,8 @@ def test_too_few_steps_for_a_p99(records: Any) -> None:
 def test_the_requirements_are_read_from_the_suite(records: Any) -> None:
     records.loop("osqp", error=0.05)
     records.replay("osqp")
-    looser = Requirements.of({"requirements": {"error_move": 0.1, "unknown": 1}})
-    assert judge_solvers(records.view(), looser).references[0].state == "pass"
+    looser = Requirements.from_suite({"requirements": {"error_move": 0.1, "unknown": 1}})
+    assert judge_solvers(records.view(), looser).verdicts_on_references[0].state == "pass"
     assert _verdict(records, "osqp").state == "fail"
     assert "within 0.1 of a rate-limit step" in describe_requirements(looser)
 
@@ -212,7 +212,7 @@ def test_high_settings_rescue(records: Any) -> None:
     records.replay("osqp", error=0.4)
     records.replay("osqp", settings="high")
     verdicts = judge_solvers(records.view(), REQUIREMENTS)
-    assert [v.state for v in verdicts.all] == ["fail", "pass"]
+    assert [v.state for v in verdicts.all_verdicts] == ["fail", "pass"]
     assert count_solvers(verdicts) == (
         "1 of 1 pass, 1 of them not by default: osqp (qpsolvers fresh, high)"
     )
@@ -268,8 +268,8 @@ def _duel(records: Any, median_us: float) -> Any:
         records.loop(solver)
         records.replay(solver, median_us=median, spread=0.1)
     view = records.view()
-    ranked = fastest_first(judge_solvers(view, REQUIREMENTS).references)
-    return paired_comparison(view, ranked[0], ranked[1])
+    ranked = sort_fastest_first(judge_solvers(view, REQUIREMENTS).verdicts_on_references)
+    return compare_paired_times(view, ranked[0], ranked[1])
 
 
 def test_a_clear_lead_is_called_so(records: Any) -> None:
@@ -279,14 +279,14 @@ def test_a_clear_lead_is_called_so(records: Any) -> None:
     """
     found = _duel(records, 40.0)
     assert found.ratio.value == pytest.approx(2.0, rel=0.02)
-    assert not found.is_tied and found.finding == "slower"
+    assert not found.is_tied and found.finding_text == "slower"
     said = r"[\d.]+ times as long over the same steps \(geometric mean, [\d.]+ to [\d.]+\)"
     assert re.fullmatch(said, describe_paired_times(found))
 
 
 def test_a_tie_is_called_a_tie(records: Any) -> None:
     found = _duel(records, 20.0)
-    assert found.is_tied and found.finding == "tied"
+    assert found.is_tied and found.finding_text == "tied"
     assert "no significant difference" in describe_paired_times(found)
 
 
@@ -297,8 +297,10 @@ def test_few_steps_state_the_ratio_and_no_more(records: Any, median_us: float) -
         records.loop(solver, steps=40)
         records.replay(solver, steps=40, median_us=median, spread=0.0)
     view = records.view()
-    found = paired_comparison(view, *fastest_first(judge_solvers(view, REQUIREMENTS).references))
-    assert found.finding == "too few steps"
+    found = compare_paired_times(
+        view, *sort_fastest_first(judge_solvers(view, REQUIREMENTS).verdicts_on_references)
+    )
+    assert found.finding_text == "too few steps"
     said = describe_paired_times(found)
     assert said.startswith("1.01 times" if median_us < 21.0 else "2260 times")
     assert said.endswith("(geometric mean of 40 steps; fewer than 500 steps, so no interval)")
@@ -311,10 +313,12 @@ def test_an_order_that_turns_with_the_yardstick_is_called_unstable(records: Any)
     records.loop("nervous")
     records.replay("nervous", median_us=20.0, spread=0.6)
     view = records.view()
-    ranked = fastest_first(judge_solvers(view, REQUIREMENTS).references)
+    ranked = sort_fastest_first(judge_solvers(view, REQUIREMENTS).verdicts_on_references)
     assert [v.configuration.solver for v in ranked] == ["steady", "nervous"]
-    found = paired_comparison(view, *ranked)
-    assert found.finding == "unstable" and "depends on the measure" in describe_paired_times(found)
+    found = compare_paired_times(view, *ranked)
+    assert found.finding_text == "unstable" and "depends on the measure" in describe_paired_times(
+        found
+    )
 
 
 def test_terminal_lines_carry_no_markup(records: Any) -> None:

@@ -201,14 +201,16 @@ def test_loops_of_a_study_are_named_beside_a_missing_loop(records: Any) -> None:
     records.replay("daqp", median_us=20.0)
     records.sea("daqp", 0, 0, {"sea": 1.0})
     (timed,) = _all(records)
-    assert [finding.kind for finding in timed.missing] == ["no loop but studied ones"]
+    assert [finding.kind for finding in timed.findings_that_bar_pass] == [
+        "no loop but studied ones"
+    ]
 
 
 def test_kinds_of_runs_that_are_missing(records: Any) -> None:
     records.replay("daqp", median_us=20.0)
     records.loop("scs")
     (timed,), (steered,) = _all(records), _all(records, "scs")
-    assert [finding.kind for finding in timed.missing] == ["no closed loop"]
-    assert [finding.kind for finding in steered.missing] == ["no replay"]
+    assert [finding.kind for finding in timed.findings_that_bar_pass] == ["no closed loop"]
+    assert [finding.kind for finding in steered.findings_that_bar_pass] == ["no replay"]
     assert (timed.state, timed.is_rankable) == ("inconclusive", True)
     assert (steered.state, steered.is_rankable) == ("inconclusive", False)

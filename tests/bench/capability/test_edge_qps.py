@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import capability_plots
+from dpbench.analysis.suites.capability import build_capability_results
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.capability import edge_qps
 from dpbench.bench.capability.frontier import FROM_DEG, Capability, CapabilityPlot, Case, WindLimit
@@ -155,9 +155,9 @@ def test_a_run_leaves_the_plot_and_answers_that_the_referee_judged(tmp_path: Pat
     run_campaign(suite, out, solvers=["quadprog"])
     table_of_run = edge_qps.load_capability_plots(out)
     assert table_of_run is not None
-    (plot,) = capability_plots(Records(load_results(out)), table_of_run)
+    (plot,) = build_capability_results(Records(load_results(out)), table_of_run)
     (answers,) = plot.answers
-    assert answers.is_all_right
+    assert answers.has_only_right_answers
     held = int(table_of_run["held"].sum())
     assert (answers.balanced, answers.refused) == (held, len(table_of_run) - held)
     assert len(plot.edges) == 36 * 3 and not plot.edges["untrue"].any()

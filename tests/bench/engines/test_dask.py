@@ -151,10 +151,10 @@ def test_shared_replays_are_not_ranked(suite: Path, tmp_path: Path, scheduler: C
     assert "no ranking" in line
     results = load_results(out)
     records = Records(results)
-    replays = records.select(mode="replay")
+    replays = records.select_runs(mode="replay")
     assert replays and all(run.concurrency == 2.0 for run in replays)
     assert (results.runs.loc[results.runs["mode"] == "replay", "raw_max_ns"] > 0).all()
-    assert all(records.times(run) is None for run in replays)
+    assert all(records.get_step_times(run) is None for run in replays)
     assert all(math.isnan(run.raw_max_ns) for run in replays)
 
 

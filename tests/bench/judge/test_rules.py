@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.step_times import times_by_run
+from dpbench.analysis.records.step_times import yield_step_times_by_run
 from dpbench.bench.judge import rules
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.judge.replay import evaluate_replay_log
@@ -65,7 +65,7 @@ def test_the_run_counts_the_rounds_that_the_report_counts(
     slowed: tuple[int, ...], rounds: int, disturbed: int, counting_disturbed: int
 ) -> None:
     steps, run = _tables(_judged(_log([SLOWED if r in slowed else CALM for r in range(4)])))
-    (shown,) = dict(times_by_run(steps)).values()
+    (shown,) = dict(yield_step_times_by_run(steps)).values()
     assert (run["rounds"], run["raw_samples"]) == (rounds, rounds * STEPS)
     assert shown.raw_max_ns == run["raw_max_ns"] and shown.algo_ns.max() == run["algo_max_ns"]
     assert (run["disturbed_rounds"], run["counting_disturbed"]) == (disturbed, counting_disturbed)
@@ -76,7 +76,7 @@ def test_a_replay_that_ended_in_its_warm_up_has_no_figures() -> None:
     log = _log([CALM] * 4)
     log.done[1:] = 0
     steps, run = _tables(_judged(log))
-    assert len(steps) == WARM_UP_STEPS and not dict(times_by_run(steps))
+    assert len(steps) == WARM_UP_STEPS and not dict(yield_step_times_by_run(steps))
     assert run["steps_done"] == 0
     assert pd.isna(run["raw_samples"]) and np.isnan(run["error_move_max"])
 

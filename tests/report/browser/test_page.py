@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from dpbench.analysis.times.contrasts import paired_comparison
+from dpbench.analysis.times.contrasts import compare_paired_times
 from dpbench.bench.record.cell import Configuration
 from dpbench.report.formats import format_rounded_down
 from dpbench.report.page.recommendation import format_python_call
@@ -292,9 +292,9 @@ def test_the_speed_margin_decides_on_slower_computers(opened: Any, written: Any,
     drawn = page.evaluate("rowsDrawn('ladder').values")
     bounds = {}
     for row in drawn:
-        margin = facts.margin(facts.configurations[int(row["id"])])
-        assert margin is not None and margin.factor == pytest.approx(row["margin"])
-        bounds[int(row["id"])] = margin.factor
+        margin = facts.get_speed_margin(facts.configurations[int(row["id"])])
+        assert margin is not None and margin.allowed_slowness_factor == pytest.approx(row["margin"])
+        bounds[int(row["id"])] = margin.allowed_slowness_factor
     right = [row for row in drawn if row["verdict"] == "pass"]
     keep = [row for row in right if bounds[int(row["id"])] >= slow]
     output = page.inner_text("#slow-kept")
@@ -447,11 +447,11 @@ def test_two_solvers_are_compared(opened: Any) -> None:
 
 def test_any_two_have_the_interval_of_their_ratio(opened: Any, written: Any) -> None:
     facts = written.report.data
-    timed = [v for v in facts.verdicts.all if v.timed_on]
+    timed = [v for v in facts.verdicts.all_verdicts if v.timed_on]
     page = opened()
     for first, second in ((timed[0], timed[-1]), (timed[-2], timed[1])):
-        ratio = paired_comparison(facts.records, first, second).ratio
-        a, b = (facts.index(v.configuration) for v in (first, second))
+        ratio = compare_paired_times(facts.records, first, second).ratio
+        a, b = (facts.find_index(v.configuration) for v in (first, second))
         reach = page.evaluate(f"reachOf({a}, {b})")
         assert reach == page.evaluate(f"reachOf({b}, {a})")
         assert reach == pytest.approx((ratio.high / ratio.low) ** 0.5, rel=1e-3)

@@ -12,7 +12,7 @@ import pytest
 
 from dpbench import InputError, compare
 from dpbench.analysis.compare.pairs import Pair
-from dpbench.analysis.records.run_record import build_records
+from dpbench.analysis.records.run_record import build_run_records
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
 from dpbench.cli.main import main
@@ -500,10 +500,10 @@ def test_a_configuration_that_met_another_neighbour_is_not_blamed_for_it(make: M
 def test_another_build_of_the_same_version_is_said() -> None:
     builds = ("BLASFEO generic", "BLASFEO AVX2 FMA")
     rows = [identity("replay", "hpipm", {"build": build}) for build in builds]
-    generic, fast = build_records(convert_to_run_columns(pd.DataFrame(rows)))
-    assert Pair(generic, generic).label.startswith("hpipm (")
+    generic, fast = build_run_records(convert_to_run_columns(pd.DataFrame(rows)))
+    assert Pair(generic, generic).configuration_label.startswith("hpipm (")
     output = "hpipm 1.0 BLASFEO generic → 1.0 BLASFEO AVX2 FMA ("
-    assert Pair(generic, fast).label.startswith(output)
+    assert Pair(generic, fast).configuration_label.startswith(output)
 
 
 @pytest.mark.slow
@@ -516,7 +516,7 @@ def test_settings_whose_options_changed_are_compared_by_their_name(make: Make) -
     compared = compare(a, b)
     assert not compared.pairs.only_a and not compared.pairs.only_b
     (pair,) = compared.pairs.pairs
-    assert pair.label == f"daqp (native fresh, mine) with {change}"
+    assert pair.configuration_label == f"daqp (native fresh, mine) with {change}"
     assert f"options changed: daqp mine: {change}" in compared.lines
     assert make_lead_sentences(compared)[0] == f"Options changed: daqp mine: {change}."
     assert not compared.worse and "better" in set(compared.answers["change"])

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.records.worst_steps import worst_steps
+from dpbench.analysis.records.worst_steps import find_worst_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.report.documents.markdown import COMMENT_BYTES, compare_solver
@@ -31,11 +31,11 @@ def test_the_worst_step_is_the_largest_of_all_replays(written: Any) -> None:
     known = {run.run_id for run in facts.records.runs}
     steps = results.steps[results.steps["run_id"].isin(set(runs["run_id"]) & known)]
     counting = steps[steps["counts"]].astype({"total_ns": float})
-    error, time, _ = worst_steps(facts.records, "piqp")
+    error, time, _ = find_worst_steps(facts.records, "piqp")
     assert (error.measure, time.measure) == ("error", "time")
     assert error.value == counting["error_move"].max()
     assert time.value == counting.groupby(["run_id", "k"])["total_ns"].min().max()
-    row = counting[(counting["run_id"] == error.run.run_id) & (counting["k"] == error.k)]
+    row = counting[(counting["run_id"] == error.run.run_id) & (counting["k"] == error.step_index)]
     assert np.isclose(row["error_move"].max(), error.value)
 
 

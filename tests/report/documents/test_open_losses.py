@@ -10,7 +10,7 @@ import pytest
 
 from dpbench.analysis.suites.capability import EDGES, CapabilityResult
 from dpbench.analysis.suites.consequence import HELD, LOST, SPAN, ConsequenceAnalysis
-from dpbench.analysis.verdict.ship_results import ship_results
+from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.bench.capability.frontier import FROM_DEG
 from dpbench.report.documents.open_losses import OpenLosses, find_open_losses
 
@@ -38,7 +38,7 @@ def analysis(span: list[tuple[float, float, str]]) -> ConsequenceAnalysis:
 
 def find(records: Any, plots: list[CapabilityResult], *analyses: ConsequenceAnalysis) -> OpenLosses:
     view = records.view()
-    return find_open_losses(view, ship_results(view), plots, analyses)
+    return find_open_losses(view, find_ship_results(view), plots, analyses)
 
 
 def test_a_loss_that_level_1_does_not_hold_is_not_held_though_another_is_simulated(

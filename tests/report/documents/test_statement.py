@@ -84,7 +84,7 @@ def test_no_recommendation_no_statement(
 def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, written: Any) -> None:
     text = " ".join("".join(element.itertext()) for element in _texts(drawn))
     facts, first = written.report.data, written.report.recommendation.first
-    (verdict,) = (v for v in facts.verdicts.all if v.configuration == first)
+    (verdict,) = (v for v in facts.verdicts.all_verdicts if v.configuration == first)
     assert "Solver daqp 1.0, route qpsolvers, policy fresh, settings default" in text
     for figure in (
         format_error(verdict.error_move),
@@ -101,7 +101,7 @@ def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, writte
         digest = hashlib.sha256((written.folder / name).read_bytes()).hexdigest()
         assert f"{name}  SHA-256 {digest}" in drawn and digest in written.html
     for p, experiment in enumerate(facts.experiments):
-        if facts.state(facts.index(first), p) == "pass":
+        if facts.get_state_in_experiment(facts.find_index(first), p) == "pass":
             assert experiment.label in text
 
 
@@ -163,7 +163,7 @@ def test_it_says_that_the_model_lacks_the_drag_of_the_ship(written: Any) -> None
     """Beside the ships; without such a ship it says nothing of it."""
     facts, (name, *_) = written.report.data, written.report.data.records.scenarios
     hull, records = HullDrag(1.0, 1.0, 0.0, 76.2, 0.1), copy(facts.records)
-    plain = records.scenario(name)
+    plain = records.build_scenario(name)
     dragged = replace(plain, vessel=replace(plain.vessel, id="own", drag=hull))
     records._scenarios = {**records._scenarios, name: dragged}
     with_drag = replace(facts, records=records)

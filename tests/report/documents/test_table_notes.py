@@ -10,7 +10,9 @@ from dpbench.report.documents.markdown import yield_table_remarks
 
 
 def _run(sequence: str, window_of: int = 0) -> Any:
-    return SimpleNamespace(mode="replay", sequence=sequence, scenario=sequence, window_of=window_of)
+    return SimpleNamespace(
+        mode="replay", sequence=sequence, scenario=sequence, steps_searched_for_hardest=window_of
+    )
 
 
 def _verdict(

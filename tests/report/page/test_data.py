@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.solver_tables import experiment_table
+from dpbench.analysis.times.solver_tables import tabulate_experiment_verdicts
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.page import data as page_data
@@ -95,7 +95,7 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
             wrong = solver == "osqp" and i in (1, 3)
             records.loop(solver, scenario, steps=20, error=1.0 if wrong else 1e-9)
     facts = _facts(records)
-    tiles = experiment_table(facts)
+    tiles = tabulate_experiment_verdicts(facts)
     assert select_tiles(tiles).equals(tiles)
     monkeypatch.setattr(tables, "MOST_TILES", 5)
     drawn = select_tiles(tiles)
@@ -154,7 +154,7 @@ def test_seas_enter_no_verdict(records: Any) -> None:
     made.loop("daqp", "calm", steps=40)
     made.replay("daqp", "calm")
     report = Report.from_results(made.results())
-    assert [report.data.experiments[p].label for p in report.data.judged_experiments] == [
+    assert [report.data.experiments[p].label for p in report.data.judged_experiment_indices] == [
         "calm",
         "calm (replay)",
     ]

@@ -138,7 +138,7 @@ def test_the_block_unpacks_to_the_facts(written: Any) -> None:
     for i in (0, len(cells["id"]) // 2):
         steps = facts.thinned_runs[cells["id"][i]].steps
         assert arrays[cells["t"][i]] == pytest.approx(list(steps.time_ns), rel=0.006)
-    verdicts = {v.configuration: v for v in facts.verdicts.all}
+    verdicts = {v.configuration: v for v in facts.verdicts.all_verdicts}
     for c, p99 in zip(facts.configurations, document["configurations"]["p99"], strict=True):
         verdict = verdicts.get(c)
         if verdict is not None and verdict.p99_ns == verdict.p99_ns:

@@ -19,9 +19,9 @@ from dpbench.analysis.records.thinned_runs import (
     FORCES,
     TRACK,
     ThinnedRun,
-    extreme_indices,
+    choose_kept_indices_and_hard_flags,
+    find_extreme_indices,
     thin_track,
-    thinned_indices,
 )
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
@@ -196,7 +196,7 @@ def test_a_million_steps_share_the_room(lengths: list[int]) -> None:
 @pytest.mark.parametrize("most", [90, 600, 5000])
 def test_a_thinned_run_keeps_its_hardest_and_a_regular_part(most: int) -> None:
     run = _long(20_000)
-    chosen, extra = thinned_indices(run, most)
+    chosen, extra = choose_kept_indices_and_hard_flags(run, most)
     assert len(chosen) <= most + 1 and np.all(np.diff(chosen) > 0)
     assert len(set(np.diff(chosen[~extra]))) == 1
     for measure in MEASURES:
@@ -205,8 +205,8 @@ def test_a_thinned_run_keeps_its_hardest_and_a_regular_part(most: int) -> None:
 
 def test_left_out_steps_are_missing_in_the_block() -> None:
     run, whole, thin = _long(20_000), Block(), Block()
-    of_whole = pack_steps(whole, ThinnedRun.of(run, 20_000))
-    of_thin = pack_steps(thin, ThinnedRun.of(run, 600))
+    of_whole = pack_steps(whole, ThinnedRun.from_run(run, 20_000))
+    of_thin = pack_steps(thin, ThinnedRun.from_run(run, 600))
     assert of_whole["first"] == of_thin["first"] == 7
     assert len(thin.compress_to_base64({})) < 0.1 * len(whole.compress_to_base64({}))
     all_steps, some = (
@@ -229,9 +229,9 @@ def test_a_track_has_no_more_points_than_it_may() -> None:
 def test_extremes_of_a_line_are_drawn() -> None:
     values = np.sin(np.arange(100_000) / 50.0)
     values[[3, 70_001]] = 5.0, -5.0
-    places = extreme_indices(values, 1000)
+    places = find_extreme_indices(values, 1000)
     assert len(places) <= 1000 and {3, 70_001} <= set(places.tolist())
-    assert len(extreme_indices(values[:1000], 1000)) == 1000
+    assert len(find_extreme_indices(values[:1000], 1000)) == 1000
 
 
 def test_the_block_of_many_long_runs_stays_within_its_room(records: Any, monkeypatch: Any) -> None:
@@ -241,7 +241,7 @@ def test_the_block_of_many_long_runs_stays_within_its_room(records: Any, monkeyp
     results = records.results()
 
     def size() -> int:
-        view, requirements = Records(results), Requirements.of(results.suite)
+        view, requirements = Records(results), Requirements.from_suite(results.suite)
         facts = PageData.from_verdicts(view, judge_solvers(view, requirements))
         cells = list(facts.cells())
         assert len(cells) == 4
@@ -258,7 +258,7 @@ def test_of_many_runs_fewer_hard_steps_are_listed(records: Any, monkeypatch: Any
 
     def listed(most: int) -> set[int]:
         monkeypatch.setattr(page_data, "MOST_HARD", most)
-        view, requirements = records.view(), Requirements.of({})
+        view, requirements = records.view(), Requirements.from_suite({})
         facts = PageData.from_verdicts(view, judge_solvers(view, requirements))
         assert all(
             len(rows) == 5 for run in facts.thinned_runs.values() for rows in run.hard.values()

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.verdict.fastest import best_verdict_by_solver, choose_solver
+from dpbench.analysis.verdict.fastest import choose_solver, list_best_verdict_of_each_solver
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.errors import InputError
@@ -34,20 +34,21 @@ def _plain(html: str) -> str:
 
 def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
     """The recommendation, its p99 and its speed margin are the same everywhere."""
-    requirements = Requirements.of(written.results.suite)
+    requirements = Requirements.from_suite(written.results.suite)
     verdicts = judge_solvers(Records(written.results), requirements)
     chosen = choose_solver(verdicts).chosen
     assert chosen.configuration.solver == "daqp"
     page, text = _plain(written.html), written.markdown
     terminal = "\n".join(output for _, output in written.lines)
-    margin = written.report.data.margin(chosen.configuration)
+    margin = written.report.data.get_speed_margin(chosen.configuration)
     for output in (page, text, terminal):
         assert (
             "Use daqp (qpsolvers, fresh, default): right on every step of 4 closed loops" in output
         )
         assert f"p99 {format_time(chosen.p99_ns)}" in output
         assert format_error(chosen.error_move) in output
-        assert f"The computer may be up to × {format_rounded_down(margin.factor)} slower." in output
+        factor = format_rounded_down(margin.allowed_slowness_factor)
+        assert f"The computer may be up to × {factor} slower." in output
         assert (
             f"The p99 reaches 3 ms at × {format_rounded_down(margin.p99_limit)}: it is " in output
         )
@@ -70,7 +71,7 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
     assert len(written.markdown.encode()) <= MOST_BYTES
     rows = [line.strip("| ").split(" | ") for line in written.markdown.splitlines() if "|" in line]
     head, _, *body = rows
-    best = best_verdict_by_solver(written.report.data.verdicts)
+    best = list_best_verdict_of_each_solver(written.report.data.verdicts)
     assert len(body) == len(best) == len(written.report.data.verdicts.of)
     for cells, verdict in zip(body, best, strict=True):
         row = dict(zip(head, cells, strict=True))
@@ -317,7 +318,9 @@ def test_why_is_the_verdicts_cause(records: Any) -> None:
     records.loop("osqp", error=0.4)
     records.replay("daqp")
     records.refused("qpax", "not installed")
-    why = {v.configuration.solver: Recommendation.why(v) for v in _facts(records).verdicts.all}
+    why = {
+        v.configuration.solver: Recommendation.why(v) for v in _facts(records).verdicts.all_verdicts
+    }
     assert why["osqp"].startswith("its first move is up to 0.40 of a rate-limit step off the opti")
     assert why["daqp"] == "no closed loop was run"
     assert why["qpax"] == "not installed"

@@ -3,7 +3,7 @@
 from typing import Any
 
 from dpbench.analysis.times.contrasts import compare_routes
-from dpbench.analysis.times.machine import round_spread
+from dpbench.analysis.times.machine import compute_repetition_spread
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
 from dpbench.report.formats import significant
@@ -65,7 +65,7 @@ def test_without_a_second_form_there_is_nothing_to_say(records: Any) -> None:
     view = records.view()
     assert build_formulations_topic(view, REQUIREMENTS) is None
     # The only formulation of a sequence is its common one.
-    assert [run.formulation for run in view.replays("rough")] == ["sparse"]
+    assert [run.formulation for run in view.select_replays("rough")] == ["sparse"]
 
 
 def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> None:
@@ -74,9 +74,9 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     records.loop("osqp", route="native")
     before = records.view()
     expected = (
-        [_figures(v) for v in judge_solvers(before, REQUIREMENTS).all],
+        [_figures(v) for v in judge_solvers(before, REQUIREMENTS).all_verdicts],
         compare_routes(before, "paper"),
-        [run.run_id for run in before.replays("paper")],
+        [run.run_id for run in before.select_replays("paper")],
     )
     configuration = {"route": "native", "formulation": "sparse", "error": 0.7}
     records.replay("osqp", median_us=5.0, policy="reuse", **configuration)
@@ -84,9 +84,9 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     records.loop("osqp", failed=9, **configuration)
     after = records.view()
     found = (
-        [_figures(v) for v in judge_solvers(after, REQUIREMENTS).all],
+        [_figures(v) for v in judge_solvers(after, REQUIREMENTS).all_verdicts],
         compare_routes(after, "paper"),
-        [run.run_id for run in after.replays("paper")],
+        [run.run_id for run in after.select_replays("paper")],
     )
     assert found == expected
     assert len(after.all_runs) == len(before.all_runs) + 3
@@ -97,7 +97,7 @@ def test_one_sentence_says_which_figure_applies_to_what(records: Any) -> None:
     records.replay("daqp", replay_s=9.0)
     view = records.view()
     topic = build_trust_topic(view)
-    usual, high = round_spread(view)
+    usual, high = compute_repetition_spread(view)
     rule = topic.lines[0]
     assert "95 % interval of their ratio" in rule
     assert f"runs or days, only a ratio beyond × {significant(high)} counts" in rule

@@ -10,7 +10,10 @@ import pytest
 
 from dpbench.analysis.suites import study_pictures
 from dpbench.analysis.suites.study import find_studies
-from dpbench.analysis.suites.study_tables import tabulate_behind, tabulate_points
+from dpbench.analysis.suites.study_tables import (
+    tabulate_differences_from_reference,
+    tabulate_study_points,
+)
 from dpbench.report.charts.render import compile_vega
 from dpbench.report.study_effects_table import build_effects_table, tabulate_effects
 from dpbench.report.table import encode_csv
@@ -68,7 +71,7 @@ def test_the_files_of_a_study_hold_numbers(records: Any) -> None:
     studies = find_studies(records.view())
     behind, points = (
         pd.read_csv(io.BytesIO(encode_csv(table(studies))))
-        for table in (tabulate_behind, tabulate_points)
+        for table in (tabulate_differences_from_reference, tabulate_study_points)
     )
     texts = {"study", "configuration", "reference"}
     assert set(behind.select_dtypes(exclude="number")) == texts
