@@ -25,7 +25,7 @@ from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.configurations import identify_libraries_of_cell
 from dpbench.bench.plan.run_request import Plan, RunRequest
 from dpbench.bench.plan.suite import name_file_in_errors
-from dpbench.bench.progress import Progress, Silent
+from dpbench.bench.progress import Progress, choose_progress
 from dpbench.bench.record.cell import HARNESS_VERSION, CapabilitySource, Outcome
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.machine import append_revision, find_running_revision
@@ -294,7 +294,7 @@ def run_campaign(
     shard: str | None = None,
     wait_s: float | None = None,
     may_leave_out: bool = False,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
 ) -> Path:
     """Run a suite into a result folder and return its path.
 
@@ -323,7 +323,9 @@ def run_campaign(
     solver_module : a Python file with a plug-in, whose solver then has a name like any other.
     sequence : instead of a suite: a stored sequence by name, a `.npz` of `dpbench export` or a
         folder of qpsolvers problems, replayed through every solver at default and high settings.
-    progress : receives the progress of the campaign.
+    progress : True prints the lines of `dpbench run` without a terminal on standard error, each
+        minute or tenth, and what it waits for; False none; None only in a terminal or a notebook.
+        An object receives the progress instead.
 
     Returns
     -------
@@ -366,7 +368,7 @@ def run_campaign(
     designs = plan_stability_studies(plan) if some.index == 1 else []
     counts = plan_embedded_counts(plan) if some.index == 1 else []
     folder = choose_result_folder(plan, out)
-    progress = progress or Silent()
+    progress = choose_progress(progress)
     with (
         open_engine(engine, jobs, scheduler, tls, WaitLimit(wait_s)) as opened,
         lock_result_folder(folder, plan.name, WaitLimit(wait_s)),

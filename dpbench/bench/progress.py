@@ -1,6 +1,11 @@
 """Receivers of the progress of a campaign."""
 
+import sys
+import time
 from typing import Protocol
+
+MINUTE_S, SHORTEST_S, SHARE = 60.0, 10.0, 0.1
+"""`ProgressLines` prints each minute, or each tenth that takes `SHORTEST_S`."""
 
 
 class Progress(Protocol):
@@ -26,3 +31,44 @@ class Silent:
         """Show nothing, whatever progress or remark a campaign reports."""
 
     start = advance = remark = waiting = _ignore_report
+
+
+class ProgressLines:
+    """A progress receiver that prints lines on standard error, without a terminal's control."""
+
+    def __init__(self) -> None:
+        self.start(0)
+
+    def start(self, work: int) -> None:
+        """Begin to count time and work; nothing is printed yet."""
+        self._total, self._done, self._printed_share = work, 0, 0.0
+        self._printed_s = self._started_s = time.monotonic()
+
+    def advance(self, work: int, what: str) -> None:
+        """Add finished work; print how much is done each minute, and each tenth that takes long."""
+        self._done += work
+        if not self._total:
+            return
+        share, now_s = self._done / self._total, time.monotonic()
+        since_s, is_tenth = now_s - self._printed_s, share - self._printed_share >= SHARE
+        if since_s >= MINUTE_S or (is_tenth and since_s >= SHORTEST_S):
+            self.remark(f"{share:.0%} after {now_s - self._started_s:.0f} s: {what}")
+            self._printed_s, self._printed_share = now_s, share
+
+    def remark(self, text: str) -> None:
+        """Print a line."""
+        print(f"dpbench: {text}", file=sys.stderr, flush=True)
+
+    waiting = remark
+
+
+def choose_progress(progress: Progress | bool | None) -> Progress:
+    """Return a receiver: the given one, lines for True, none for False.
+
+    None is True where somebody looks on: in a terminal or a notebook.
+    """
+    if progress is None:
+        progress = sys.stderr.isatty() or "ipykernel" in sys.modules
+    if isinstance(progress, bool):
+        return ProgressLines() if progress else Silent()
+    return progress

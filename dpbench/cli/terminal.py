@@ -6,7 +6,6 @@ import argparse
 import json
 import sys
 import textwrap
-import time
 import webbrowser
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,6 +16,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
+
+from dpbench.bench.progress import ProgressLines
 
 if TYPE_CHECKING:
     from dpbench.report.table import Table as ReportTable
@@ -35,8 +36,6 @@ ENDING_STYLES = {
 }
 """Styles of the lines that a run ends with."""
 _INDENT = 4 * " "
-MINUTE_S, SHORTEST_S, SHARE = 60.0, 10.0, 0.1
-"""Progress lines where there is no terminal: each minute, or each tenth that takes `SHORTEST_S`."""
 
 
 def make_console() -> Console:
@@ -159,7 +158,7 @@ class ProgressBar:
         )
         self._task = self._progress.add_task("starting", total=None)
         self._is_shown = _can_erase()
-        self._restart(0)
+        self._lines = ProgressLines()
 
     def __enter__(self) -> ProgressBar:
         return self
@@ -172,40 +171,24 @@ class ProgressBar:
         """Show the progress bar with the total amount of work."""
         self._progress.start()
         self._progress.update(self._task, total=work)
-        self._restart(work)
-
-    def _restart(self, total: int) -> None:
-        """Begin to count time and work for the lines that are printed without a terminal."""
-        self._total, self._done, self._printed_share = total, 0, 0.0
-        self._printed_s = self._started_s = time.monotonic()
+        self._lines.start(work)
 
     def remark(self, text: str) -> None:
         """Print a line above the progress bar, or on standard error without a bar, unless quiet."""
         if not self._progress.disable:
             self._progress.console.print(f"dpbench: {text}", highlight=False)
         elif not self._quiet:
-            print(f"dpbench: {text}", file=sys.stderr)
+            self._lines.remark(text)
 
     def waiting(self, text: str) -> None:
         """Print why the program waits on standard error, even if the progress bar is quiet."""
-        print(f"dpbench: {text}", file=sys.stderr, flush=True)
+        self._lines.waiting(text)
 
     def advance(self, work: int, what: str) -> None:
         """Add finished work to the progress bar and show what it was."""
         self._progress.update(self._task, advance=work, description=what[:44])
-        self._done += work
-        if not (self._quiet or self._is_shown) and self._total:
-            self._print_share(self._done / self._total, what, time.monotonic())
-
-    def _print_share(self, share: float, what: str, now_s: float) -> None:
-        """Print how much is done on standard error: each minute, and each tenth that takes long."""
-        since_s, is_tenth = now_s - self._printed_s, share - self._printed_share >= SHARE
-        if since_s >= MINUTE_S or (is_tenth and since_s >= SHORTEST_S):
-            passed_s = now_s - self._started_s
-            print(
-                f"dpbench: {share:.0%} after {passed_s:.0f} s: {what}", file=sys.stderr, flush=True
-            )
-            self._printed_s, self._printed_share = now_s, share
+        if not (self._quiet or self._is_shown):
+            self._lines.advance(work, what)
 
 
 def _can_erase() -> bool:

@@ -173,7 +173,7 @@ def test_progress_without_a_terminal_is_a_line_now_and_then(
 ) -> None:
     """Each minute, or each tenth that takes ten seconds; none where it is quick or quiet."""
     now_s = 0.0
-    monkeypatch.setattr("dpbench.cli.terminal.time.monotonic", lambda: now_s)
+    monkeypatch.setattr("dpbench.bench.progress.time.monotonic", lambda: now_s)
     with ProgressBar() as bar, ProgressBar(quiet=True) as silent:
         for one in (bar, silent):
             one.start(100)
