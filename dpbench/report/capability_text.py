@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import CapabilityResult
+from dpbench.analysis.suites.capability import CapabilityResult, build_capability_results
 from dpbench.analysis.suites.consequence import (
     HELD,
     LOST,
@@ -17,7 +17,7 @@ from dpbench.analysis.suites.consequence import (
 )
 from dpbench.analysis.verdict.fastest import explain_deployment_blocker
 from dpbench.bench.capability.frontier import INTACT
-from dpbench.report.formats import format_rounded_down
+from dpbench.report.formats import format_rounded_down, join_with_and, plural
 
 
 def describe_capability(plot: CapabilityResult) -> Iterator[str]:
@@ -29,7 +29,8 @@ def describe_capability(plot: CapabilityResult) -> Iterator[str]:
     wording = f"Intact, {plot.vessel} holds at least {_format_least_wind(intact)}"
     if len(failed):
         worst = failed.nsmallest(1, "wind_mps").iloc[0]
-        wording += f"; after the loss of {worst['case']} {_format_least_wind(failed)}"
+        of_case = failed[failed["case"] == worst["case"]]
+        wording += f"; after the loss of {worst['case']} {_format_least_wind(of_case)}"
     if plot.capability_numbers_text:
         yield f"{plot.capability_numbers_text}."
     yield f"{wording} (DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides)."
@@ -38,7 +39,9 @@ def describe_capability(plot: CapabilityResult) -> Iterator[str]:
 def _format_least_wind(edges: pd.DataFrame) -> str:
     """Format the least wind held over all directions [m/s], and its direction."""
     least = edges.nsmallest(1, "wind_mps").iloc[0]
-    return f"{format_rounded_down(least['wind_mps'])} m/s, from {least['from_deg']:.0f}°"
+    is_alike = len(edges) > 1 and (edges["wind_mps"] == least["wind_mps"]).all()
+    where = "every direction" if is_alike else f"{least['from_deg']:.0f}°"
+    return f"{format_rounded_down(least['wind_mps'])} m/s, from {where}"
 
 
 def describe_time_held(of_group: pd.DataFrame) -> str:
@@ -66,21 +69,47 @@ def describe_losses_held(analysis: ConsequenceAnalysis) -> str:
     return f"In {analysis.name} {'; '.join(held)} ({describe_required_force(analysis)})."
 
 
+def describe_answers_at_edge(plot: CapabilityResult) -> str:
+    """Name the solvers that answer every QP at the largest winds held rightly; "" without runs."""
+    if not plot.answers:
+        return ""
+    right = sorted(a.solver for a in plot.answers if a.has_only_right_answers)
+    qps = f"all {plural(plot.qp_count, 'QP')} at that edge"
+    names = f": {join_with_and(right)}" if right else ""
+    verb = "answers" if len(right) == 1 else "answer"
+    return f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {qps} rightly{names}."
+
+
 def describe_consequence_solver(records: Records, solver: str) -> str:
     """Name a solver for the consequence analysis beside that of the MPC; "" where it is the same.
 
-    The configuration that answers all QPs rightly and takes the least share of a sample counts.
+    The configuration that answers all QPs rightly and takes the least share of a sample counts, if
+    its solver also answers those at the edge of every capability plot. None is named where the
+    QPs are all feasible or all infeasible: one answer to everything would then be right.
     """
     own = select_configurations_in_all_analyses(build_consequence_analyses(records))
+    if not own:
+        return ""
+    reached = [(sum(a.feasible for a in of), sum(a.infeasible for a in of)) for of in own.values()]
+    for kind, count in (("infeasible", 0), ("feasible", 1)):
+        if not any(counts[count] for counts in reached):
+            only = f"none named, as all its QPs are {kind}"
+            return f"MPC: {solver}; consequence analysis: {only}."
+    at_edge = [plot.answers for plot in build_capability_results(records, None) if plot.answers]
+    right_at_edge = [{a.solver for a in of if a.has_only_right_answers} for of in at_edge]
     right = {
-        name: of_it for name, of_it in own.items() if all(a.has_only_right_answers for a in of_it)
+        name: of_it
+        for name, of_it in own.items()
+        if all(a.has_only_right_answers for a in of_it)
+        and all(of_it[0].solver in solvers for solvers in right_at_edge)
     }
-    if not own or any(of_it[0].solver == solver for of_it in right.values()):
+    if any(of_it[0].solver == solver for of_it in right.values()):
         return ""
     deployable = [name for name in right if not explain_deployment_blocker(right[name][0].solver)]
     shares = {name: find_largest_share_of_sample(right[name]) for name in deployable}
     best = min(shares, key=lambda name: (math.isnan(shares[name]), shares[name]), default="")
-    other = best or "no solver that was run answers all its QPs rightly"
+    edge = " and those at the edge of the capability plot" if at_edge else ""
+    other = best or f"no solver that was run answers all its QPs{edge} rightly"
     return f"MPC: {solver}; consequence analysis: {other}."
 
 

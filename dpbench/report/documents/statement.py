@@ -25,6 +25,7 @@ from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
 from dpbench.files.writing import write_bytes_to_file_or_pipe
 from dpbench.report.capability_text import (
+    describe_answers_at_edge,
     describe_capability,
     describe_consequence_solver,
     describe_losses_held,
@@ -241,7 +242,9 @@ def _describe_held(
     plots: Sequence[CapabilityResult], analyses: Sequence[ConsequenceAnalysis]
 ) -> list[str]:
     """Describe DP capability and consequence analyses of a folder, a line each."""
-    lines = [" ".join(describe_capability(plot)) for plot in plots]
+    lines = [
+        " ".join([*describe_capability(plot), describe_answers_at_edge(plot)]) for plot in plots
+    ]
     return [*lines, *map(describe_losses_held, analyses)]
 
 

@@ -13,6 +13,7 @@ from dpbench.analysis.suites.consequence import (
     build_consequence_analyses,
 )
 from dpbench.report.capability_text import (
+    describe_answers_at_edge,
     describe_capability,
     describe_losses_held,
     describe_required_force,
@@ -28,7 +29,7 @@ from dpbench.report.charts.capability import (
     draw_loss_spans,
     draw_sample_shares,
 )
-from dpbench.report.formats import format_sample_share, join_with_and, join_with_counts, plural
+from dpbench.report.formats import format_sample_share, join_with_counts, plural
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.table import Table
 
@@ -43,7 +44,7 @@ def build_capability_topic(records: Records, table: pd.DataFrame | None) -> Topi
         title="Capability",
         lines=tuple(
             " ".join(
-                [*describe_capability(plot), *(_name_right_solvers(plot) if plot.answers else ())]
+                [*describe_capability(plot), *(_describe_answers(plot) if plot.answers else ())]
             )
             for plot in plots
         ),
@@ -51,13 +52,9 @@ def build_capability_topic(records: Records, table: pd.DataFrame | None) -> Topi
     )
 
 
-def _name_right_solvers(plot: CapabilityResult) -> Iterator[str]:
+def _describe_answers(plot: CapabilityResult) -> Iterator[str]:
     """Name the solvers right on all QPs at the largest winds held, and those with untrue claims."""
-    right = sorted(a.solver for a in plot.answers if a.has_only_right_answers)
-    qps = f"all {plural(plot.qp_count, 'QP')} at that edge"
-    names = f": {join_with_and(right)}" if right else ""
-    verb = "answers" if len(right) == 1 else "answer"
-    yield f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {qps} rightly{names}."
+    yield describe_answers_at_edge(plot)
     wrong = [a for a in plot.answers if a.wrong]
     if wrong:
         yield f"Untrue claims: {join_with_counts((a.solver, a.wrong) for a in wrong)}."

@@ -14,6 +14,8 @@ from dpbench.analysis.suites.capability import (
 )
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
+from dpbench.report.capability_text import describe_capability
+from dpbench.report.documents import statement
 from dpbench.report.topics.capability import build_capability_topic
 from tests.result_folder import StepsInMemory
 
@@ -129,6 +131,19 @@ def test_the_notation_is_that_of_the_plot_and_none_of_a_plot_with_gaps(records: 
     assert gaps.capability_numbers_text == ""
 
 
+def test_a_loss_after_which_nothing_is_held_is_so_from_every_direction(records: Any) -> None:
+    rows = [
+        (case, from_deg, mps)
+        for case, mps in (("intact", 9.0), ("board A", 0.0), ("board B", 5.0))
+        for from_deg in (0.0, 90.0)
+    ]
+    table = pd.DataFrame(rows, columns=["case", "from_deg", "edge_mps"])
+    table = table.assign(k=range(6), sequence="plot", vessel="osv", sides=8, lost="", number=1)
+    (plot,) = build_capability_results(records.view(), table)
+    said = "9.00 m/s, from every direction; after the loss of board A 0 m/s, from every direction ("
+    assert said in " ".join(describe_capability(plot))
+
+
 def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
     runs = edge_runs(records)
     topic = build_capability_topic(runs, plot_table())
@@ -138,6 +153,8 @@ def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
         "claims: osqp (1). Without an answer, given up or out of time: osqp (1).",
     )
     assert len(topic.figures) == 2
+    (line,) = statement._describe_held(build_capability_results(runs, plot_table()), [])
+    assert line.endswith("1 of 2 solvers answers all 4 QPs at that edge rightly: quadprog.")
     without_plot = build_capability_topic(runs, None)
     assert without_plot.lines[0].startswith("1 of 2 solvers") and len(without_plot.figures) == 1
     without_runs = build_capability_topic(

@@ -7,9 +7,11 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.capability import Answers, CapabilityResult
 from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN, build_consequence_analyses
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_step_columns
+from dpbench.report import capability_text
 from dpbench.report.capability_text import describe_consequence_solver, describe_unanswered_qps
 from dpbench.report.topics.capability import build_consequence_topic
 from tests.result_folder import StepsInMemory
@@ -182,6 +184,31 @@ def test_another_solver_for_the_consequence_analysis_is_named_beside_that_of_the
     assert describe_consequence_solver(storm, "quadprog") == ""
     wanted = "MPC: osqp; consequence analysis: quadprog."
     assert describe_consequence_solver(storm, "osqp") == wanted
+
+
+@pytest.mark.parametrize(("kind", "answer"), [("infeasible", REFUSED), ("linear", TRUE)])
+def test_qps_that_are_all_alike_recommend_no_solver_for_the_analysis(
+    records: Any, monkeypatch: pytest.MonkeyPatch, kind: str, answer: dict[str, Any]
+) -> None:
+    """A solver that always answers the same would be right on them."""
+    monkeypatch.setitem(CERTIFICATES, "board A", [kind] * 4)
+    alike = view(records, {"daqp": {"board A": [[answer] * 4]}})
+    word = "feasible" if kind == "linear" else kind
+    wanted = f"MPC: daqp; consequence analysis: none named, as all its QPs are {word}."
+    assert describe_consequence_solver(alike, "daqp") == wanted
+
+
+def test_a_solver_that_leaves_qps_at_the_edge_unanswered_is_not_named(
+    storm: Records, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """quadprog, right on the analysis, leaves 32 of 432 without an answer."""
+    silent = Answers("quadprog", "finished", 432, 216, 216, 216, 184, 0, 1.0, 2.0)
+    plot = CapabilityResult("osv", 8, pd.DataFrame(), (silent,))
+    monkeypatch.setattr(capability_text, "build_capability_results", lambda *_: [plot])
+    none = "no solver that was run answers all its QPs and those at the edge of the capability plot"
+    for solver in ("quadprog", "osqp"):
+        wanted = f"MPC: {solver}; consequence analysis: {none} rightly."
+        assert describe_consequence_solver(storm, solver) == wanted
 
 
 def test_without_a_consequence_analysis_no_solver_for_it_is_named(records: Any) -> None:
