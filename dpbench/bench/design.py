@@ -25,9 +25,9 @@ from dpbench.bench.record.result_folder import check_document_as_type, read_json
 from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.bench.workers.worker import disable_gc_and_warnings, pin_to_core, write_outcome
 from dpbench.errors import CertificateError, InputError, RenamedWarning, ResultsError
-from dpbench.mpc.law import compute_closed_loop_eigenvalues, compute_state_feedback_gains
 from dpbench.scenario.problem_files import ScenarioDocuments, find_problem_path
 from dpbench.scenario.scenario import Scenario, build_scenario_from_documents, load_scenario
+from dpbench.scenario.stability import compute_loop_eigenvalues
 from dpbench.ship.characteristics import has_mirror_symmetry
 from dpbench.ship.froude import Froude
 from dpbench.ship.layout import AXES, HEADING, NORTH, YAW
@@ -226,14 +226,15 @@ def study_stability(design: Design) -> DesignRecord:
 def compute_linear_record(scenario: Scenario) -> DesignRecord:
     """Return a controller's closed-loop eigenvalues without active limits; simulate nothing."""
     problem = scenario.problem
-    roots = compute_closed_loop_eigenvalues(problem.model, compute_state_feedback_gains(problem))
     return DesignRecord(
         vessel=scenario.vessel.id,
         controller=scenario.name,
         tuning=scenario.controller.tuning,
         N_p=problem.N_p,
         N_c=problem.N_c,
-        eigenvalues=tuple((float(root.real), float(root.imag)) for root in roots),
+        eigenvalues=tuple(
+            (float(root.real), float(root.imag)) for root in compute_loop_eigenvalues(scenario)
+        ),
         held={},
     )
 

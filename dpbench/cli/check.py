@@ -5,6 +5,7 @@ Each kind imports its own work, so that an error appears before anything heavy i
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ from dpbench.scenario.tables.vessel_file import VesselFile
 
 if TYPE_CHECKING:
     from dpbench.bench.plan.cells import PlannedCell
+    from dpbench.scenario.problem_files import ScenarioDocuments
 
 CHECKED = (
     "a vessel, scenario, scenario@vessel, suite or sequence by name, a TOML file, "
@@ -28,6 +30,9 @@ NONE_PASSES = (
     "no configuration (solver, route, policy, settings) has both a closed loop and a replay, so "
     "none can pass"
 )
+
+MOST_UNSTABLE = 3
+"""Unstable loops of a suite that are described; the others are counted."""
 
 
 def check_file(name: str, progress: Progress | None = None, *, quick: bool = False) -> str:
@@ -136,10 +141,31 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
         )
     also = [f"and {len(counts)} counts on embedded cores"] if counts else []
     missing = [] if _can_pass(plan.cells) else [f"{file}: {NONE_PASSES}"]
+    missing += [f"{file}: {text}" for text in _describe_unstable_loops(plan.cells)]
     estimate = estimate_plan(plan, Path("results") / suite_path.stem, count_slots(None))
     to_run, *expected = estimate.lines
     counted = [f"{file}: a suite of {len(plan.cells)} cells", *[to_run] * bool(estimate.finished)]
     return "\n".join([*missing, *counted, *expected, *also])
+
+
+def _describe_unstable_loops(planned: Sequence[PlannedCell]) -> list[str]:
+    """State which scenarios and points of studies have a loop that is unstable without limits."""
+    from dpbench.scenario.stability import describe_unstable_loop, find_unstable_radius
+
+    loops: dict[tuple[str, int], ScenarioDocuments] = {}
+    for cell in (one.cell for one in planned if one.cell.mode == "closed_loop"):
+        at = f", point {cell.study.point}" if cell.study else ""
+        name = cell.study.name if cell.study else cell.scenario["name"]
+        horizon = cell.scenario["scenario"]["controller"]["prediction_horizon"]
+        loops.setdefault((f"{name}{at}", horizon), cell.scenario)
+    found = {key: find_unstable_radius(files) for key, files in loops.items()}
+    unstable = {key: radius for key, radius in found.items() if not math.isnan(radius)}
+    shown = [
+        f"{name}: {describe_unstable_loop(horizon, radius)}"
+        for (name, horizon), radius in list(unstable.items())[:MOST_UNSTABLE]
+    ]
+    others = len(unstable) - len(shown)
+    return [*shown, *([f"{others} more loops are unstable without limits"] if others > 0 else [])]
 
 
 def _can_pass(planned: Sequence[PlannedCell]) -> bool:

@@ -9,8 +9,10 @@ from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.run.exact_loop import HEADING_DEG
 from dpbench.report.formats import format_share, join_with_and, plural, significant
 from dpbench.scenario.scenario import Scenario
+from dpbench.scenario.stability import describe_unstable_loop
 
-BANNER = "The controller does not hold this ship in this weather"
+LOST = "The controller does not hold this ship"
+BANNER = f"{LOST} in this weather"
 NOT_RUN = "Ship: not run. No exactly solved loop shows whether the controller holds it."
 NEAR_SHARE = 0.8
 """Share of its station from which on a ship that stays is said to come near the limits."""
@@ -22,7 +24,8 @@ MOST_NAMED = 3
 class ShipSummary:
     """First lines of a report: a warning where the controller does not hold a ship, and results.
 
-    warning : begins with `BANNER`; "" where no ship is lost. text : "" without any ship.
+    warning : begins with `BANNER`, or with `LOST` where the loops of all lost ships are unstable
+    without limits; "" where no ship is lost. text : "" without any ship.
     caution : of ships on station with little margin, still moving away, or farther off since a
     loss; "" without any.
     """
@@ -45,8 +48,7 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
     if not known:
         return ShipSummary(text=NOT_RUN)
     lost = [ship for ship in known if ship.has_left_station]
-    opening = f"{BANNER}{_name_failures(lost)}, whatever the solver"
-    warning = f"{opening}: {_describe_lost(lost)}." if lost else ""
+    warning = " ".join(_warn_of_lost(lost))
     sentences = [
         _describe_kept(known),
         *_describe_after_losses(known),
@@ -55,6 +57,21 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
     ]
     text = " ".join(sentence for sentence in sentences if sentence)
     return ShipSummary(warning, text, " ".join(_describe_small_margins(known)))
+
+
+def _warn_of_lost(lost: Sequence[ShipResult]) -> Iterator[str]:
+    """Yield a sentence on ships that the weather drives off, and on those of unstable loops."""
+    unstable = [ship for ship in lost if not math.isnan(ship.unstable_radius)]
+    driven = [ship for ship in lost if ship not in unstable]
+    if driven:
+        opening = f"{BANNER}{_name_failures(driven)}, whatever the solver"
+        yield f"{opening}: {_describe_lost(driven)}."
+    if unstable:
+        worst = max(unstable, key=lambda ship: ship.unstable_radius)
+        horizon = int(worst.run.N_p)
+        loop = describe_unstable_loop(horizon, worst.unstable_radius)
+        opening = "Elsewhere its loop is" if driven else f"{LOST}: its loop is"
+        yield f"{opening} {loop}, whatever weather and solver: {_describe_lost(unstable)}."
 
 
 def list_losses(run: RunRecord) -> list[tuple[float, list[str]]]:

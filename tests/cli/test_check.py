@@ -87,6 +87,23 @@ def test_a_suite_in_which_nothing_can_pass_is_said_to_be(
     assert ("both a closed loop and a replay, so none can pass" in text) is warned
 
 
+def test_the_loops_of_a_suite_that_are_unstable_without_limits_are_named(
+    place: Path, say: Say
+) -> None:
+    """`rough` at N_p = 20 has |λ| = 1.0091 by paper eq. 35, at 60 below 1."""
+    (place / "suite.toml").write_text(
+        'title = "x"\nsolvers = ["daqp"]\n'
+        '[[study]]\nbase = "rough"\nproduct = { "controller.prediction_horizon" = [60, 20] }\n',
+        encoding="utf-8",
+    )
+    text = " ".join(say("check", "suite.toml").split())
+    assert text.count("unstable") == 1
+    assert (
+        "suite.toml: rough, point 1: unstable without limits at `prediction_horizon = 20` "
+        "(largest |λ| 1.0091, paper eq. 35)"
+    ) in text
+
+
 def test_the_tables_of_a_suite_are_named(place: Path, refuse: Say) -> None:
     (place / "else.toml").write_text('title = "x"', encoding="utf-8")
     tables = "[[study]], [[replay]], [[recorded]], [[random]], [[capability]]"

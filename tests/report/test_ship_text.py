@@ -14,7 +14,9 @@ from dpbench.cli.main import main
 from dpbench.report.documents.markdown import make_report_markdown
 from dpbench.report.report import Report
 from dpbench.report.ship_text import BANNER, NOT_RUN, ShipSummary, summarise_ships
+from dpbench.report.ship_text import LOST as NOT_HELD
 from dpbench.scenario.scenario import load_scenario
+from dpbench.scenario.variation import copy_documents_with_values
 
 LOST = {
     "exact_left_s": 9.0,
@@ -204,6 +206,32 @@ def test_seas_of_a_study_are_counted(records: Any) -> None:
         "(point 0, sea 2)."
     )
     assert "in 1 of 3 scenarios and seas" in told.text
+
+
+@pytest.mark.parametrize("others", [0, 1])
+def test_a_loop_unstable_without_limits_is_not_blamed_on_the_weather(
+    records: Any, others: int
+) -> None:
+    """`rough` at a prediction horizon of 20 has |λ| = 1.0091 by eq. 35; at 60 it is 0.967."""
+    files = {}
+    for horizon in (20, 60):
+        values = {"controller.prediction_horizon": horizon}
+        files[horizon] = copy_documents_with_values(load_scenario("rough").files, values, "test")
+    places = [(20, 0, 1), (20, 0, 2), (60, 1, 1)][: 2 + others]
+    for horizon, point, sea in places:
+        study = {"name": "seas", "point": point, "replicate": sea, "x": {}}
+        cell = json.dumps({"scenario": files[horizon], "study": study})
+        columns = {"study": "seas", "study_point": point, "replicate": sea, "N_p": horizon}
+        records.loop("daqp", "rough", cell=cell, **columns, **LOST)
+    warning = _summary(records).warning
+    weather = f"{BANNER}, whatever the solver: in 1 sea of `seas` it leaves, by up to 37.0 m "
+    loop = (
+        "its loop is unstable without limits at `prediction_horizon = 20` (largest |λ| 1.0091, "
+        "paper eq. 35), whatever weather and solver: in 2 seas of `seas` it leaves, by up to "
+        "37.0 m (point 0, sea 1)."
+    )
+    expected = f"{weather}(point 1, sea 1). Elsewhere {loop}" if others else f"{NOT_HELD}: {loop}"
+    assert warning == expected
 
 
 @pytest.mark.slow

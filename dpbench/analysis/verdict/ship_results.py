@@ -14,6 +14,7 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.bench.run.exact_loop import HEADING_DEG
+from dpbench.scenario.stability import find_unstable_radius
 
 ShipState = Literal["on station", "leaves", "leaves and returns", "not there", "not run"]
 """Result for the ship: it stays on its station, leaves it, leaves it and is within its limits at
@@ -50,6 +51,12 @@ class ShipResult:
     def has_left_station(self) -> bool:
         """True if the ship leaves its station, be it back at the end or not."""
         return self.run.exact_steps > 0.0 and not math.isnan(self.run.exact_left_s)
+
+    @property
+    def unstable_radius(self) -> float:
+        """Largest |λ| of a loop that is unstable without limits (paper eq. 35), else NaN."""
+        files = self.run.scenario_documents
+        return math.nan if files is None else find_unstable_radius(files)
 
     @property
     def used_share_of_station_limits(self) -> float:
