@@ -163,7 +163,7 @@ def _render_sea_files(
 
 
 def _name_loss_files(stem: str, held: HeldSea, number: int) -> dict[str, str]:
-    """Return the file of the scenario in which each failure group is lost, by group."""
+    """Return file names, by failure group, for scenarios of its loss; write nothing."""
     lost = choose_loss(held, number)
     files = {} if lost is None else {lost: f"{stem}_thrusters.toml"}
     for group in choose_further_losses(held, number):

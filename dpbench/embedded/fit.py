@@ -55,7 +55,7 @@ class Fit:
 
 
 def find_largest_fitting_horizon(try_horizon: Callable[[int], Trial], kilobytes: int) -> Fit:
-    """Find the largest control horizon that fits in a memory.
+    """Return trials of the largest horizon that fits in a memory and of the next, which does not.
 
     The horizon is doubled from `FIRST` until it does not fit, and the interval is then bisected, so
     that both trials of the result were compiled and run.

@@ -128,7 +128,7 @@ def summarise_counted_runs(steps: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _summarise_counted_run(run: pd.DataFrame) -> dict[str, Any]:
-    """Return the steps of one run in a few numbers."""
+    """Summarise a run's instruction counts: percentiles, worst step, failures, memory."""
     row = run["instructions"].argmax()
     worst: dict[Any, Any] = run.iloc[row].to_dict()
     return {

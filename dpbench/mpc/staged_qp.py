@@ -126,7 +126,7 @@ class StagedQP:
         self._held[-model.n_x :] += self._end
 
     def _build_constraint_matrix(self) -> None:
-        """Build the rows A: dynamics, sums of moves and limits, stage by stage."""
+        """Set rows `A` (dynamics, sums of moves, limits, by stage), their limits and bounds."""
         problem, model, unit = self.control, self.control.model, self._unit
         n_u, n_x = model.n_u, model.n_x
         one, B = np.eye(n_u), model.B * unit

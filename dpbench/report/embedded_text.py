@@ -35,7 +35,7 @@ NOTE = (
 
 
 def name_sequence_and_core(sequence: CountedSequence) -> str:
-    """Return sequence and core of a group of counts."""
+    """Return the text "SEQUENCE on CORE" that names a group of instruction counts."""
     return (
         f"{sequence.sequence} on {name_core_and_precision(sequence.target, single=sequence.single)}"
     )

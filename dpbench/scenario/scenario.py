@@ -326,7 +326,7 @@ def _build_cached_scenario_from_json(files: str) -> Scenario:
 def _build_actuators_if_any(
     spec: ScenarioFile, controller: Controller, sample_s: float, scale: Froude
 ) -> Actuators | CommandedThrusters | None:
-    """Return thrust losses, delay and lag between commands and hull; None where there are none."""
+    """Return a model of thrust losses, delay and lag; None where commands act as they are."""
     plant = spec.plant
     loss = np.array(plant.thrust_loss_percent)
     losses = Actuators(1.0 - loss / 100.0, plant.delay_samples)

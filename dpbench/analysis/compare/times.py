@@ -196,7 +196,7 @@ def make_usual_first_sort_key(run: RunRecord) -> tuple[Any, ...]:
 def compare_times_to_reference(
     timings: Sequence[Timing], margin: float, alpha: float, rows: Ints
 ) -> list[ComparedTimes]:
-    """Judge each solver's step time ratio B/A, divided by the reference solver's, at `rows`.
+    """Judge each step time ratio B/A, divided by the reference solver's, which gets no verdict.
 
     rows : (N,) as of `find_reference_indices`; the timings they name have no verdict.
     """

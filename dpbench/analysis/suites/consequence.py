@@ -170,6 +170,6 @@ def select_configurations_in_all_analyses(
 
 
 def find_largest_share_of_sample(answers: Sequence[BatchAnswers]) -> float:
-    """Return the largest share of a control sample that solving takes in any analysis; or NaN."""
+    """Return the largest share of a sample that an analysis takes; NaN if one is unknown."""
     shares = [own.largest for own in answers]
     return max(shares) if all(map(math.isfinite, shares)) else math.nan

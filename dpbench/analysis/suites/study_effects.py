@@ -112,7 +112,7 @@ class Effect:
 
     @property
     def mean_difference(self) -> PairedDifference:
-        """The mean difference with its interval."""
+        """Mean difference of the measure between two values of the factor, with interval."""
         return self.measured.difference
 
 
@@ -275,7 +275,7 @@ class _Fit:
 
 
 def _yield_slope_fits(across: Floats, results: Floats) -> Iterator[_Fit]:
-    """Fit each realisation (column) that has enough points."""
+    """Yield least-squares slopes over a factor, with errors, of each realisation with data."""
     for column in results.T:
         known = np.isfinite(column)
         x, y = across[known], column[known]

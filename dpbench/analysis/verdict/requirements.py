@@ -53,7 +53,7 @@ def is_right_on_every_step(run: RunRecord, requirements: Requirements) -> bool:
 
 
 def is_right_to_the_end(run: RunRecord, requirements: Requirements) -> bool:
-    """Return whether a run finished and solved every step within the requirements."""
+    """Return whether a run finished and solved every step accurately enough, in whatever time."""
     return run.outcome == "finished" and is_right_on_every_step(run, requirements)
 
 

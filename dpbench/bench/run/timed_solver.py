@@ -72,7 +72,7 @@ class RunDelay:
 
     @property
     def pending_ns(self) -> int:
-        """Wait for the core since `read_wait_since_last_call_ns` [ns]; 0 if unknown."""
+        """Wait for the core [ns] since it was last read, without starting anew; 0 if unknown."""
         return max(self.read_total_ns() - self._before_ns, 0)
 
 

@@ -110,7 +110,7 @@ class CellRun:
         self.parts: list[BatchPart] = []
 
     def start(self, core: int) -> Child:
-        """Start the process that does the batch's runs on a core."""
+        """Start the process that does the batch's runs on a core, and return it."""
         return self._start_process_of_cells(self._cells, core)
 
     def start_next(self, child: Child, core: int) -> Child | None:
@@ -217,7 +217,7 @@ class FileRun:
         self._paths = {path.stem: str(path) for path in batch.texts}
 
     def start(self, core: int) -> Child:
-        """Start the process that makes the batch's files on a core."""
+        """Start the process that makes the batch's files on a core, and return it."""
         texts, limit_s = self.batch.texts, self.batch.limit_s
         return self._start_process_of_files(
             [FileTask(text, path, limit_s) for path, text in texts.items()], core

@@ -212,7 +212,7 @@ class Child:
         return True
 
     def _join_process(self) -> None:
-        """Wait for the end of the worker process; let its parent continue if it was stopped."""
+        """Wake the worker's parent, which may be stopped, and wait for the end of the worker."""
         # A stopped template does not say who ended, and a stopped keeper does not let it go on.
         signal_process(self.notice.keeper, signal.SIGCONT)
         self.process.join()

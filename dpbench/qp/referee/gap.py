@@ -101,7 +101,7 @@ def prove_optimum_by_duality_gap(
 def exchange_row_for_violated_one(
     problem: JointQP, exact: ExactMatrices, system: KKTSystem
 ) -> Signs | None:
-    """Exchange a row of the system for one that the point of its limits violates, or return None.
+    """Return signs of the active set with a row exchanged for one that its point violates, or None.
 
     Rows of the system, and equality rows, which no finite binary number need satisfy, do not count.
     """

@@ -286,7 +286,7 @@ class Referee:
     def _try_gap_and_exact_proofs(
         self, problem: JointQP, tried: list[Signs], known: Proof | None
     ) -> Proof | None:
-        """Return the best proof of an optimum: known, by duality gap or in exact arithmetic."""
+        """Return the best proof: known, or by gap or exactly from tried active sets; or None."""
         if not self._definite:
             return known
         proofs = [] if known is None else [known]

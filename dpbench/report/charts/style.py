@@ -124,7 +124,7 @@ def draw_whole_rows(base: alt.Chart, shown: Any, wide: int = ROW_STEP["wide"], *
 
 
 def draw_equality_line(low: float, high: float, x: alt.X, y: alt.Y) -> Any:
-    """Draw the line x = y in a chart that compares two quantities."""
+    """Return a chart layer with the line x = y, for a chart that compares two quantities."""
     fields = [str(axis.shorthand).removesuffix(":Q") for axis in (x, y)]
     ends = [dict.fromkeys(fields, end) for end in (low, high)]
     return inline_chart(*ends).mark_line(color=SOFT, strokeDash=[4, 3]).encode(x=x, y=y)

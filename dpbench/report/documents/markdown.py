@@ -240,7 +240,7 @@ MOST_CONFIGURATIONS = 3
 def compare_solver(
     report: Report, solver: str, others: Sequence[str] = ()
 ) -> tuple[str, list[WorstStep]]:
-    """Return a Markdown comparison of a solver with others, and the solver's worst steps.
+    """Return a Markdown text that compares a solver with others, and the list of its worst steps.
 
     others : solvers to compare with; by default those of `USUAL` that ran.
 

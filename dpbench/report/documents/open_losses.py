@@ -87,14 +87,14 @@ def _list_groups(
 
 
 def _scenario_of(analysis: ConsequenceAnalysis) -> str:
-    """Return the scenario along which a consequence analysis runs."""
+    """Return the name of the scenario along which a consequence analysis runs."""
     return analysis.name.partition("[")[0]
 
 
 def _losses_of_group(
     group: str, thrusters: ThrusterSet, ships: Sequence[ShipResult]
 ) -> Iterator[tuple[float, ShipResult]]:
-    """Yield time [s] and ship of each loss, within its run, of all thrusters of a group."""
+    """Yield time [s] and ship of each loss after which a failure group is lost in that run."""
     members = set(thrusters.indices_by_failure_group[group])
     for ship in ships:
         for at_s, names in list_losses(ship.run):

@@ -116,7 +116,7 @@ def _draw_accuracy(data: PageData) -> Charts:
 
 
 def _draw_study(data: PageData) -> Charts:
-    """Draw the empty charts of a study, which the page's script fills."""
+    """Return the charts of a study by name, without data, which the page's script fills in."""
     if not (data.studies and data.runs):
         return {}
     return {

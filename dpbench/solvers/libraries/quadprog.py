@@ -69,7 +69,7 @@ class QuadprogWorkspace(OneSidedWorkspace):
         self._status, self._words = Status.UNKNOWN, ""
 
     def _prepare_one_sided_matrices(self) -> None:
-        """Stack equality and inequality rows, transposed and signed as quadprog takes them."""
+        """Store equality and inequality rows, stacked and signed as quadprog takes them."""
         rows, equalities, _ = self._stack_equality_and_inequality_rows()
         rows[equalities:] *= -1.0
         self._C = np.asfortranarray(rows.T) if rows.size else None
