@@ -239,7 +239,8 @@ def _add_init_arguments(init: Command) -> None:
         "Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml, with what "
         "was derived how in their comments; with --thrusters also NAME_thrusters.toml, whose "
         "controller commands them, NAME_loss_*.toml, which lose other switchboards, and the "
-        "plot NAME_capability.svg. With NAME.toml there "
+        "plot NAME_capability.svg. Sectors of azimuths are directions of push: one that may push "
+        "0 to 180 deg has its race at 180 to 360. With NAME.toml there "
         "and --sea N alone: the same ship in another sea."
     )
     init.add_argument("name", metavar="NAME", help="of the ship: letters, digits, _ and -")

@@ -202,12 +202,14 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
         run = ship.run
         losses = [f"{join_with_and(names)} at {at_s:g} s" for at_s, names in list_losses(run)]
         what = join_with_and(losses) or "some of the force"
+        unsettled = f", not settled {_format_time_since_loss(run)}"
         yield (
             f"After the loss of {what} (`{ship.name}`): largest offset "
             f"{significant(run.exact_loss_offset_max_m)} m, largest heading error "
             f"{significant(run.exact_loss_heading_max_deg)}°; at the end "
             f"{significant(run.exact_offset_end_m)} m and "
-            f"{significant(run.exact_heading_end_deg)}°."
+            f"{significant(run.exact_heading_end_deg)}°"
+            f"{unsettled if ship.is_unsettled_after_loss else ''}."
         )
 
 
@@ -251,11 +253,15 @@ def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
 def _describe_rise(ship: ShipResult) -> str:
     """Name a ship whose offset rises after a loss: how far it is at the end, and how long after."""
     run = ship.run
+    far = f"{significant(run.exact_offset_end_m)} m of {run.station_radius_m:.3g} m"
+    return f"`{ship.name}` ({far}, {_format_time_since_loss(run)})"
+
+
+def _format_time_since_loss(run: RunRecord) -> str:
+    """Format how long after the last loss of thrusters a run ends."""
     end_s = run.exact_steps * run.sample_s
     lost_s = [at_s for at_s, _ in list_losses(run) if at_s < end_s]
-    after = f", {significant(end_s - max(lost_s))} s after it" if lost_s else ""
-    far = f"{significant(run.exact_offset_end_m)} m of {run.station_radius_m:.3g} m"
-    return f"`{ship.name}` ({far}{after})"
+    return f"{significant(end_s - max(lost_s))} s after the loss" if lost_s else "at the end"
 
 
 def _describe_rest(ships: Sequence[ShipResult]) -> list[str]:

@@ -32,9 +32,20 @@ MECHANICAL_EFFICIENCY = 0.93  # η_m of DNV-ST-0111 level 1
 
 
 def describe_sector(start_deg: float, end_deg: float) -> str:
-    """State the directions in which a sector lets an azimuth push the ship, and those barred."""
-    start, end = (f"{round(edge, 2) % 360.0:g}°" for edge in (start_deg, end_deg))
-    return f"pushes {start} to {end}, barred {end} to {start}"
+    """State where an azimuth of a sector may push, where its race then goes, and what is barred.
+
+    >>> describe_sector(0.0, 120.0)
+    'pushes 0° to 120° (its race goes 180° to 300°), barred 120° to 360°'
+    """
+    race = f"its race goes {_format_directions(start_deg + 180.0, end_deg + 180.0)}"
+    barred = f"barred {_format_directions(end_deg, start_deg)}"
+    return f"pushes {_format_directions(start_deg, end_deg)} ({race}), {barred}"
+
+
+def _format_directions(start_deg: float, end_deg: float) -> str:
+    """Format the directions from one to another, clockwise, an end at 0° as 360°."""
+    start, end = round(start_deg, 2) % 360.0, round(end_deg, 2) % 360.0 or 360.0
+    return f"{start:g}° to {end:g}°"
 
 
 def compute_nominal_thrust_N(power_kW: float, diameter_m: float, propeller: Propeller) -> float:
@@ -87,10 +98,14 @@ class Thruster:
                 found = f"{np.degrees(width):g} degrees of a thruster of kind {self.kind}"
                 allowed = "for an azimuth, from a to b with b − a above 0 and up to 180"
                 if self.kind == "azimuth" and width > np.pi:
-                    middle = float(np.degrees(sum(self.sector_rad))) / 2.0
+                    start, end = np.degrees(self.sector_rad).tolist()
                     allowed += (
                         ", as the forces in a wider one are no convex set: give the half turn that "
-                        f"is needed most, such as from {middle - 90:g} to {middle + 90:g}"
+                        "is needed most as sector_from_deg and sector_to_deg of a table "
+                        "(sector_deg of a vessel file), such as "
+                        f"{_format_directions(start, start + 180.0)} or "
+                        f"{_format_directions(end - 180.0, end)}; these are directions of push, "
+                        "the race goes the other way"
                     )
                 raise InputError(f"thruster {self.name}", "sector_deg", found, allowed)
 

@@ -179,7 +179,7 @@ def test_barred_directions_leave_the_sector_and_both_are_printed(
     """By `init`, `check` and the comment of the file: none can take one for the other."""
     rows = TABLE.replace("power_kW,group", "power_kW,group,barred_from_deg,barred_to_deg")
     assert init(rows.rstrip("\n") + ",150,30\n") == 0
-    said = "azimuth 5 pushes 30° to 150°, barred 150° to 30°"
+    said = "azimuth 5 pushes 30° to 150° (its race goes 210° to 330°), barred 150° to 30°"
     assert said in capsys.readouterr().out.splitlines()
     text = Path(FILES[0]).read_text(encoding="utf-8")
     assert "sector_deg = [30.0, 150.0]  # pushes, from and to" in text
@@ -251,7 +251,9 @@ def test_thrusters_are_asked_for(
             (),
             "found 300 degrees of a thruster of kind azimuth; allowed: for an azimuth, from a to b "
             "with b − a above 0 and up to 180, as the forces in a wider one are no convex set: "
-            "give the half turn that is needed most, such as from 270 to 450",
+            "give the half turn that is needed most as sector_from_deg and sector_to_deg of a "
+            "table (sector_deg of a vessel file), such as 210° to 30° or 330° to 150°; these are "
+            "directions of push, the race goes the other way",
         ),
         (TABLE, ("--thrust", "300"), "--thrusters and --thrust exclude each other"),
         (TABLE + "main,1,2,3,board A,more\n", (), "thruster 6: found 6 cells"),

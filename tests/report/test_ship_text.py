@@ -132,8 +132,28 @@ def test_an_offset_that_rises_after_a_loss_is_said_to(records: Any) -> None:
     records.loop("daqp", "thrusters_loss", steps=500, **rise)
     assert _summary(records).caution == (
         "The offset after a loss still rises when the run ends in `thrusters_loss` (0.950 m of "
-        "5 m, 60.0 s after it): a longer `duration_s` shows where it settles."
+        "5 m, 60.0 s after the loss): a longer `duration_s` shows where it settles."
     )
+
+
+@pytest.mark.parametrize(
+    ("columns", "is_settled"),
+    [
+        ({"exact_offset_max_m": 0.271, "exact_offset_max_s": 149.5}, False),
+        ({"exact_offset_max_m": 0.271, "exact_offset_max_s": 120.0}, True),
+        ({"exact_offset_max_m": 1.8, "exact_offset_max_s": 20.0}, False),
+        ({"exact_offset_max_m": 1.8, "exact_offset_end_m": 0.2}, True),
+    ],
+)
+def test_a_small_offset_that_is_largest_at_the_end_is_not_settled(
+    records: Any, columns: dict[str, float], is_settled: bool
+) -> None:
+    """0.271 m after the loss and at the end, be an offset before the loss larger or not."""
+    own = {"exact_loss_offset_max_m": 0.271, "exact_offset_end_m": 0.271} | columns
+    records.loop("daqp", "thrusters_loss", steps=500, **own)
+    said = "0.0100°, not settled 60.0 s after the loss."
+    assert (said in _summary(records).text) != is_settled
+    assert "still rises" not in _summary(records).caution
 
 
 def test_a_lost_ship_that_is_still_moving_away_is_said_to(records: Any) -> None:

@@ -75,6 +75,18 @@ class ShipResult:
         return is_late and has_stayed and is_noticed
 
     @property
+    def is_unsettled_after_loss(self) -> bool:
+        """True if the largest offset after a loss is that at the end of the run, however small."""
+        run = self.run
+        if not run.exact_loss_offset_max_m > 0.0:
+            return False
+        end_s = run.exact_steps * run.sample_s
+        # The time of the largest offset is known only where none before the loss is larger.
+        was_larger = run.exact_offset_max_m > run.exact_loss_offset_max_m
+        is_late = was_larger or run.exact_offset_max_s >= END_SHARE * end_s
+        return is_late and run.exact_offset_end_m >= END_SHARE * run.exact_loss_offset_max_m
+
+    @property
     def is_inside_at_end(self) -> bool:
         """True if the ship is within the limits of its station at the end."""
         run = self.run

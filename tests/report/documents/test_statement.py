@@ -109,7 +109,8 @@ def test_a_sector_is_listed_with_its_thruster() -> None:
     """Both what it pushes towards and what is barred; without power and sector the name alone."""
     azimuth = {"name": "azimuth", "power_kW": 1200.0, "group": "A", "sector_deg": [-30.0, 60.0]}
     said = describe_thrusters([azimuth, {"name": "bow", "group": "A", "sector_deg": None}])
-    assert said == "A: azimuth (1200 kW, pushes 330° to 60°, barred 60° to 330°), bow"
+    sector = "pushes 330° to 60° (its race goes 150° to 240°), barred 60° to 330°"
+    assert said == f"A: azimuth (1200 kW, {sector}), bow"
 
 
 def test_it_names_the_commit_where_the_record_has_one(written: Any) -> None:
