@@ -71,7 +71,9 @@ def test_limits_of_forces_are_drawn_or_named() -> None:
     limits = [line.get_ydata()[0] for line in sway.lines[2:]]
     vessel = SCENARIO.vessel
     assert limits == pytest.approx([vessel.tau_min[1] / 1e3, vessel.tau_max[1] / 1e3])
-    assert notes[0].startswith("limits ±") and notes[1] == ""
+    # The paper's ship has 980 kN astern and 1240 kN ahead.
+    assert notes[0] == "limits −980 to +1240" and notes[1] == ""
+    assert notes[2].startswith("limits ±")
     assert surge.lines[0].get_ydata() == pytest.approx(LAWS[0].steps["tau_x_N"] / 1e3)
 
 

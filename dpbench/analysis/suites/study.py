@@ -256,8 +256,10 @@ class Study:
                 "raw_p50_ns": run.raw_p50_ns,
                 "raw_p99_ns": run.raw_p99_ns,
                 "cost": run.closed_loop_cost,
+                "log_cost": np.log(run.closed_loop_cost),
                 "over_exact": run.closed_loop_cost / run.exact_cost - 1.0,
                 "baseline_law": run.is_baseline_law,
+                "exact_leaves": run.exact_steps > 0.0 and not math.isnan(run.exact_left_s),
             }
             for run in runs
         ]
@@ -322,20 +324,33 @@ class Study:
         chosen = (self.runs["configuration"] == configuration) & self.runs["finished"]
         return self.runs[chosen].set_index(["point", "replicate"])[column]
 
+    @cached_property
+    def points_left_out(self) -> list[int]:
+        """Points at which the exact loop leaves its station in a sea; none where all points do.
+
+        There any deviation grows without bound, so they are in no difference to the reference.
+        """
+        leaves = self.runs.groupby("point")["exact_leaves"].any()
+        return [] if leaves.all() else [int(point) for point in leaves.index[leaves]]
+
+    def get_compared_series(self, configuration: str, column: str) -> pd.Series:
+        """Return a result of a configuration without the points that are left out."""
+        series = self.get_result_series(configuration, column)
+        points = series.index.get_level_values("point")
+        return series[~points.isin(self.points_left_out)]
+
     def compute_difference_from_reference(
         self, configuration: str, column: str
     ) -> PairedDifference:
         """Return a configuration's mean difference from the reference in the same seas."""
         return compute_paired_difference(
-            self.get_result_series(configuration, column),
-            self.get_result_series(self.reference_name, column),
+            *(self.get_compared_series(c, column) for c in (configuration, self.reference_name))
         )
 
     def _summarise_configuration(self, name: str) -> StudiedConfiguration:
         """Summarise a configuration's runs, and its differences to the reference's."""
         runs = self.runs[self.runs["configuration"] == name]
         judged, itself = runs[runs["within"].notna()], name == self.reference_name
-        log_cost = [np.log(self.get_result_series(c, "cost")) for c in (name, self.reference_name)]
         return StudiedConfiguration(
             name=name,
             solver=str(runs["solver"].iloc[0]),
@@ -349,7 +364,9 @@ class Study:
             error_excess_m=None
             if itself
             else self.compute_difference_from_reference(name, "r_95_m"),
-            log_cost_excess=None if itself else compute_paired_difference(*log_cost),
+            log_cost_excess=None
+            if itself
+            else self.compute_difference_from_reference(name, "log_cost"),
         )
 
     @cached_property

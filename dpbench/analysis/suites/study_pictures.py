@@ -66,7 +66,7 @@ def convert_difference_to_cm(difference: PairedDifference) -> dict[str, float | 
 
 def tabulate_error_excess_by_sea(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
     """Tabulate configurations' errors over the reference [cm]: means, values by sea, count."""
-    reference = study.get_result_series(study.reference_name, "r_95_m")
+    reference = study.get_compared_series(study.reference_name, "r_95_m")
     most = max(2, MOST_DOTS // max(1, len(study.results_by_cost) - 1))
     rows, seas, count = [], [], 0
     for configuration in study.results_by_cost:
@@ -75,7 +75,7 @@ def tabulate_error_excess_by_sea(study: Study) -> tuple[pd.DataFrame, pd.DataFra
         rows.append(
             {"name": configuration.name} | convert_difference_to_cm(configuration.error_excess_m)
         )
-        each = 100 * (study.get_result_series(configuration.name, "r_95_m") - reference).dropna()
+        each = 100 * (study.get_compared_series(configuration.name, "r_95_m") - reference).dropna()
         count += len(each)
         ranks = np.unique(np.linspace(0, len(each) - 1, min(most, len(each))).round().astype(int))
         some = each.sort_values().iloc[ranks] if len(each) > most else each

@@ -136,9 +136,16 @@ def _make_axis_panels(
         reach = float(np.abs(table["value"]).max())
         near = [limit / scale for limit in limits if abs(limit / scale) <= 2.5 * max(reach, 1e-12)]
         # Limits far off are named, as a figure without them looks as if there were none.
-        far = "" if near else f"limits ±{max(map(abs, limits)) / scale:.4g}"
+        far = "" if near else f"limits {_format_range(*(one / scale for one in limits))}"
         panels.append(Panel(f"{sign}{name} [{shown}]", table, tuple(near), far))
     return panels
+
+
+def _format_range(low: float, high: float) -> str:
+    """Format two limits: ±high where they are symmetric, else both."""
+    if np.isclose(low, -high):
+        return f"±{high:.4g}"
+    return f"{low:+.4g} to {high:+.4g}".replace("-", "−")
 
 
 def _tabulate_by_law_over_time(

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import isnan
+from math import isfinite, isnan
 from typing import Any
 
 from dpbench.analysis.times.contrasts import compare_paired_times, find_faster_inconclusive
@@ -241,10 +241,11 @@ def describe_speed_margin(data: PageData, chosen: Verdict) -> str:
     margin, requirements = data.get_speed_margin(chosen.configuration), data.requirements
     if margin is None:
         return ""
+    time = "p99" if isfinite(chosen.p99_ns) else "largest step (in place of a p99)"
     parts = [
         "The computer may be up to × "
         f"{format_rounded_down(margin.allowed_slowness_factor)} slower.",
-        f"The p99 reaches {requirements.p99_ms:g} ms at × "
+        f"The {time} reaches {requirements.p99_ms:g} ms at × "
         f"{format_rounded_down(margin.p99_limit)}: it is {_describe_slow_step(margin.p99)}.",
         f"The hardest step takes the deadline of {requirements.deadline_ms:g} ms at × "
         f"{format_rounded_down(margin.deadline)}: it is {_describe_slow_step(margin.hardest)}.",

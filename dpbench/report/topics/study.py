@@ -42,6 +42,8 @@ from dpbench.report.verdict_text import name_counts
 
 MOST_DRAWN = 6
 """The reference and the first of the others are drawn."""
+MOST_NAMED = 3
+"""Points that a sentence names."""
 DRAWN = (STEP_TIME, ERROR)
 
 
@@ -66,6 +68,14 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
         f"{study.name}: {plural(len(runs), 'run')} at {plural(points, 'point')} in {seas}; "
         f"{_describe_larger_errors(study)}"
     )
+    if left_out := study.points_left_out:
+        named = join_with_and([str(point) for point in left_out[:MOST_NAMED]])
+        more = f" and {len(left_out) - MOST_NAMED} more" if left_out[MOST_NAMED:] else ""
+        yield (
+            f"{study.name}: {plural(len(left_out), 'point')} left out of every difference from "
+            f"{study.reference_name}, as the exactly solved loop leaves its station there: "
+            f"{named}{more}."
+        )
     yield from _yield_unfinished_sentences(study)
     yield from _yield_disturbance_sentences(study)
     yield from _yield_failed_steps_sentences(study)

@@ -17,7 +17,10 @@ from dpbench.analysis.suites.study import (
     estimate_mean_over_points,
     find_studies,
 )
-from dpbench.analysis.suites.study_pictures import tabulate_shares_in_position
+from dpbench.analysis.suites.study_pictures import (
+    tabulate_error_excess_by_sea,
+    tabulate_shares_in_position,
+)
 
 LOST = math.nan
 
@@ -42,6 +45,9 @@ def _run(name: str, point: int, replicate: int, **columns: Any) -> Any:
         "r_95_m": 0.25,
         "closed_loop_cost": 2.0,
         "exact_cost": 1.0,
+        "exact_steps": 400.0,
+        "exact_left_s": LOST,
+        "r_max_m": 0.5,
         "is_baseline_law": False,
     }
     return SimpleNamespace(**usual | columns)
@@ -211,6 +217,38 @@ def test_who_is_cheap() -> None:
     assert not _configuration(difference, None, p_cheap=0.051).adds_little_error_and_cost
     assert _configuration(None, None).adds_little_error_and_cost
     assert not _configuration(None, None, finished=5).adds_little_error_and_cost
+
+
+@pytest.mark.parametrize(
+    ("leaving", "left_out", "pairs", "excess_m"),
+    [((), [], 6, 0.34), ((0,), [0], 3, 0.01), ((0, 1), [], 6, 0.34)],
+)
+def test_points_whose_exact_loop_leaves_its_station_are_in_no_difference(
+    leaving: tuple[int, ...], left_out: list[int], pairs: int, excess_m: float
+) -> None:
+    """The law is 67 cm behind at point 0, and 1 cm at point 1; none is left out if all leave."""
+    runs = [
+        _run(
+            name,
+            point,
+            sea,
+            r_95_m=0.25 + (behind if name == "law" else 0.0),
+            is_baseline_law=name == "law",
+            exact_left_s=60.0 if point in leaving and sea == 2 else LOST,
+        )
+        for point, behind in ((0, 0.67), (1, 0.01))
+        for sea in (1, 2, 3)
+        for name in ("osqp", "law")
+    ]
+    study = Study("seas", runs, 1.0)
+    law = study.results_by_cost[1]
+    assert study.points_left_out == left_out
+    for difference in (law.error_excess_m, law.log_cost_excess):
+        assert difference is not None and difference.pairs == pairs
+    assert law.error_excess_m is not None
+    assert law.error_excess_m.estimate.value == pytest.approx(excess_m)
+    table, seas, count = tabulate_error_excess_by_sea(study)
+    assert len(table) == 1 and len(seas) == count == pairs
 
 
 def test_the_figures_of_a_configuration() -> None:

@@ -37,6 +37,9 @@ def _study(points: list[dict[str, Any]], results: Any, seas: int = 8, **columns:
         "raw_p99_ns": np.nan,
         "closed_loop_cost": 2.0,
         "exact_cost": 1.0,
+        "exact_steps": 400.0,
+        "exact_left_s": np.nan,
+        "r_max_m": 0.5,
         "is_baseline_law": False,
     }
     runs = [

@@ -259,3 +259,17 @@ def test_one_sea_that_carries_a_mean_is_visible(records: Any) -> None:
     texts = {row[2]: row[4] for row in table.rows}
     assert texts["piqp"].endswith("] in 6 of 6 realisations")
     assert texts["daqp"].endswith("]") and texts["osqp"] == "0 in every realisation"
+
+
+def test_points_left_out_are_named(records: Any) -> None:
+    """The exact loop leaves its station at point 0 of two, in one sea."""
+    for point in (0, 1):
+        for sea in (1, 2):
+            for solver in ("daqp", "osqp"):
+                left = {"exact_left_s": 9.0} if (point, sea) == (0, 2) else {}
+                records.sea(solver, point, sea, {EAST: float(point)}, **left)
+    built = topic.build_study_topic(find_studies(records.view()))
+    assert built is not None and built.lines[1] == (
+        "seas: 1 point left out of every difference from daqp, as the exactly solved loop leaves "
+        "its station there: 0."
+    )
