@@ -43,7 +43,7 @@ MEANINGS = {
     WORSE: "an exact measure grew",
     GONE: "a benchmark of the base was not run",
     DISTURBED: "other load disturbed the machine, no verdict on times",
-    NO_KERNEL: "too few benchmarks of other solvers, no verdict on times",
+    NO_KERNEL: "too few other solvers, no verdict on times",
     NOT_VERIFIED: "a smaller time, but not every answer is verified",
     NEW: "the base has no such benchmark",
     NO_BASELINE: "the base has no benchmark, nothing compared",
@@ -229,8 +229,8 @@ def find_exact_changes(was: Benchmark, now: Benchmark) -> list[str]:
 def _assess_times(pairs: Pairs, margin: float) -> dict[str, tuple[Assessment, list[str]]]:
     """Assess the time of each benchmark that both revisions have, with what disturbed it.
 
-    Disturbed pairs are left out where enough others remain. Below three benchmarks of other solvers
-    the reference kernel stands for the machine.
+    Disturbed pairs are left out where enough others remain. Below three other solvers the
+    reference kernel stands for the machine.
     """
     quiet: dict[str, list[tuple[Benchmark, Benchmark]]] = {}
     loud: dict[str, list[tuple[Benchmark, Benchmark]]] = {}

@@ -151,3 +151,18 @@ def test_the_document_begins_with_the_verdict() -> None:
     first, _, rest = found.markdown(["five runs"]).partition("\n")
     assert first == "**dpbench: slower: 1 benchmark**"
     assert "a\\|b" in rest and rest.endswith("five runs\n")
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_change_of_the_solver_measured_most_is_not_the_machines(factor: float) -> None:
+    """Three others with a benchmark each outvote four of the one that changed."""
+    own = [f"own-{number}" for number in range(4)]
+
+    def entries(seconds: float) -> list[dict[str, Any]]:
+        others = [entry(name, solver=name) for name in ("daqp", "osqp", "quadprog")]
+        return [*others, *(entry(name, seconds, solver="own") for name in own)]
+
+    found = compare_runs([(run_of(*entries(1e-3)), run_of(*entries(factor * 1e-3)))] * 5)
+    for row in found.rows:
+        assert row.ratio is not None
+        assert row.ratio.value == pytest.approx(factor if row.name in own else 1.0)

@@ -109,7 +109,9 @@ def remove_factor_shared_by_group(
         spread2, df[i] = _estimate_variance_and_freedom(
             logs[keep], places[keep], prior, own_share * typical2
         )
-        others = logs[~same & (labels == labels[i])]
+        # One value for each subject: of one that is measured often, a change is not the machine's.
+        rest = ~same & (labels == labels[i])
+        others = [np.median(logs[rest & (subject == one)]) for one in np.unique(subject[rest])]
         if len(others) >= MIN_OTHERS:
             centre[i] = np.median(others)
             unknown = spread2 * _MEDIAN_VARIANCE / len(others)
