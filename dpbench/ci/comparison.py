@@ -146,7 +146,11 @@ class RunComparison:
 
 def describe_end(found: RunComparison, against: str) -> str:
     """State in one line whether a regression against a baseline is shown."""
-    return f"{'a regression' if found.worse else 'no regression shown'} against {against}"
+    line = f"{'a regression' if found.worse else 'no regression shown'} against {against}"
+    open_ones = sum(row.verdict in (DISTURBED, NO_KERNEL) for row in found.rows)
+    if not open_ones:
+        return line
+    return f"{line}; no verdict on times of {open_ones} of {plural(len(found.rows), 'benchmark')}"
 
 
 def compare_runs(

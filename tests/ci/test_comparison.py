@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpbench.ci.benchmarks import BenchmarkRun
-from dpbench.ci.comparison import compare_runs
+from dpbench.ci.comparison import compare_runs, describe_end
 from dpbench.ci.machine_state import MachineState
 
 QUIET = {
@@ -72,6 +72,7 @@ def test_a_disturbed_time_has_no_verdict(side: int, factor: float) -> None:
     assert row.cells["ratio"] == f"{factor:.2f}"
     assert "120 involuntary context switches" in row.cells["remarks"]
     assert found.headline.startswith("disturbed")
+    assert describe_end(found, "base").endswith("base; no verdict on times of 1 of 1 benchmark")
 
 
 def test_exact_measures_and_answers_have_a_verdict_on_a_disturbed_machine() -> None:
