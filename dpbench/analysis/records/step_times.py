@@ -38,14 +38,16 @@ def yield_step_times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTime
     ):
         best = _find_least_by_step(k, total_ns)
         done = np.flatnonzero(np.isfinite(best))
-        net = (
-            None
-            if np.isnan(waited_ns).any()
-            else _find_least_by_step(k, total_ns - waited_ns)[done]
-        )
+        net_ns = _subtract_waits(total_ns, waited_ns)
+        net = None if net_ns is None else _find_least_by_step(k, net_ns)[done]
         rounds = np.array([float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)])
         timings = np.bincount(k)[done].astype(np.int64)
         yield run_id, StepTimes(done, best[done], net, timings, float(total_ns.max()), rounds)
+
+
+def _subtract_waits(total_ns: Floats, waited_ns: Floats) -> Floats | None:
+    """Return timings (N,) less their waits for the core; None where a wait is unknown, NaN."""
+    return None if np.isnan(waited_ns).any() else total_ns - waited_ns
 
 
 def _find_least_by_step(k: Ints, times_ns: Floats) -> Floats:
@@ -70,9 +72,6 @@ def _yield_valid_timings_by_run(
 DELAY_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns", "waited_ns")
 DELAYED = 2.0
 """A timing over this multiple of the fastest time of its step is a delay."""
-OWN_SHARE = 0.1
-"""Share of a limit that must be a step's own time, net of its base time and of its wait for the
-core, for its timing to be late. Refilling a cache after a wait takes a hundredth of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +79,8 @@ class Delays:
     """Timings of one run that took much longer than their step usually does.
 
     The base time of a timing is the fastest time of its step. In a run of one round it is the
-    median over the steps, and every timing above it is a delay. Where the kernel shows how long a
-    step waited for the core, a delay without more work of its own is neither late nor a stall.
+    median over the steps, and every timing above it is a delay. Where the kernel shows how long
+    every step waited for the core, only the rest of a timing is compared with limits.
 
     samples : (R,) timings of each round; base_ns : (R,) sum of their base times, the exposed time.
     step_ns : median over the timings.
@@ -106,16 +105,13 @@ class Delays:
         return replace(self, net_ns=self.delay_ns, has_waits=False)
 
     def count_late_by_repetition(self, limit_ns: float) -> Ints:
-        """Count, by repetition (R,), the timings over a limit by the solver's own work."""
-        by_itself = (self.net_ns > limit_ns) | (self.net_ns - self.own_ns > OWN_SHARE * limit_ns)
-        return self._count_chosen_by_repetition((self.delay_ns > limit_ns) & by_itself)
+        """Count, by repetition (R,), the timings over a limit without their waits."""
+        return self._count_chosen_by_repetition(self.net_ns > limit_ns)
 
     def count_stalls_by_repetition(self, longer_than_ns: float) -> Ints:
         """Count, by repetition (R,), the timings that exceed their step's usual time by so much."""
         if longer_than_ns not in self._stalls:
-            excess_ns, net_ns = self.delay_ns - self.own_ns, self.net_ns - self.own_ns
-            of_limit = OWN_SHARE * 2.0 * longer_than_ns
-            chosen = (excess_ns > longer_than_ns) & (net_ns > of_limit)
+            chosen = self.net_ns - self.own_ns > longer_than_ns
             self._stalls[longer_than_ns] = self._count_chosen_by_repetition(chosen)
         return self._stalls[longer_than_ns]
 
@@ -139,8 +135,7 @@ def find_delays(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> D
     """
     timed = ~np.isnan(total_ns)
     repeat, k, total_ns, waited_ns = repeat[timed], k[timed], total_ns[timed], waited_ns[timed]
-    has_waits = not np.isnan(waited_ns).any()
-    net_ns = total_ns - waited_ns if has_waits else total_ns
+    net_ns = _subtract_waits(total_ns, waited_ns)
     rounds, index = np.unique(repeat, return_inverse=True)
     middle = float(np.median(total_ns)) if len(total_ns) else np.nan
     if len(rounds) > 1:
@@ -156,6 +151,6 @@ def find_delays(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> D
         round=index[delayed].astype(np.int64),
         delay_ns=total_ns[delayed],
         own_ns=base[delayed],
-        net_ns=net_ns[delayed],
-        has_waits=has_waits,
+        net_ns=(total_ns if net_ns is None else net_ns)[delayed],
+        has_waits=net_ns is not None,
     )

@@ -1,11 +1,12 @@
 """Late timings that the machine does not explain, by one-sided tests of known error rates.
 
 The fastest round of a step hides a solver that is late at random; its single timings show it, but
-so do interrupts of the machine. Time in which another program had the core is left out where the
-kernel shows it (`step_times.py`). The rest of the machine is known from what the other
-configurations met in the same interleaved rounds: a stall strikes whoever runs, in proportion to
-the time that it runs. A solver that waits for threads of its own (`THREAD_WAITS`), and those that
-it is compared with, are tested without regard to who had the core.
+so do interrupts of the machine. Time in which another program had the core is taken off where the
+kernel shows it (`step_times.py`), so that waits alone are neither late nor a stall. The rest of the
+machine is known from what the other configurations met in the same interleaved rounds: a stall
+strikes whoever runs, in proportion to the time that it runs. A solver that waits for threads of its
+own (`THREAD_WAITS`), and those that it is compared with, are tested without regard to who had the
+core.
 
 Replays. A timing is late if it exceeds the limit and twice the fastest time of its step. Let x be
 the count of late timings in the middle round (the lower median: a burst of the machine is in one or
@@ -70,7 +71,7 @@ PASSES = 3
 class LateTimings:
     """Number of a run's solver calls that took too long, and the share the machine explains.
 
-    late, samples : late timings and all timings, over all rounds.
+    late, samples : late timings and all timings, over all rounds; known waits are taken off.
     machine : share of late timings that the machine leads to expect; NaN where nothing shows it.
     p : one-sided p-value, adjusted within its kind (Holm).
     is_disturbed : whether it is the only round of its steps, on a disturbed machine.
@@ -258,7 +259,7 @@ def _test_replay_for_late_timings(
 ) -> LateTimings:
     """Test whether a replay has more late timings than the machine's stalls explain."""
     counts, samples = own.count_late_by_repetition(requirements.p99_ns), int(own.samples.sum())
-    late = int(own.without_waits.count_late_by_repetition(requirements.p99_ns).sum())
+    late = int(counts.sum())
     if machine is None:
         x = int(np.sort(counts)[(len(counts) - 1) // 2])
         p = DOUBTFUL if x > ALLOWED * own.samples.mean() else 1.0
@@ -271,18 +272,14 @@ def _test_replay_for_late_timings(
         x = int(np.sort(own.count_late_by_repetition(limit_ns))[middle])
         p = machine(limit_ns).compute_tail_probability(x, float(own.base_ns.mean()), allowed)
         ps.append(float(binom.sf(rounds - middle - 1, rounds, p)))
-    stalls = machine(requirements.p99_ns).rate * float(own.base_ns.sum())
-    expected = (stalls + late - int(counts.sum())) / samples
+    expected = machine(requirements.p99_ns).rate * float(own.base_ns.sum()) / samples
     return LateTimings(kind, run, late, samples, expected, min(1.0, len(ps) * min(ps)))
 
 
 def _test_run_timed_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
     """Test a run timed once per step for late timings that the machine does not explain."""
-    late, samples = (
-        int(own.without_waits.count_late_by_repetition(limit_ns).sum()),
-        int(own.samples.sum()),
-    )
-    explained = _count_late_explained_by_machine(run, own, late, limit_ns)
+    late, samples = int(own.count_late_by_repetition(limit_ns).sum()), int(own.samples.sum())
+    explained = _count_late_explained_by_machine(run, own)
     p = float(binom.sf(late - np.nan_to_num(explained) - 1, samples, ALLOWED))
     if own.step_ns > limit_ns:
         # The median is the plainer answer.
@@ -294,12 +291,13 @@ def _test_run_timed_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTi
     return LateTimings("late timings", run, late, samples, explained / samples, p, is_disturbed)
 
 
-def _count_late_explained_by_machine(
-    run: RunRecord, own: Delays, late: int, limit_ns: float
-) -> float:
-    """Return how many late timings of a run the machine explains; NaN if unknown."""
+def _count_late_explained_by_machine(run: RunRecord, own: Delays) -> float:
+    """Return how many late timings of a run context switches explain; NaN if unknown.
+
+    Where waits are known, these are taken off, and switches explain nothing beyond them.
+    """
     if own.has_waits:
-        return late - int(own.count_late_by_repetition(limit_ns).sum())
+        return 0.0
     if math.isnan(run.involuntary_switches):
         return math.nan
     timed_share = 1e-9 * float(own.base_ns.sum()) / run.replay_s
