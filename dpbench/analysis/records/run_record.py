@@ -119,6 +119,7 @@ class RunRecord:
     limit_violations: Count
     r_rms_m: float
     r_95_m: float
+    r_max_m: float
     r_tail_max_m: float
     heading_max_deg: float
     settle_s: float

@@ -249,6 +249,7 @@ class Study:
                 "stopped": run.outcome == "timed_out",
                 "within": _flag_end_within_radius(run, radius_m),
                 "r_95_m": run.r_95_m,
+                "r_max_m": run.r_max_m,
                 "r_tail_max_m": run.r_tail_max_m,
                 "failed_steps": run.failed_steps,
                 "steps_done": run.steps_done,

@@ -46,9 +46,10 @@ class Measure:
 
 STEP_TIME = Measure("step time", "%", lambda change: 100.0 * math.expm1(change))
 ERROR = Measure("95 % radial error", "cm", lambda change: 100.0 * change)
+LARGEST = Measure("largest offset", "cm", lambda change: 100.0 * change)
 OUTSIDE = Measure("runs outside the radius", "percentage points", lambda change: 100.0 * change)
 UNTRUE = Measure("inaccurate steps", "percentage points", lambda change: 100.0 * change)
-MEASURES = (STEP_TIME, ERROR, OUTSIDE, UNTRUE)
+MEASURES = (STEP_TIME, ERROR, LARGEST, OUTSIDE, UNTRUE)
 
 
 @dataclass(frozen=True)
@@ -210,6 +211,7 @@ def _collect_values_by_measure(study: Study, configuration: str) -> Mapping[Meas
             finished[study.step_time_column].where(finished[study.step_time_column] > 0)
         ).dropna(),
         ERROR: finished["r_95_m"],
+        LARGEST: finished["r_max_m"],
         OUTSIDE: (1.0 - runs["within"]).dropna(),
         UNTRUE: (1.0 - finished["true_share"]).dropna(),
     }

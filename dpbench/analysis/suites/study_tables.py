@@ -14,8 +14,10 @@ BEHIND_COLUMNS = (
 )
 POINT_COLUMNS = (
     *("study", "configuration", "point", "runs", "finished", "stopped", "within_share", "r_95_m"),
+    "r_max_m",
 )
 """Columns of each study; those of its keys follow."""
+_ERRORS = ("r_95_m", "r_max_m")
 
 
 def tabulate_differences_from_reference(studies: Sequence[Study]) -> pd.DataFrame:
@@ -66,13 +68,14 @@ def tabulate_study_points(studies: Sequence[Study]) -> pd.DataFrame:
 
 def _tabulate_points_of_study(study: Study) -> pd.DataFrame:
     """Return a row for each point and configuration of a study; means are over judged runs."""
-    runs = study.runs.assign(r_95_m=study.runs["r_95_m"].where(study.runs["within"].notna()))
+    judged = {name: study.runs[name].where(study.runs["within"].notna()) for name in _ERRORS}
+    runs = study.runs.assign(**judged)
     rows = runs.groupby(["configuration", "point"], sort=False, as_index=False).agg(
         runs=("run_id", "count"),
         finished=("finished", "sum"),
         stopped=("stopped", "sum"),
         within_share=("within", "mean"),
-        r_95_m=("r_95_m", "mean"),
+        **{name: (name, "mean") for name in _ERRORS},
     )
     rows.insert(0, "study", study.name)
     keys = study.points.add_prefix("x_")

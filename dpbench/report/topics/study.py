@@ -20,6 +20,7 @@ from dpbench.analysis.suites.study import (
 )
 from dpbench.analysis.suites.study_effects import (
     ERROR,
+    LARGEST,
     STEP_TIME,
     compute_study_effects,
 )
@@ -44,7 +45,7 @@ MOST_DRAWN = 6
 """The reference and the first of the others are drawn."""
 MOST_NAMED = 3
 """Points that a sentence names."""
-DRAWN = (STEP_TIME, ERROR)
+DRAWN = (STEP_TIME, ERROR, LARGEST)
 
 
 def build_study_topic(known: Sequence[Study]) -> Topic | None:

@@ -10,6 +10,7 @@ from scipy import stats
 from dpbench.analysis.suites.study import Study
 from dpbench.analysis.suites.study_effects import (
     ERROR,
+    LARGEST,
     OUTSIDE,
     STEP_TIME,
     UNTRUE,
@@ -139,13 +140,17 @@ def test_a_design_of_few_points_has_no_slope() -> None:
 
 
 def test_other_measures_are_of_all_runs() -> None:
-    """At the long horizon steps take twice the time, a quarter is untrue, no run is within."""
+    """At the long horizon steps take twice the time, a quarter is untrue, no run is within.
+
+    The ship is 10 cm farther off.
+    """
     study = _study([{HORIZON: 20}, {HORIZON: 60}], np.ones((2, 8)), raw_p99_ns=3e4)
     long = study.runs["point"] == 1
     study.runs.loc[long, "raw_p99_ns"] *= 2.0
     study.runs.loc[long, "true_share"] = 0.75
     study.runs.loc[long, "within"] = 0.0
-    expected = {STEP_TIME: 100.0, OUTSIDE: 100.0, UNTRUE: 25.0}
+    study.runs.loc[long, "r_max_m"] += 0.1
+    expected = {STEP_TIME: 100.0, LARGEST: 10.0, OUTSIDE: 100.0, UNTRUE: 25.0}
     for measure, change in expected.items():
         (effect,) = _effects(study, measure).values()
         assert measure.convert(effect.mean_difference.mean_interval.value) == pytest.approx(change)

@@ -207,7 +207,7 @@ def test_each_factor_has_a_slope_in_table_figure_and_file(records: Any) -> None:
     assert rows[WIND, "osqp"][1].endswith(", slope") and "[" in rows[WIND, "osqp"][4]
     assert {row["configuration"] for row in compile_rows(figure)} == {"daqp", "osqp"}
     whole = build_effects_table(find_studies(records.view()))
-    assert len(whole) == 2 * 2 * 4
+    assert len(whole) == 2 * 2 * 5
     varies = whole["measure"].eq("median step time")
     varies |= whole["configuration"].eq("osqp") & whole["measure"].eq("95 % radial error")
     assert (whole["low"] < whole["high"]).tolist() == varies.tolist()
@@ -268,7 +268,9 @@ def test_points_left_out_are_named(records: Any) -> None:
             for solver in ("daqp", "osqp"):
                 left = {"exact_left_s": 9.0} if (point, sea) == (0, 2) else {}
                 records.sea(solver, point, sea, {EAST: float(point)}, **left)
-    built = topic.build_study_topic(find_studies(records.view()))
+    studies = find_studies(records.view())
+    assert (tabulate_study_points(studies)["r_max_m"] == 1.77).all()
+    built = topic.build_study_topic(studies)
     assert built is not None and built.lines[1] == (
         "seas: 1 point left out of every difference from daqp, as the exactly solved loop leaves "
         "its station there: 0."
