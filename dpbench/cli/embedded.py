@@ -20,7 +20,7 @@ from dpbench.embedded.fit import (
     KILOBYTE,
     Fit,
     Trial,
-    find_largest_fitting_horizon,
+    find_largest_horizon_for_memory,
     summarise_fit_as_dict,
 )
 from dpbench.embedded.recipe import Recipe, Setting, select_recipes
@@ -277,7 +277,7 @@ class _Trials:
             self.counts.append(counts)
             return Trial(N_c, counts)
 
-        return [find_largest_fitting_horizon(try_horizon, size) for size in kilobytes]
+        return [find_largest_horizon_for_memory(try_horizon, size) for size in kilobytes]
 
 
 def record_qps_at_horizon(scenario: Scenario, N_c: int, steps: int) -> Recorded:

@@ -54,7 +54,7 @@ class Fit:
     following: Trial | None
 
 
-def find_largest_fitting_horizon(try_horizon: Callable[[int], Trial], kilobytes: int) -> Fit:
+def find_largest_horizon_for_memory(try_horizon: Callable[[int], Trial], kilobytes: int) -> Fit:
     """Return trials of the largest horizon that fits in a memory and of the next, which does not.
 
     The horizon is doubled from `FIRST` until it does not fit, and the interval is then bisected, so

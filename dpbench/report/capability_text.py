@@ -12,7 +12,7 @@ from dpbench.analysis.suites.consequence import (
     LOST,
     ConsequenceAnalysis,
     build_consequence_analyses,
-    find_largest_share_of_sample,
+    find_largest_solve_time_share,
     select_configurations_in_all_analyses,
 )
 from dpbench.analysis.verdict.fastest import explain_deployment_blocker
@@ -106,7 +106,7 @@ def describe_consequence_solver(records: Records, solver: str) -> str:
     if any(of_it[0].solver == solver for of_it in right.values()):
         return ""
     deployable = [name for name in right if not explain_deployment_blocker(right[name][0].solver)]
-    shares = {name: find_largest_share_of_sample(right[name]) for name in deployable}
+    shares = {name: find_largest_solve_time_share(right[name]) for name in deployable}
     best = min(shares, key=lambda name: (math.isnan(shares[name]), shares[name]), default="")
     edge = " and those at the edge of the capability plot" if at_edge else ""
     other = best or f"no solver that was run answers all its QPs{edge} rightly"

@@ -28,10 +28,10 @@ from dpbench.report.page.recommendation import Recommendation, build_recommendat
 from dpbench.report.page.section import Topic
 from dpbench.report.topics.all import build_topics
 from dpbench.report.verdict_text import (
-    count_solvers,
     describe_calibration,
     describe_disturbance,
     describe_own_settings,
+    describe_which_solvers_pass,
 )
 
 TERMINAL_NOTES = ("counted", "slower", "faster", "inconclusive", "next", "unanswered", "stopped")
@@ -110,7 +110,7 @@ class Report:
             missing = yield_uncounted_sentences(self.data.counts.not_counted)
             rows += [("not counted", line.removeprefix("Not counted: ")) for line in missing]
         if verdicts.of:
-            rows.append(("solvers", f"{count_solvers(verdicts)}."))
+            rows.append(("solvers", f"{describe_which_solvers_pass(verdicts)}."))
             rows += [("options", line) for line in describe_own_settings(verdicts)]
         records = self.data.records
         disturbance = sum_disturbances(

@@ -70,7 +70,7 @@ def describe_requirements(requirements: Requirements) -> str:
 _OTHERS: tuple[State, ...] = ("borderline", "late", "fail", "inconclusive", "not run")
 
 
-def count_solvers(verdicts: Verdicts) -> str:
+def describe_which_solvers_pass(verdicts: Verdicts) -> str:
     """State how many solvers pass, and name those that are late, fail or are inconclusive."""
     if not verdicts.verdicts_on_references:
         return NOBODY

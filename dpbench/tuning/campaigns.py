@@ -99,7 +99,9 @@ def load_tuned_problem(name: str, steps: int = 0) -> TunedProblem:
     return TunedProblem(scenario.name, table, _make_loop_key(dict(scenario.files)))
 
 
-def refuse_overlap(training: Sequence[TunedProblem], test: Sequence[TunedProblem]) -> None:
+def refuse_training_qps_in_test(
+    training: Sequence[TunedProblem], test: Sequence[TunedProblem]
+) -> None:
     """Raise InputError where QPs of the training are among those of the test.
 
     Sequences overlap that have a QP in common, or are of one closed loop, also at other horizons.

@@ -36,7 +36,7 @@ from dpbench.tuning.campaigns import (
     TunedProblem,
     TunedSolver,
     load_tuned_problem,
-    refuse_overlap,
+    refuse_training_qps_in_test,
 )
 from dpbench.tuning.search import SearchSpace, make_space
 
@@ -117,7 +117,7 @@ def make_request(
     _refuse_bad_options(adapter, space, start)
     learned = [load_tuned_problem(one, steps) for one in training or TRAINING]
     other = [load_tuned_problem(one, steps) for one in test or TEST]
-    refuse_overlap(learned, other)
+    refuse_training_qps_in_test(learned, other)
     return SearchRequest(
         tuned,
         space,

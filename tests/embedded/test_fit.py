@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dpbench.embedded.fit import MOST, Trial, find_largest_fitting_horizon, summarise_fit_as_dict
+from dpbench.embedded.fit import MOST, Trial, find_largest_horizon_for_memory, summarise_fit_as_dict
 from dpbench.embedded.table import COUNTED, StepCounts
 
 STACK = 24
@@ -26,17 +26,17 @@ def test_bisection_finds_what_a_search_of_all_finds(largest: int) -> None:
         tried.append(N_c)
         return make_trial(N_c, 1024 if N_c <= largest else 1025)
 
-    fit = find_largest_fitting_horizon(try_horizon, 1)
+    fit = find_largest_horizon_for_memory(try_horizon, 1)
     assert fit.largest and fit.following
     assert (fit.largest.N_c, fit.following.N_c) == (largest, largest + 1)
     assert len(set(tried)) <= 12
 
 
 def test_nothing_fits_and_everything_fits() -> None:
-    nothing = find_largest_fitting_horizon(lambda N_c: make_trial(N_c, 2000 * N_c), 1)
+    nothing = find_largest_horizon_for_memory(lambda N_c: make_trial(N_c, 2000 * N_c), 1)
     assert nothing.largest is None
     assert summarise_fit_as_dict(nothing)["next_memory_bytes"] == 2000
-    everything = find_largest_fitting_horizon(lambda N_c: make_trial(N_c, 1000), 1)
+    everything = find_largest_horizon_for_memory(lambda N_c: make_trial(N_c, 1000), 1)
     assert everything.largest and everything.largest.N_c == MOST
     assert everything.following is None
 
@@ -45,7 +45,7 @@ def test_a_program_that_does_not_run_does_not_fit() -> None:
     def try_horizon(N_c: int) -> Trial:
         return make_trial(N_c, 500) if N_c < 8 else Trial(N_c, None, "it does not end")
 
-    summary = summarise_fit_as_dict(find_largest_fitting_horizon(try_horizon, 1))
+    summary = summarise_fit_as_dict(find_largest_horizon_for_memory(try_horizon, 1))
     assert (summary["control_horizon"], summary["variables"]) == (7, 21)
     assert (summary["next_control_horizon"], summary["next_reason"]) == (8, "it does not end")
     assert summary["memory_bytes"] == 500

@@ -7,7 +7,7 @@ import pytest
 from dpbench import load_sequence
 from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.errors import InputError, UnknownNameError
-from dpbench.tuning.campaigns import load_tuned_problem, refuse_overlap
+from dpbench.tuning.campaigns import load_tuned_problem, refuse_training_qps_in_test
 
 
 @pytest.mark.parametrize(
@@ -22,13 +22,13 @@ from dpbench.tuning.campaigns import load_tuned_problem, refuse_overlap
 def test_what_overlaps_is_refused(training: str, test: str, why: str) -> None:
     """Other horizons along one loop are other QPs, but of the same states and references."""
     with pytest.raises(InputError, match=rf"--test: .* has {why}"):
-        refuse_overlap(
+        refuse_training_qps_in_test(
             [load_tuned_problem("calm"), load_tuned_problem(training)], [load_tuned_problem(test)]
         )
 
 
 def test_sequences_of_other_scenarios_do_not_overlap() -> None:
-    refuse_overlap(
+    refuse_training_qps_in_test(
         [load_tuned_problem("paper-60-10"), load_tuned_problem("rough")],
         [load_tuned_problem("squall-60-10"), load_tuned_problem("move")],
     )
@@ -41,8 +41,8 @@ def test_a_file_without_a_scenario_is_compared_by_its_qps(tmp_path: Path) -> Non
     mine = load_tuned_problem(str(path))
     assert mine.loop == ""
     with pytest.raises(InputError, match="has the same QPs as calm-30-5"):
-        refuse_overlap([load_tuned_problem("calm-30-5")], [mine])
-    refuse_overlap([load_tuned_problem("move-30-5")], [mine])
+        refuse_training_qps_in_test([load_tuned_problem("calm-30-5")], [mine])
+    refuse_training_qps_in_test([load_tuned_problem("move-30-5")], [mine])
 
 
 def test_a_problem_is_a_table_of_a_suite(tmp_path: Path) -> None:

@@ -169,7 +169,7 @@ def select_configurations_in_all_analyses(
     return {name: own for name, own in by_name.items() if len(own) == len(analyses)}
 
 
-def find_largest_share_of_sample(answers: Sequence[BatchAnswers]) -> float:
+def find_largest_solve_time_share(answers: Sequence[BatchAnswers]) -> float:
     """Return the largest share of a sample that an analysis takes; NaN if one is unknown."""
     shares = [own.largest for own in answers]
     return max(shares) if all(map(math.isfinite, shares)) else math.nan

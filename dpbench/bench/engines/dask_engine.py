@@ -141,7 +141,7 @@ class DaskEngine(ExitStack):
         self._given_to.pop(future.key, None)
         yield batch, self._read_results(batch, future)
 
-    def is_source_intact(self, key: str, cell: Cell) -> bool:
+    def is_qp_file_intact(self, key: str, cell: Cell) -> bool:
         """Return True: Dask remakes a file of QPs that was lost with its worker."""
         return True
 

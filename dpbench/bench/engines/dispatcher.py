@@ -205,7 +205,7 @@ class Dispatcher:
         key = job.source_key
         if job.run_id in self._retried or key in self._failed:
             return False
-        return key in self._remade or not self._engine.is_source_intact(
+        return key in self._remade or not self._engine.is_qp_file_intact(
             key, find_cell_with_most_steps(self._of_key[key])
         )
 

@@ -87,7 +87,7 @@ class Engine(AbstractContextManager["Engine"], Protocol):
         HandOverError or EngineGoneError, also of `submit`, where the batches are lost.
         """
 
-    def is_source_intact(self, key: str, cell: Cell) -> bool:
+    def is_qp_file_intact(self, key: str, cell: Cell) -> bool:
         """Return whether a file of QPs is still intact, after a run that needs it was lost."""
 
     def release_source(self, key: str) -> None:

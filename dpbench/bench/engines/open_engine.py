@@ -66,7 +66,7 @@ class LocalEngine(ExitStack):
         """Wait for completed batches of runs; yield each with its results."""
         return self._executor.wait_for_batches()
 
-    def is_source_intact(self, key: str, cell: Cell) -> bool:
+    def is_qp_file_intact(self, key: str, cell: Cell) -> bool:
         """Return whether the file of a run's QPs can be read to its end."""
         return is_readable(cell, self._sources.path(key))
 

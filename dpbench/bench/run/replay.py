@@ -42,7 +42,7 @@ def _increment(value: int) -> int:
     return value + 1
 
 
-def _run_load_test() -> None:
+def _measure_machine_load() -> None:
     """Run the machine-load test: some 60 µs of Python calls, small NumPy calls, a LAPACK inverse.
 
     Over 40 runs under other load the slow-down that 14 configurations had in common correlated at
@@ -66,7 +66,7 @@ def time_speed_and_load_tests(clock: Clock, load_kernel_ns: Floats | None = None
         best = min(best, clock() - started)
         if load_kernel_ns is not None and i % turn == 0:
             started = clock()
-            _run_load_test()
+            _measure_machine_load()
             load_kernel_ns[i // turn] = clock() - started
     return best
 

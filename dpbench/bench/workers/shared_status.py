@@ -206,7 +206,7 @@ def set_phase(phase: Phase, cell_index: int | None = None) -> None:
         notice.set_phase(phase, cell_index)
 
 
-def discard_output() -> None:
+def discard_captured_output() -> None:
     """Discard the output captured from this process so far, as another run begins."""
     for notice in _process_status:
         notice.output.discard()

@@ -52,7 +52,7 @@ from dpbench.bench.workers.orphans import has_children
 from dpbench.bench.workers.shared_status import (
     Phase,
     describe_truncated_output,
-    discard_output,
+    discard_captured_output,
     set_phase,
 )
 from dpbench.errors import CertificateError, InputError
@@ -148,7 +148,7 @@ def _find_open_step(cell: Cell, log: RawLog, known: Set[int]) -> Hang | None:
 def _open_workspace(cell: Cell, *, settled: bool = False) -> Workspace:
     """Load the run's solver in this process and return its workspace, memory limited."""
     if settled:
-        discard_output()
+        discard_captured_output()
         reset_peak_memory()
     else:
         disable_gc_and_warnings()

@@ -41,12 +41,12 @@ from dpbench.report.table import (
     one_line,
 )
 from dpbench.report.verdict_text import (
-    count_solvers,
     describe_answer,
     describe_best_of_grids,
     describe_findings,
     describe_paired_times,
     describe_requirements,
+    describe_which_solvers_pass,
     name_experiment,
 )
 
@@ -81,7 +81,7 @@ def make_report_markdown(report: Report) -> str:
         _unlisted_text(data.verdicts, len(listed)),
         *_make_counts_tables(topics),
         escape_markdown_paragraph(
-            f"Solvers: {count_solvers(data.verdicts)}." if data.verdicts.of else ""
+            f"Solvers: {describe_which_solvers_pass(data.verdicts)}." if data.verdicts.of else ""
         ),
         *map(
             escape_markdown_paragraph,

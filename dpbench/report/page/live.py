@@ -115,7 +115,7 @@ def _draw_accuracy(data: PageData) -> Charts:
     return {} if points.empty else {"accuracy": draw_accuracy(points, data.requirements.error_move)}
 
 
-def _draw_study(data: PageData) -> Charts:
+def _draw_empty_study_charts(data: PageData) -> Charts:
     """Return the charts of a study by name, without data, which the page's script fills in."""
     if not (data.studies and data.runs):
         return {}
@@ -156,7 +156,7 @@ SECTIONS = (
     Section(
         "study",
         "Study",
-        _draw_study,
+        _draw_empty_study_charts,
         data=lambda data, _: {"studies": data.study_documents},
         live=True,
         in_topic=True,

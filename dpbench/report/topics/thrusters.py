@@ -13,7 +13,7 @@ from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.suites.consequence import (
     HELD,
     build_consequence_analyses,
-    find_largest_share_of_sample,
+    find_largest_solve_time_share,
     select_configurations_in_all_analyses,
 )
 from dpbench.analysis.verdict.fastest import choose_solver
@@ -225,7 +225,7 @@ def _yield_consequence_sentences(records: Records, chosen: Verdict | None) -> It
     yield f"{', '.join(held_at_end).capitalize()}."
     own = select_configurations_in_all_analyses(analyses)
     right = [name for name, of_it in own.items() if all(a.has_only_right_answers for a in of_it)]
-    shares = {name: find_largest_share_of_sample(own[name]) for name in right}
+    shares = {name: find_largest_solve_time_share(own[name]) for name in right}
     timed = {name: share for name, share in shares.items() if isfinite(share)}
     wording = ["no solver answers all of that correctly"]
     if timed:

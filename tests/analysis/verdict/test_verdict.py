@@ -14,10 +14,10 @@ from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.verdict_text import (
-    count_solvers,
     describe_findings,
     describe_paired_times,
     describe_requirements,
+    describe_which_solvers_pass,
 )
 
 REQUIREMENTS = Requirements()
@@ -203,7 +203,7 @@ def test_borderline_is_counted_as_such(records: Any) -> None:
         records.loop(solver)
         records.replay(solver, median_us=median_us, spread=0.0)
     verdicts = judge_solvers(records.view(), REQUIREMENTS)
-    assert count_solvers(verdicts) == "1 of 2 pass; borderline: osqp"
+    assert describe_which_solvers_pass(verdicts) == "1 of 2 pass; borderline: osqp"
 
 
 def test_high_settings_rescue(records: Any) -> None:
@@ -213,7 +213,7 @@ def test_high_settings_rescue(records: Any) -> None:
     records.replay("osqp", settings="high")
     verdicts = judge_solvers(records.view(), REQUIREMENTS)
     assert [v.state for v in verdicts.all_verdicts] == ["fail", "pass"]
-    assert count_solvers(verdicts) == (
+    assert describe_which_solvers_pass(verdicts) == (
         "1 of 1 pass, 1 of them not by default: osqp (qpsolvers fresh, high)"
     )
 
@@ -249,7 +249,10 @@ def test_a_level_passes_where_it_was_run(
     assert verdict.state == ("inconclusive" if clause else "pass")
     assert clause in _why(verdict)
     if clause:
-        assert count_solvers(judge_solvers(records.view(), REQUIREMENTS)) == "inconclusive: osqp"
+        assert (
+            describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
+            == "inconclusive: osqp"
+        )
 
 
 def test_summary_counts_everybody_once(records: Any) -> None:
@@ -259,7 +262,7 @@ def test_summary_counts_everybody_once(records: Any) -> None:
     records.replay("osqp")
     records.loop("scs", outcome="timed_out", done=10)
     records.refused("qpax", "not installed")
-    said = count_solvers(judge_solvers(records.view(), REQUIREMENTS))
+    said = describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
     assert said == "1 of 3 pass; fail: osqp; inconclusive: scs; not run: qpax"
 
 
