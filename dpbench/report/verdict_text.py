@@ -96,9 +96,9 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
 def describe_own_settings(verdicts: Verdicts) -> list[str]:
     """State the verdict on each settings of one's own, and the best of each grid."""
     own = list_best_verdict_of_own_settings(verdicts)
-    modes = [len(alike) for alike in group_own_settings(verdicts).values()]
+    modes = group_own_settings(verdicts).values()
     shown = zip(own[:MOST_OWN], modes, strict=False)
-    lines = [_describe_verdict_on_settings(verdict, count) for verdict, count in shown]
+    lines = [_describe_verdict_on_settings(verdict, alike) for verdict, alike in shown]
     others = len(own) - MOST_OWN
     more = [f"{others} more settings: tables/verdicts.csv."] if others > 0 else []
     return [*lines, *more, *describe_best_of_grids(own)]
@@ -110,13 +110,13 @@ def _name_own_settings(verdict: Verdict) -> str:
     return f"{c.solver} {c.settings}" if c.options_text else f"{c.solver}[{c.settings}]"
 
 
-def _describe_verdict_on_settings(verdict: Verdict, modes: int) -> str:
+def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) -> str:
     """State verdict, error, failed steps and p99 of a solver at settings of one's own.
 
-    modes : number of call modes of these settings, of which the verdict is the best.
+    modes : verdicts on all call modes of these settings, of which the verdict is the best.
     """
     c = verdict.configuration
-    best = f", best of {modes} call modes" if modes > 1 else ""
+    best = f", best of {len(modes)} call modes" if len(modes) > 1 else ""
     name = f"{_name_own_settings(verdict)} ({c.route} {c.policy}{best})"
     if verdict.refusal:
         return f"{name}: {verdict.state}: {verdict.refusal}."
@@ -125,6 +125,17 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: int) -> str:
     return (
         f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
         f"{verdict.failed_steps} failed, p99 {format_time(verdict.p99_ns)}{why}."
+        f"{_describe_failing_modes(verdict, modes)}"
+    )
+
+
+def _describe_failing_modes(verdict: Verdict, modes: Sequence[Verdict]) -> str:
+    """Name the other call modes of the same settings that fail, with the reason of each."""
+    return "".join(
+        f" {v.configuration.route} {v.configuration.policy} fails: "
+        f"{strip_markdown(describe_finding(v.causes[0]))}."
+        for v in modes
+        if v.state == "fail" and v is not verdict
     )
 
 

@@ -164,9 +164,18 @@ def group_own_settings(verdicts: Verdicts) -> dict[tuple[str, str], list[Verdict
 
 
 def list_best_verdict_of_own_settings(verdicts: Verdicts) -> list[Verdict]:
-    """Return the best verdict over the call modes of each solver's settings of one's own."""
-    alike = group_own_settings(verdicts).values()
-    return [sort_best_first(of)[0] for of in alike]
+    """Return the best verdict over the call modes of each solver's settings of one's own.
+
+    Only the call modes count that were judged in a closed loop and in the most runs of all.
+    """
+    return [_choose_of_most_judged(alike) for alike in group_own_settings(verdicts).values()]
+
+
+def _choose_of_most_judged(alike: Sequence[Verdict]) -> Verdict:
+    """Return the best of the verdicts that are of a closed loop, if any is, and of most runs."""
+    judged = {v.configuration: (v.loops > 0, v.loops + v.replays + v.windows) for v in alike}
+    most = max(judged.values())
+    return sort_best_first(v for v in alike if judged[v.configuration] == most)[0]
 
 
 def list_main_verdicts(verdicts: Verdicts) -> list[Verdict]:

@@ -234,7 +234,7 @@ USUAL = ("osqp", "daqp")
 COMMENT_BYTES = 3000
 """Largest size of a comment [B]: one screen."""
 MOST_CONFIGURATIONS = 3
-"""Rows of the solver itself."""
+"""Rows of the solver itself, or one for each of its settings where these are more."""
 
 
 def compare_solver(
@@ -254,7 +254,7 @@ def compare_solver(
     named = others or [name for name in USUAL if name in best]
     chosen = [best[name] for name in dict.fromkeys(named) if name != solver]
     worst = find_worst_steps(data.records, solver)
-    own = sort_fastest_first([v for v in data.verdicts.of[solver] if v.state != "not run"])
+    own = [v for v in data.verdicts.of[solver] if v.state != "not run"]
     names = join_with_and([v.configuration.solver for v in chosen]) or "no other solver"
     suite = report.results.suite
     made_by = f"Suite {suite.get('name', '')}, dpbench {suite.get('harness_version', '')}."
@@ -264,7 +264,7 @@ def compare_solver(
         escape_markdown_paragraph(
             _describe_verdict(best[solver], data.verdicts.of[solver][0], len(own))
         ),
-        make_solver_table(data, [*own[:MOST_CONFIGURATIONS], *chosen]),
+        make_solver_table(data, [*_choose_rows_of_solver(own), *chosen]),
         "\n".join(
             f"- {escape_markdown(_compare_step_times(data, best[solver], v))}" for v in chosen
         ),
@@ -277,6 +277,23 @@ def compare_solver(
     return truncate_text(
         "\n\n".join(part for part in parts if part) + "\n", COMMENT_BYTES, "report.md"
     ), worst
+
+
+def _choose_rows_of_solver(own: Sequence[Verdict]) -> list[Verdict]:
+    """Choose the best verdict on each of a solver's settings, and others up to the least of rows.
+
+    They are sorted from pass to fail, then by time; those that fail by failed steps and error.
+    """
+    ranked = sort_best_first(own)
+    failing = sorted(
+        (v for v in ranked if v.state == "fail"),
+        key=lambda v: (v.failed_steps, math.inf if math.isnan(v.error_move) else v.error_move),
+    )
+    ordered = [*(v for v in ranked if v.state != "fail"), *failing]
+    by_settings = group_by_key(ordered, lambda v: v.configuration.settings).values()
+    best = [alike[0] for alike in by_settings]
+    others = [v for v in ordered if v not in best][: max(0, MOST_CONFIGURATIONS - len(best))]
+    return [v for v in ordered if v in best or v in others]
 
 
 def _describe_verdict(verdict: Verdict, reference: Verdict, count: int) -> str:

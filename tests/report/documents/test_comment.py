@@ -1,5 +1,6 @@
 """A solver beside others, for its author: a short comment, and the steps that export writes."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,20 @@ def test_the_comment_names_the_configuration(records: Any, error: float, said: s
         records.loop("osqp", settings=settings, error=off)
         records.replay("osqp", settings=settings, median_us=us, error=off)
     assert said in compare_solver(Report.from_results(records.results()), "osqp")[0]
+
+
+def test_every_settings_of_the_solver_is_a_row(records: Any) -> None:
+    """The best first; of those that fail the fastest is last, as it fails on the most steps."""
+    named = (("default", 4, 0.4, 20.0), ("high", 0, 1e-9, 90.0))
+    for settings, failed, error, us in (*named, ("mine", 9, 0.3, 5.0), ("tuned", 4, 0.2, 30.0)):
+        options = json.dumps({"rho": us}) if settings in ("mine", "tuned") else ""
+        records.loop("osqp", settings=settings, options=options, error=error, failed=failed)
+        records.replay("osqp", settings=settings, options=options, median_us=us, error=error)
+    text, _ = compare_solver(Report.from_results(records.results()), "osqp")
+    rows = [line for line in text.splitlines() if line.startswith("| osqp | ")]
+    assert [row.split(" | ")[2] for row in rows] == ["pass", "fail", "fail", "fail"]
+    found = [next(n for n in ("high", "mine", "tuned", "fresh") if n in row) for row in rows]
+    assert found == ["high", "tuned", "fresh", "mine"]
 
 
 def test_a_comment_on_one_configuration_compares_it_with_no_other(records: Any) -> None:

@@ -115,6 +115,22 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
     assert best in text and "| osqp | native warm, rho=1.6 | fail |" in text
 
 
+def test_own_settings_are_judged_by_the_call_modes_that_ran_most(records: Any) -> None:
+    """A call mode without a closed loop hides none that fails; each one that fails has a reason."""
+    own = {"settings": "mine", "options": '{"rho": 1.6}', "route": "native"}
+    records.loop("osqp")
+    records.replay("osqp")
+    for policy, error, us in (("fresh", 0.22, 10.0), ("reuse", 0.33, 90.0)):
+        records.loop("osqp", policy=policy, error=error, **own)
+        records.replay("osqp", policy=policy, error=error, median_us=us, **own)
+    records.replay("osqp", policy="warm", **own)
+    report = Report.from_results(records.results())
+    (line,) = [text for about, text in report.summary_rows() if about == "options"]
+    assert " (native fresh, best of 3 call modes): fail, largest error 0.22, " in line
+    assert "inconclusive" not in line
+    assert " native reuse fails: its first move is up to 0.33 of a rate-limit step off" in line
+
+
 @pytest.mark.parametrize("solvers", [1, 12])
 def test_a_few_configurations_are_all_listed(records: Any, solvers: int) -> None:
     """The best of each solver where there are more than 24, and the count of the others."""
