@@ -43,6 +43,7 @@ def _list_scenarios() -> RenderableType:
     """List all stored scenarios: vessel, tuning, steps and what they show."""
     from dpbench.scenario import problem_files as problems
     from dpbench.scenario.tables.scenario_file import ScenarioFile
+    from dpbench.ship.froude import Froude
 
     entries = []
     for name in problems.list_shipped_problem_names("scenarios"):
@@ -53,6 +54,8 @@ def _list_scenarios() -> RenderableType:
         horizons = f"{controller.prediction_horizon}/{controller.control_horizon}"
         vessel = Path(scenario.vessel).stem
         about = f"vessel {vessel}, tuning {controller.tuning} {horizons}, {scenario.steps} steps"
+        drawn = scenario.environment.build_environment(Froude(1.0)).random_parts
+        about += f"; at random: {', '.join(drawn) or 'nothing'}"
         entries.append(format_heading_and_paragraphs(name, [about, scenario.shows]))
     return make_unstyled_text("\n".join(entries))
 

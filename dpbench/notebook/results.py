@@ -88,7 +88,7 @@ class Results(result_folder.Results):
     @cached_property
     def steps(self) -> pd.DataFrame:
         """All steps as a data frame, some 500 bytes each; use `recorded` for large folders."""
-        self._require_steps()
+        self.recorded.require_file()
         return self.recorded.read_all_steps()
 
     def verdict(self) -> pd.DataFrame:
@@ -189,7 +189,7 @@ class Results(result_folder.Results):
     @cached_property
     def _full_report(self) -> Report:
         """Report of these results, the same as `dpbench report` writes, built at first use."""
-        self._require_steps()
+        self.recorded.require_file()
         # The report draws, and Altair takes its time.
         from dpbench.report.report import Report
 
@@ -200,15 +200,6 @@ class Results(result_folder.Results):
         return Report.from_results(
             self, load_stability_records(self.folder), capability=capability, counted=counted
         )
-
-    def _require_steps(self) -> None:
-        """Raise ResultsError in a folder without `steps.parquet`."""
-        if self.recorded.is_missing:
-            allowed = (
-                "`runs`, `tables`, `verdict()`, `ladder()`, `ships()`, `to_latex()`, `to_csv()`, "
-                "which need no steps; or run the suite again"
-            )
-            raise ResultsError(str(self.folder / "steps.parquet"), "", "no such file", allowed)
 
 
 class _StoredTables(dict[str, pd.DataFrame]):

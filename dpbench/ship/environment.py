@@ -121,8 +121,15 @@ class Environment:
     @property
     def is_random(self) -> bool:
         """Return whether any part of the weather is random, so that the seed matters."""
+        return bool(self.random_parts)
+
+    @property
+    def random_parts(self) -> list[str]:
+        """Names of what is drawn at random from the seed: gusts, waves, noise."""
+        waves = self.drift is not None or self.motion is not None
         gusty = self.wind is not None and self.wind.gusts != "none"
-        return gusty or any(part is not None for part in (self.drift, self.motion, self.noise))
+        drawn = {"gusts": gusty, "waves": waves, "noise": self.noise is not None}
+        return [name for name, is_drawn in drawn.items() if is_drawn]
 
     def compute_slow_forces_and_squalls(self, t_s: ArrayLike) -> Matrix:
         """Return slow forces and squalls (..., 3) [N, N, N·m], north, east, yaw, at times t_s."""

@@ -189,3 +189,11 @@ def test_a_suite_with_counts_on_embedded_cores(place: Path, say: Say, refuse: Sa
     (place / "counts.toml").write_text(suite.replace("STEPS", "1001"))
     line = refuse("check", "counts.toml")
     assert "counts.toml: embedded.sequences: found 'paper:0:1001'" in line
+
+
+def test_the_list_of_scenarios_names_what_each_draws_at_random(say: Say) -> None:
+    """`rough` has sines and ramps alone; `weather` has gusts and a sea."""
+    text = " ".join(say("list", "scenarios").split())
+    about = {name: text.partition(f" {name} vessel ")[2][:120] for name in ("rough", "weather")}
+    assert "steps; at random: nothing" in about["rough"]
+    assert "steps; at random: gusts, waves" in about["weather"]

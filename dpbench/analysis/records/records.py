@@ -25,6 +25,7 @@ from dpbench.bench.judge.rules import has_comparable_times
 from dpbench.bench.record.cell import COMMON_FORMULATION
 from dpbench.bench.record.recorded_steps import ALL_COLUMNS, find_row_ranges_by_label
 from dpbench.bench.record.result_folder import Results
+from dpbench.bench.record.schema import STEP_COLUMNS, convert_to_columns
 from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 from dpbench.solvers.calibration import CALIBRATION
 
@@ -83,6 +84,10 @@ class Records:
 
     def read_step_table(self, run: RunRecord, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
         """Return the table of a run's steps with the given columns; empty without steps."""
+        if not self.has_steps:
+            return convert_to_columns(
+                pd.DataFrame(), {name: STEP_COLUMNS[name] for name in columns}
+            )
         return self._steps.read_run(run.run_id, columns)
 
     def read_counting_step_table(

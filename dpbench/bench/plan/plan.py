@@ -393,10 +393,14 @@ class _ScenarioCache:
     def raise_idle_key(self, key: str, steps: int) -> None:
         """Raise InputError, always: a parameter changes nothing in the first `steps` steps."""
         steps = min(steps or self._base.steps, self._base.steps)
+        allowed = "a key that the run depends on"
         found = f"a key that changes nothing in {steps} steps of {self._base.name}"
         if key == SEED and not self._base.environment.is_random:
             found = f"a seed where the weather of {self._base.name} draws nothing at random"
-        allowed = "a key that the run depends on; gusts, waves and noise depend on the seed"
+            allowed = (
+                "a scenario with [environment.waves] (hs_m, tp_s), gusts in [environment.wind] or "
+                "[environment.noise]; `dpbench list scenarios` names those that draw at random"
+            )
         raise InputError(self._where, key, found, allowed)
 
 

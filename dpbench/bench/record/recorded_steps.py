@@ -77,7 +77,13 @@ class StepsOnDisk:
             yield _convert_table_to_frame(table, columns)
 
     def read_run(self, run_id: str, columns: Sequence[str] = ALL_COLUMNS) -> pd.DataFrame:
-        """Return the steps of one run; its row group stays in memory for the next call."""
+        """Return the steps of one run; its row group stays in memory for the next call.
+
+        Raises
+        ------
+        ResultsError : in a folder without the file.
+        """
+        self.require_file()
         group = self._group_index_by_run.get(run_id)
         if group is None:
             return convert_to_columns(
@@ -85,6 +91,15 @@ class StepsOnDisk:
             )
         first, end = self._row_ranges_by_group_and_run[group][run_id]
         return self._read(group, tuple(columns)).iloc[first:end]
+
+    def require_file(self) -> None:
+        """Raise ResultsError in a folder without `steps.parquet`."""
+        if self.is_missing:
+            allowed = (
+                "`runs`, `tables`, `verdict()`, `ladder()`, `ships()`, `to_latex()`, `to_csv()`, "
+                "which need no steps; or run the suite again"
+            )
+            raise ResultsError(str(self._path), "", "no such file", allowed)
 
     def read_all_steps(self) -> pd.DataFrame:
         """Return the steps of all runs as one data frame."""

@@ -107,7 +107,10 @@ def test_columns_of_a_study_in_the_table_of_runs() -> None:
 @pytest.mark.parametrize(
     ("study", "said"),
     [
-        ({"base": "rough", "replicates": {"count": 3}}, "seed.*draws nothing at random"),
+        (
+            {"base": "rough", "replicates": {"count": 3}},
+            "seed.*draws nothing at random.*waves.*list scenarios",
+        ),
         ({"base": "rough", "product": {"title": ["a", "b"]}}, "title.*changes nothing"),
         ({"product": {"environment.wnd.speed_mps": [1.0]}}, "no key 'wnd'.*wind"),
         ({"product": {HORIZON: [5]}}, "control_horizon.*10"),

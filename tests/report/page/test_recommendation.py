@@ -14,7 +14,11 @@ from dpbench.errors import InputError
 from dpbench.report.documents.markdown import MOST_BYTES, make_report_markdown
 from dpbench.report.formats import format_error, format_rounded_down, format_time
 from dpbench.report.page.data import PageData
-from dpbench.report.page.recommendation import Recommendation, build_recommendation
+from dpbench.report.page.recommendation import (
+    Recommendation,
+    build_recommendation,
+    describe_speed_margin,
+)
 from dpbench.report.report import Report
 
 
@@ -377,3 +381,17 @@ def test_the_code_to_paste_has_settings_of_ones_own(records: Any) -> None:
     assert "adaptive_rho_interval=50, eps_abs=1e-05, polishing=True" in snippets["Python"]
     assert "settings.polishing = 1;" in snippets["C"]
     assert "settings.adaptive_rho_interval = 50;" in snippets["C"]
+
+
+@pytest.mark.parametrize(
+    ("steps", "named"), [(300, "largest step (in place of a p99)"), (1000, "p99")]
+)
+def test_a_margin_of_too_few_steps_names_no_p99(records: Any, steps: int, named: str) -> None:
+    """A p99 takes 1000 steps."""
+    records.loop("daqp")
+    records.replay("daqp", steps=steps, spread=0.0)
+    data = Report.from_results(records.results()).data
+    (verdict,) = data.verdicts.all_verdicts
+    assert f"The {named} reaches 3 ms at × 150: it is 20.0 µs" in describe_speed_margin(
+        data, verdict
+    )
