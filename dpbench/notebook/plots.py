@@ -246,7 +246,7 @@ def _make_step_rows(steps: pd.DataFrame) -> pd.DataFrame:
 
 
 def _compute_force_shares(run: JudgedRun) -> pd.DataFrame | None:
-    """Return a closed loop's forces over their limits, by step and axis; None for a replay."""
+    """Return a closed loop's hull forces as shares of limits, by step; None for a replay."""
     from dpbench.analysis.records.thinned_runs import FORCES as COLUMNS
     from dpbench.bench.record.schema import FORCES
 

@@ -277,7 +277,7 @@ class _Fit:
 
 
 def _yield_slope_fits(across: Floats, results: Floats) -> Iterator[_Fit]:
-    """Yield least-squares slopes over a factor, with errors, of each realisation with data."""
+    """Yield a linear fit over a factor, slopes with errors, of each realisation with data."""
     for column in results.T:
         known = np.isfinite(column)
         x, y = across[known], column[known]

@@ -94,7 +94,7 @@ def _scenario_of(analysis: ConsequenceAnalysis) -> str:
 def _losses_of_group(
     group: str, thrusters: ThrusterSet, ships: Sequence[ShipResult]
 ) -> Iterator[tuple[float, ShipResult]]:
-    """Yield time [s] and ship of each loss after which a failure group is lost in that run."""
+    """Yield the time [s] and the ship result of each loss of a whole thruster group."""
     members = set(thrusters.indices_by_failure_group[group])
     for ship in ships:
         for at_s, names in list_losses(ship.run):
