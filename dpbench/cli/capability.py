@@ -122,7 +122,9 @@ def format_wind_table(capability: Capability, vessel: Vessel) -> list[str]:
         "starboard); + at the end of the standard's table."
     )
     table = [f" from {head}".rstrip(), *rows]
-    return [*textwrap.wrap(about, WIDTH), "", *table, "", *_explain_notation(capability)]
+    rudders = vessel.thrusters.caution_on_rudders if vessel.thrusters else ""
+    notes = [*_explain_notation(capability), *textwrap.wrap(rudders, WIDTH)]
+    return [*textwrap.wrap(about, WIDTH), "", *table, "", *notes]
 
 
 def _format_wind_limit(held: WindLimit) -> str:

@@ -34,6 +34,7 @@ from dpbench.errors import InputError, SituationError, format_allowed_names
 from dpbench.report.words import render_document
 from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.hull_files import Hull, read_hull_from_csv_table, read_hull_from_mss_file
+from dpbench.scenario.own_thrusters import ASSUMED_IN_SOURCE
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather import WATER_DENSITY
@@ -120,7 +121,9 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
         vessel, remarks = ship.vessel, list_cautions(ship)
         if ship.thrusters is not None:
             remarks.append(f"assumed of the thrusters: {' '.join(ship.thrusters.assumed)}")
-            remarks += ship.thrusters.thrusters.sector_descriptions
+            thrusters = ship.thrusters.thrusters
+            rudders = thrusters.caution_on_rudders
+            remarks += [*thrusters.sector_descriptions, *([rudders] if rudders else [])]
     else:
         if sea is None:
             instead = f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or describe the ship anew"
@@ -337,6 +340,7 @@ def render_vessel_file(ship: OwnShip, command: str) -> str:
     added = added / scaling.estimate_added_mass_by_regression(ship.own)
     return render_document(
         "own_vessel.toml",
+        assumed_in_source=ASSUMED_IN_SOURCE,
         **vars(ship),
         command=command,
         comment=_wrap_as_comment,

@@ -25,7 +25,7 @@ from dpbench.scenario.own_thrusters import (
     Berth,
     complete_thruster_values,
     describe_assumed_values,
-    list_assumed_diameters,
+    list_assumed_values,
     read_rows_of_thruster_table,
 )
 from dpbench.scenario.scenario import load_vessel
@@ -68,9 +68,10 @@ class OwnThrusters:
         return describe_assumed_values(self.rows, self.tables)
 
     @property
-    def assumed_diameters(self) -> str:
-        """Diameters that the rows leave out, with their thrusters; "" without any."""
-        return list_assumed_diameters(self.rows, self.tables)
+    def assumed_values(self) -> str:
+        """Values that the rows leave out, by quantity; "" without any."""
+        values = list_assumed_values(self.rows, self.tables)
+        return "; ".join(f"{quantity} {text}" for quantity, text in values.items())
 
     @property
     def tables_with_assumed(self) -> list[tuple[ThrusterTable, list[str]]]:

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from math import isnan
 
 from dpbench.analysis.records.records import Records
@@ -198,6 +198,18 @@ def name_counts(counts: Sequence[tuple[str, int]]) -> str:
     return join_with_and([*named, *rest])
 
 
+def describe_selection(listed: Sequence[str], ran: Collection[str]) -> str:
+    """State which solvers of a suite a result folder leaves out; "" where it has every one.
+
+    listed : of the suite, by name; ran : those with a run, refused ones too.
+    """
+    left_out = [name for name in listed if name not in ran]
+    if not left_out:
+        return ""
+    count = f"{len(listed) - len(left_out)} of {plural(len(listed), 'solver')}"
+    return f"Selected {count} of the suite; not in it: {join_with_and(left_out)}."
+
+
 def describe_deployment(solver: str) -> str:
     """State a solver's licence, its language, and whether it generates C code."""
     known = find_solver_record_or_none(solver)
@@ -240,7 +252,8 @@ def describe_paired_times(compared: PairedComparison) -> str:
     """State the ratio of two configurations' step times, with its interval or why it has none."""
     if compared.steps == 0:
         return "no step was replayed by both"
-    wording = f"{significant(compared.ratio.value)} times as long over the same steps"
+    typically = "typically " if compared.is_unstable else ""
+    wording = f"{typically}{significant(compared.ratio.value)} times as long over the same steps"
     if not math.isfinite(compared.ratio.high):
         few = f"; fewer than {LEAST_STEPS} steps" if compared.steps < LEAST_STEPS else ""
         wording += f" (geometric mean of {plural(compared.steps, 'step')}{few}, so no interval)"
@@ -249,7 +262,10 @@ def describe_paired_times(compared: PairedComparison) -> str:
         wording += f" (geometric mean, {interval})"
         if compared.is_tied:
             return f"{wording}: no significant difference"
-    return f"{wording}; which is faster depends on the measure" if compared.is_unstable else wording
+    if not compared.is_unstable:
+        return wording
+    tail = [*compared.leaders][-1]
+    return f"{wording}, with the larger {tail}: which is faster depends on the measure"
 
 
 def describe_findings(findings: Sequence[Finding]) -> str:

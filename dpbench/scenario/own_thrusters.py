@@ -22,6 +22,8 @@ from dpbench.scenario.tables.vessel_file import ThrusterTable
 from dpbench.ship.thrusters import ThrusterSet
 
 TEXTS = ("name", "kind", "propeller", "group")
+ASSUMED_IN_SOURCE = "; assumed: "
+"""Text of a vessel file's `source` after which it lists the values that were assumed."""
 SECTORS = {
     "sector_deg": ("sector_from_deg", "sector_to_deg"),
     "barred_deg": ("barred_from_deg", "barred_to_deg"),
@@ -143,20 +145,17 @@ def describe_assumed_values(
     rows: Sequence[Mapping[str, str]], tables: Sequence[ThrusterTable]
 ) -> list[str]:
     """Return a sentence for each kind of value that the table leaves out."""
-    named = list(zip(rows, tables, strict=True))
-    by_power = [(row, table) for row, table in named if "power_kW" in row]
-    mains = [(row, table) for row, table in named if table.kind == "main"]
-    sizes = list_assumed_diameters(rows, tables)
-    rises = _list_left_out(named, "rise_s", " s")
-    propellers = _list_left_out(by_power, "propeller")
-    astern = _list_left_out(mains, "astern")
+    values = list_assumed_values(rows, tables)
+    rises, sizes = values.get("rise times", ""), values.get("diameters", "")
+    propellers = values.get("propellers", "")
+    astern = values.get("thrust astern over that ahead", "")
     sentences = {
         f"Rise times: {rises}, that of the ship of Xia, Liu, Pang & Xue with the root of "
         "length.": rises,
         f"Diameters, from the power as on the rescue ship Ratownik: {sizes}.": sizes,
         f"Propellers: {propellers}.": propellers,
         "Shaft heights are unknown: no thrust is lost to air in waves.": any(
-            "height_m" not in row for row, _ in by_power
+            "height_m" not in row for row in rows if "power_kW" in row
         ),
         f"Thrust astern over that ahead: {astern}.": astern,
         "A thruster without a group fails alone.": any("group" not in row for row in rows),
@@ -164,13 +163,20 @@ def describe_assumed_values(
     return [sentence for sentence, is_needed in sentences.items() if is_needed]
 
 
-def list_assumed_diameters(
+def list_assumed_values(
     rows: Sequence[Mapping[str, str]], tables: Sequence[ThrusterTable]
-) -> str:
-    """List the diameters that follow from power alone, with their thrusters; "" without any."""
-    named = zip(rows, tables, strict=True)
+) -> dict[str, str]:
+    """List the values that the rows leave out, by quantity, with the thrusters that have them."""
+    named = list(zip(rows, tables, strict=True))
     by_power = [(row, table) for row, table in named if "power_kW" in row]
-    return _list_left_out(by_power, "diameter_m", " m")
+    mains = [(row, table) for row, table in named if table.kind == "main"]
+    values = {
+        "rise times": _list_left_out(named, "rise_s", " s"),
+        "diameters": _list_left_out(by_power, "diameter_m", " m"),
+        "propellers": _list_left_out(by_power, "propeller"),
+        "thrust astern over that ahead": _list_left_out(mains, "astern"),
+    }
+    return {quantity: text for quantity, text in values.items() if text}
 
 
 def _list_left_out(

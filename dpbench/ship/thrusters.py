@@ -175,6 +175,14 @@ class ThrusterSet:
             if thruster.sector_rad is not None
         ]
 
+    @property
+    def caution_on_rudders(self) -> str:
+        """Sentence on what is not counted where mains alone push aft of midships; "" elsewhere."""
+        aft = [thruster.kind for thruster in self.thrusters if thruster.x_m < 0.0]
+        if not aft or set(aft) != {"main"}:
+            return ""
+        return "Aft of midships main propellers alone push: rudders and power limits not counted."
+
     @cached_property
     def largest_thrusts_N(self) -> Vector:
         """Largest thrust of each thruster (p,) [N]."""

@@ -90,7 +90,22 @@ def test_what_is_assumed_of_thrusters_is_printed_and_marked(
     assert "diameter_m = 3.81  # assumed\n" in second and "astern = 0.79  # assumed\n" in second
     source = tomllib.loads(Path(FILES[0]).read_text(encoding="utf-8"))["source"]
     assert "section IV" not in source
-    assert source.endswith(f"; limits: vessel file; diameters assumed: {sizes}")
+    assumed = source.partition("; limits: vessel file; assumed: ")[2]
+    assert assumed.startswith("rise times ") and f"; diameters {sizes}; " in assumed
+    assert assumed.endswith("; thrust astern over that ahead 0.79 (main 2)")
+
+
+@pytest.mark.parametrize("kind", ["azimuth", "tunnel"])
+def test_rudders_are_said_not_to_count_where_mains_alone_push_aft(
+    capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    """By `init` and `capability`; not where a tunnel pushes aft, too."""
+    said = "Aft of midships main propellers alone push: rudders and power limits not counted."
+    place = "20" if kind == "azimuth" else "-30"
+    assert init(TABLE.replace("azimuth,-30", f"{kind},{place}")) == 0
+    assert (said in " ".join(capsys.readouterr().out.split())) == (kind == "azimuth")
+    assert main(["capability", FILES[0]]) == 0
+    assert (said in " ".join(capsys.readouterr().out.split())) == (kind == "azimuth")
 
 
 def test_the_worst_group_is_lost_where_the_others_hold(capsys: pytest.CaptureFixture[str]) -> None:

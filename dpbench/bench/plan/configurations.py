@@ -212,13 +212,31 @@ def _expand_solver_choices(names: Sequence[str]) -> list[str]:
     chosen: list[str] = []
     for name in names:
         if name == "all":
-            chosen += [
-                s for s in list_all_solver_names() if s != BASELINE_LAW and _is_default_solver(s)
-            ]
+            chosen += _list_default_solvers()
         else:
             find_solver_record(split_into_solver_and_options_text(name)[0])
             chosen += expand_choice_over_option_grid(name)
     return list(dict.fromkeys(chosen))
+
+
+def name_solvers_of_suite(choices: Sequence[str]) -> list[str]:
+    """Return the names of the solvers that a suite lists, without options, "all" expanded.
+
+    >>> name_solvers_of_suite(["daqp", "osqp[rho=[0.1,1]]"])
+    ['daqp', 'osqp']
+    """
+    named: list[str] = []
+    for choice in choices:
+        if choice == "all":
+            named += _list_default_solvers()
+        else:
+            named.append(split_into_solver_and_options_text(choice)[0])
+    return list(dict.fromkeys(named))
+
+
+def _list_default_solvers() -> list[str]:
+    """List the solvers of "all": neither the baseline law nor those of a missing extra."""
+    return [s for s in list_all_solver_names() if s != BASELINE_LAW and _is_default_solver(s)]
 
 
 def _is_default_solver(solver: str) -> bool:

@@ -119,6 +119,7 @@ class SuiteDescription(TypedDict, total=False):
 
     name: str
     title: str
+    solvers: list[str]
     harness_version: str
     started_utc: str
     wall_s: float

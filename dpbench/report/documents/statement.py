@@ -20,6 +20,7 @@ from dpbench.analysis.verdict.fastest import choose_solver, list_best_verdict_of
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.capability.edge_qps import load_capability_plots
+from dpbench.bench.plan.configurations import name_solvers_of_suite
 from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
@@ -36,7 +37,7 @@ from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
 from dpbench.report.documents.open_losses import find_open_losses
 from dpbench.report.formats import format_time, join_with_and, strip_markdown
 from dpbench.report.page.data import PageData
-from dpbench.report.page.recommendation import describe_speed_margin
+from dpbench.report.page.recommendation import Recommendation, describe_speed_margin
 from dpbench.report.page.terms import DRAG_MISMATCH
 from dpbench.report.ship_text import describe_ship, describe_unmet, list_losses, summarise_ships
 from dpbench.report.verdict_text import (
@@ -44,10 +45,13 @@ from dpbench.report.verdict_text import (
     describe_disturbance,
     describe_judged_runs,
     describe_requirements,
+    describe_selection,
     describe_stopped_runs,
 )
 from dpbench.report.words import render_document
+from dpbench.scenario.own_thrusters import ASSUMED_IN_SOURCE
 from dpbench.ship.thrusters import describe_sector
+from dpbench.ship.vessel import Vessel
 from dpbench.solvers.settings import resolve_settings_with_fixed_options
 
 MOST_SHIPS = 5
@@ -202,17 +206,23 @@ def _fill_statement(
         thrusters=[
             text for file in files if (text := describe_thrusters(file.get("thrusters") or ()))
         ],
-        sources=[file["source"] for file in files if file.get("source")],
-        held=_describe_held(plots, analyses),
+        sources=[source for file in files if (source := _split_source(file)[0])],
+        assumed=_list_assumed_values(files, vessels.values()),
+        held=_describe_held(plots, analyses, vessels.values()),
         losses=find_open_losses(records, data.ships, plots, analyses),
         consequence_solver=describe_consequence_solver(records, c.solver),
         caption=caption,
         unmet=describe_unmet(ships, known),
         compared=[
             f"{solver} {versions[solver]} {v.state}, p99 {format_time(v.p99_ns)}"
+            + (f" ({Recommendation.why(v)})" if v.state == "inconclusive" else "")
             for v in list_best_verdict_of_each_solver(data.verdicts)
             for solver in [v.configuration.solver]
         ],
+        selection=describe_selection(
+            name_solvers_of_suite(results.suite.get("solvers", [])),
+            [str(name) for name in versions],
+        ),
         machine_state=describe_disturbance(sum_disturbances(select_timed_replays(records))),
         c=c,
         v=chosen,
@@ -239,13 +249,32 @@ def _fill_statement(
 
 
 def _describe_held(
-    plots: Sequence[CapabilityResult], analyses: Sequence[ConsequenceAnalysis]
+    plots: Sequence[CapabilityResult],
+    analyses: Sequence[ConsequenceAnalysis],
+    vessels: Iterable[Vessel],
 ) -> list[str]:
-    """Describe DP capability and consequence analyses of a folder, a line each."""
+    """Describe DP capability and consequence analyses of a folder, a line each, and rudders."""
+    rudders = dict.fromkeys(v.thrusters.caution_on_rudders for v in vessels if v.thrusters)
     lines = [
         " ".join([*describe_capability(plot), describe_answers_at_edge(plot)]) for plot in plots
     ]
-    return [*lines, *map(describe_losses_held, analyses)]
+    return [*lines, *map(describe_losses_held, analyses), *filter(None, rudders)]
+
+
+def _split_source(file: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the source of a vessel document, and what it lists as assumed; "" without any."""
+    source, _, assumed = str(file.get("source") or "").partition(ASSUMED_IN_SOURCE)
+    return source, assumed
+
+
+def _list_assumed_values(
+    files: Sequence[Mapping[str, Any]], vessels: Iterable[Vessel]
+) -> list[str]:
+    """List what vessel documents do not give: values of thrusters, and of the hull for level 1."""
+    assumed = [own for file in files if (own := _split_source(file)[1])]
+    hulls = [vessel.capability for vessel in vessels if vessel.capability is not None]
+    keys = dict.fromkeys(key for hull in hulls for key in hull.assumed)
+    return [*assumed, *([f"of the hull {', '.join(keys)}"] if keys else [])]
 
 
 def _render_svg(lines: Iterable[TextLine], picture: LoopPicture | None) -> str:

@@ -153,7 +153,7 @@ def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
         "claims: osqp (1). Without an answer, given up or out of time: osqp (1).",
     )
     assert len(topic.figures) == 2
-    (line,) = statement._describe_held(build_capability_results(runs, plot_table()), [])
+    (line,) = statement._describe_held(build_capability_results(runs, plot_table()), [], [])
     assert line.endswith("1 of 2 solvers answers all 4 QPs at that edge rightly: quadprog.")
     without_plot = build_capability_topic(runs, None)
     assert without_plot.lines[0].startswith("1 of 2 solvers") and len(without_plot.figures) == 1

@@ -28,6 +28,7 @@ from dpbench.report.formats import format_error, format_time
 from dpbench.report.page.recommendation import describe_speed_margin
 from dpbench.report.report import Report
 from dpbench.report.ship_text import BANNER
+from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.vessel import HullDrag
 
 
@@ -120,6 +121,26 @@ def test_it_names_the_commit_where_the_record_has_one(written: Any) -> None:
     new = make_statement_svg(written.folder, replace(results, suite=suite), facts)
     assert "commit" not in old
     assert "commit c0ffeec0ffee with changes" in new
+
+
+def test_it_names_solvers_of_the_suite_that_were_not_selected(drawn: str, written: Any) -> None:
+    """By name, also one with options; a solver with a run is not among them."""
+    suite = written.results.suite | {"solvers": ["daqp", "ecos", "osqp[rho=2]", "mine", "own[a=1]"]}
+    results = replace(written.results, suite=suite)
+    svg = make_statement_svg(written.folder, results, written.report.data)
+    text = " ".join("".join(element.itertext()) for element in _texts(svg))
+    assert "Selected 3 of 5 solvers of the suite; not in it: mine and own." in text
+    assert "not in it" not in drawn
+
+
+def test_it_lists_what_is_assumed_of_ship_and_thrusters() -> None:
+    """List of the source of a vessel, then the keys that the hull of level 1 leaves out."""
+    osv = load_vessel("osv")
+    files = [{"source": "scaled; limits: vessel file; assumed: rise times 7 s"}, {"title": "x"}]
+    assert statement._split_source(files[0]) == ("scaled; limits: vessel file", "rise times 7 s")
+    said = statement._list_assumed_values(files, [osv])
+    assert said[0] == "rise times 7 s" and said[1].startswith("of the hull submerged_length_m, ")
+    assert statement._list_assumed_values([{}], []) == []
 
 
 def test_it_fits_a_page(drawn: str) -> None:
