@@ -68,7 +68,7 @@ def _warn_of_lost(lost: Sequence[ShipResult]) -> Iterator[str]:
         yield f"{opening}: {_describe_lost(driven)}."
     if unstable:
         worst = max(unstable, key=lambda ship: ship.unstable_radius)
-        horizon = int(worst.run.N_p)
+        horizon = worst.run.files["scenario"]["controller"]["prediction_horizon"]
         loop = describe_unstable_loop(horizon, worst.unstable_radius)
         opening = "Elsewhere its loop is" if driven else f"{LOST}: its loop is"
         yield f"{opening} {loop}, whatever weather and solver: {_describe_lost(unstable)}."

@@ -241,7 +241,7 @@ def test_a_loop_unstable_without_limits_is_not_blamed_on_the_weather(
     for horizon, point, sea in places:
         study = {"name": "seas", "point": point, "replicate": sea, "x": {}}
         cell = json.dumps({"scenario": files[horizon], "study": study})
-        columns = {"study": "seas", "study_point": point, "replicate": sea, "N_p": horizon}
+        columns = {"study": "seas", "study_point": point, "replicate": sea}
         records.loop("daqp", "rough", cell=cell, **columns, **LOST)
     warning = _summary(records).warning
     weather = f"{BANNER}, whatever the solver: in 1 sea of `seas` it leaves, by up to 37.0 m "
