@@ -30,6 +30,9 @@ from dpbench.tuning.campaigns import (
 from dpbench.tuning.request import BEST, TRIALS, SearchRequest, make_request
 from dpbench.tuning.search import Score, SettingsSearch, Trial, split_into_batches
 
+NEAR = 0.5
+"""Share of the limit of error beyond which accurate settings may fail on other steps."""
+
 
 @dataclass(frozen=True)
 class TunedRole:
@@ -129,7 +132,7 @@ class Tuning:
             ]
         found = "best so far, of" if self.is_interrupted else "best of"
         lines = [f"{found} {self.trials} settings: {self.best.name}", *edges]
-        lines += [*self.request.searched, *self._measured, *self._not_done]
+        lines += [*self.request.searched, *self._measured, *self._cautions, *self._not_done]
         runs = f"; runs: {self.request.folder / 'final'}" if self.roles else ""
         return [*lines, f"settings: {self.path}{runs}"]
 
@@ -146,6 +149,32 @@ class Tuning:
             f"{role.title} sequences ({', '.join(run.sequence for run in role.runs[BEST])}): "
             f"{role.summarise_best_settings(self.solver.requirements)}"
             for role in self.roles
+        ]
+
+    @property
+    def _cautions(self) -> list[str]:
+        """A caution on best settings near the limit of error, or tried on some steps only."""
+        limit = self.solver.requirements.error_move
+        every = {one.name: one.every for one in (*self.request.training, *self.request.test)}
+        runs = [
+            run
+            for role in self.roles
+            for run in role.runs[BEST]
+            if is_right_on_every_step(run, self.solver.requirements)
+            and (run.error_move_max > NEAR * limit or every.get(run.sequence, 1) > 1)
+        ]
+        if not runs:
+            return []
+        worst = max(runs, key=lambda run: run.error_move_max)
+        steps = worst.steps_done * every.get(worst.sequence, 1)
+        mode = f"--route {self.solver.route} --policy {self.solver.policy}"
+        if self.solver.solver_module is not None:
+            mode += f" --solver-module {self.solver.solver_module}"
+        choice = f"{self.solver.name}[{format_options_as_toml(self.best.options)}]"
+        return [
+            f"error is {100 * worst.error_move_max / limit:.2g} % of the limit on "
+            f"{worst.steps_done:.0f} of {steps:.0f} steps of {worst.sequence}: check it in closed "
+            f"loops: dpbench run standard --solver '{choice}' {mode}"
         ]
 
     @property

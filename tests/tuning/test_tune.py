@@ -50,8 +50,8 @@ def test_a_mistake_is_found_before_anything_runs(
 class _Campaigns:
     """Campaigns in which every setting is accurate and faster than the one before it."""
 
-    def __init__(self, *, interrupted_at: int) -> None:
-        self.batches = list[int]()
+    def __init__(self, *, interrupted_at: int, error: float = 1e-9) -> None:
+        self.batches, self._error = list[int](), error
         self._interrupted_at, self._runs = interrupted_at, 0
 
     def __call__(
@@ -75,7 +75,7 @@ class _Campaigns:
         for name in [*presets, *map(format_options_as_toml, settings)]:
             self._runs += 1
             run = {"settings": name, "run_id": name, "algo_p50_ns": 1e6 / self._runs}
-            accurate = {"failed_steps": 0, "error_move_max": 1e-9}
+            accurate = {"failed_steps": 0, "error_move_max": self._error}
             rows += [done | run | accurate | {"sequence": one.name} for one in problems]
         return build_run_records(convert_to_run_columns(pd.DataFrame(rows)))
 
@@ -127,6 +127,27 @@ def test_finished_batches_are_progress(
     words = {"training": ["calm-30-5"], "test": ["move-30-5"], "trials": 11}
     tune_solver(solver, out=tmp_path, progress=bar, **words)  # type: ignore[arg-type] # mixed values
     assert bar.finished == bar.planned > 0
+
+
+@pytest.mark.parametrize(
+    ("words", "error", "share"),
+    [
+        ("--train calm-30-5 --test move-30-5", 0.0077, "77 % of the limit on 75 of 300 steps"),
+        ("--train calm-30-5 --test move-30-5", 1e-4, "1 % of the limit on 75 of 300 steps"),
+        ("--train calm --test move --steps 75", 0.0051, "51 % of the limit on 75 of 75 steps"),
+        ("--train calm --test move --steps 75", 0.005, ""),
+    ],
+)
+def test_settings_near_the_limit_are_to_be_checked(
+    words: str, error: float, share: str, tmp_path: Path, monkeypatch: Any, capsys: Any
+) -> None:
+    """Half of the limit of 0.01 and a sequence of all steps need no caution."""
+    monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=0, error=error))
+    command = ["tune-solver", "osqp", *words.split(), "--trials", "11", "--out", str(tmp_path)]
+    assert main(command) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert (f"error is {share}" in shown) if share else ("% of the limit" not in shown)
+    assert ("dpbench run standard --solver 'osqp[" in shown) is bool(share)
 
 
 def test_a_search_interrupted_in_its_first_batch_has_no_best(
