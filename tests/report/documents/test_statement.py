@@ -133,6 +133,16 @@ def test_it_names_solvers_of_the_suite_that_were_not_selected(drawn: str, writte
     assert "not in it" not in drawn
 
 
+def test_it_says_why_a_compared_solver_is_inconclusive(records: Any, tmp_path: Path) -> None:
+    """One that was replayed and never closed a loop."""
+    out = _good(records, tmp_path)
+    records.replay("quadprog", spread=0.1)
+    results = records.results()
+    svg = make_statement_svg(out, results, Report.from_results(results).data)
+    text = " ".join("".join(element.itertext()) for element in _texts(svg))
+    assert re.search(r"quadprog 1\.0 inconclusive, p99 [^;]+ \(no closed loop was run\)\.", text)
+
+
 def test_it_lists_what_is_assumed_of_ship_and_thrusters() -> None:
     """List of the source of a vessel, then the keys that the hull of level 1 leaves out."""
     osv = load_vessel("osv")
