@@ -161,10 +161,11 @@ def test_an_isolated_process_loads_one_library(solver, loaded):
     program = f"""
 import sys
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.table import TABLE, isolate, load_plugin_solver_from_file
+from dpbench.solvers.table import TABLE, block_imports_of_other_solvers
+from dpbench.solvers.table import load_plugin_solver_from_file
 load_plugin_solver_from_file({str(Path(__file__).with_name("example_plugin.py"))!r})
 from dpbench.qp.program import QuadraticProgram
-isolate({solver!r})
+block_imports_of_other_solvers({solver!r})
 import scipy.linalg
 I = scipy.linalg.block_diag(1.0, 1.0)  # SciPy looks at JAX where that is in sys.modules
 workspace = open_workspace({solver!r})
