@@ -81,7 +81,7 @@ class SituationError(InputError):
         super().__init__(where, "", sentence, "")
         self.args = (" ".join(f"{where}: {sentence}".split()),)
 
-    def __reduce__(self) -> "tuple[type[SituationError], tuple[str, str]]":  # type: ignore[override] # of fewer parts
+    def __reduce__(self) -> "tuple[type[SituationError], tuple[str, str]]":  # type: ignore[override] # rebuilt from two
         return type(self), (self.where, str(self.found))
 
 

@@ -114,7 +114,7 @@ class OneSidedForm:
         """Return whether the same row limits are equal or infinite as in the QP first given."""
         return self._sides.has_same_equal_and_infinite_limits(l, u)
 
-    def write_step_vectors_as_one_sided(self, q: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - as above
+    def write_step_vectors_as_one_sided(self, q: Vector, l: Vector, u: Vector) -> None:  # noqa: E741 - l ≤ Az ≤ u
         """Write a step's q and two-sided row limits l, u into the one-sided QP's q, h and b."""
         self.q[:] = q
         self._sides.write_limits_as_one_sided(l, u, self._h, self._b)

@@ -148,7 +148,9 @@ def test_a_restored_state_goes_on_as_before(
     assert not np.array_equal(first[0], first[-1])
 
 
-@pytest.mark.skipif(shutil.which("wine") is None, reason="there is no wine here")
+@pytest.mark.skipif(
+    shutil.which("wine") is None, reason="Wine, which loads a Windows library, is not installed"
+)
 @pytest.mark.parametrize("built", [(2, "paper"), (3, "paper")], indirect=True)
 def test_the_library_for_windows_gives_the_same_commands(
     built: tuple[Path, ControllerData], tmp_path: Path

@@ -23,7 +23,7 @@ ENGINES = ("local", "dask")
 class LocalEngine(ExitStack):
     """Engine that does runs in `slots` processes on this machine; timed replays one at a time."""
 
-    def __init__(self, slots: int, patience: WaitLimit = WaitLimit()) -> None:  # noqa: B008 - frozen
+    def __init__(self, slots: int, patience: WaitLimit = WaitLimit()) -> None:  # noqa: B008 - frozen, shared
         super().__init__()
         self.machine = describe_machine()
         self.slots, self._patience = slots, patience
@@ -80,7 +80,7 @@ def open_engine(
     jobs: int | None = None,
     scheduler: str | None = None,
     tls: TlsFiles | None = None,
-    patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen
+    patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen, shared
 ) -> AbstractContextManager[Engine]:
     """Open the engine that does a campaign's runs: "local" processes, or "dask" cluster workers.
 

@@ -55,7 +55,7 @@ class Gentle(ForceController):
 def test_a_class_of_its_own_steers_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def gentle(spec: object) -> ForceController:
-        return Gentle(**vars(ForceController.from_specification(spec)))  # type: ignore[arg-type] # a specification
+        return Gentle(**vars(ForceController.from_specification(spec)))  # type: ignore[arg-type] # vars() has no types
 
     usual = load_scenario("paper").truncate(8)
     monkeypatch.setitem(CONTROLLERS, "forces", gentle)
