@@ -13,30 +13,17 @@ from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_fir
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.statistics import UNKNOWN, Interval, estimate_percentile_interval
 from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
-from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile_or_nan
 from dpbench.bench.record.cell import Configuration
 from dpbench.bench.record.schema import FORCES
 from dpbench.scenario.tables.key_types import Horizons
 
 HORIZON_KEYS = ("prediction_horizon", "control_horizon")
-LEAST_SIZES = 3
-"""Two points lie on a line whatever the law is."""
 
 
 def count_qp_variables(horizons: Horizons) -> int:
     """Return the number of variables of the condensed QP: forces times control horizon."""
     return len(FORCES) * horizons[1]
-
-
-def fit_growth_exponent(sizes: Sequence[int], times: Sequence[Floats]) -> float | None:
-    """Fit p of the power law t = c · size^p to median times, by least squares of logarithms.
-
-    None with fewer than `LEAST_SIZES` different sizes.
-    """
-    if len(set(sizes)) < LEAST_SIZES:
-        return None
-    return float(np.polyfit(np.log(sizes), np.log([np.median(t) for t in times]), 1)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,16 +59,9 @@ class SweptConfiguration:
 
     @property
     def timed_points(self) -> dict[Horizons, SweepPoint]:
-        """Replays with a time for every step, by prediction and control horizon."""
-        return {h: point for h, point in self.points.items() if point.times is not None}
-
-    @property
-    def growth_exponent(self) -> float | None:
-        """Exponent p of median step time growing as n^p with the number n of QP variables."""
-        sizes = [count_qp_variables(horizons) for horizons in self.timed_points]
-        return fit_growth_exponent(
-            sizes, [p.times.algo_ns for p in self.timed_points.values() if p.times]
-        )
+        """Replays with a time for every step, the shortest horizons first."""
+        shortest_first = sorted(self.points, key=_make_horizons_sort_key)
+        return {h: self.points[h] for h in shortest_first if self.points[h].times is not None}
 
     @property
     def has_p99(self) -> bool:
