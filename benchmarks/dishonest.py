@@ -69,7 +69,7 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     """Run faults in one campaign and return the state of each solver with the reason for it."""
     # Imported here, so that the variables for threads are set before NumPy loads.
     from dpbench import load_results, run_campaign
-    from dpbench.analysis.verdict.fastest import list_best_verdict_of_each_solver
+    from dpbench.analysis.verdict.verdict import list_best_verdict_of_each_solver
     from dpbench.report.report import Report
     from dpbench.report.verdict_text import describe_findings
     from dpbench.solvers.table import load_plugin_solver_from_file

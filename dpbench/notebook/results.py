@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.verdict.fastest import list_best_verdict_of_each_solver
+from dpbench.analysis.verdict.verdict import list_best_verdict_of_each_solver
 from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.design import load_stability_records
 from dpbench.bench.record import result_folder

@@ -15,7 +15,7 @@ from dpbench.analysis.suites.consequence import (
     find_largest_solve_time_share,
     select_configurations_in_all_analyses,
 )
-from dpbench.analysis.verdict.fastest import explain_deployment_blocker
+from dpbench.analysis.verdict.verdict import explain_deployment_blocker
 from dpbench.bench.capability.frontier import INTACT
 from dpbench.report.formats import format_rounded_down, join_with_and, plural
 

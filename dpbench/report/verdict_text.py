@@ -15,17 +15,19 @@ from dpbench.analysis.times.machine import (
     select_timed_replays,
     sum_disturbances,
 )
-from dpbench.analysis.verdict.fastest import (
+from dpbench.analysis.verdict.findings import STATES, Finding, State
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import (
     MOST_OWN,
     SolverChoice,
+    Verdict,
+    Verdicts,
+    explain_outcome,
     find_solver_record_or_none,
     group_own_settings,
     list_best_verdict_of_each_solver,
     list_best_verdict_of_own_settings,
 )
-from dpbench.analysis.verdict.findings import STATES, Finding, State
-from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import Verdict, Verdicts, explain_outcome
 from dpbench.bench.judge.calibration import is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.bench.record.result_folder import MachineDescription

@@ -36,7 +36,7 @@ from dpbench.analysis.statistics import (
     adjust_p_values_by_holm,
 )
 from dpbench.analysis.times.machine import separate_own_switches, sum_disturbances
-from dpbench.analysis.verdict.fastest import find_solver_record_or_none
+from dpbench.analysis.verdict.verdict import find_solver_record_or_none
 from dpbench.arrays import Floats
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.solvers.record import TOLERANCES

@@ -20,15 +20,15 @@ from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.records.thinned_runs import ThinnedRun
 from dpbench.analysis.times.contrasts import compare_paired_times, compute_log_ratio_half_width
 from dpbench.analysis.times.machine import find_library_call_ns
-from dpbench.analysis.verdict.fastest import (
+from dpbench.analysis.verdict.findings import STATES
+from dpbench.analysis.verdict.run_matrix import RunMatrix
+from dpbench.analysis.verdict.verdict import (
+    Verdict,
     find_solver_family,
     list_best_verdict_of_each_solver,
     list_main_verdicts,
     sort_fastest_first,
 )
-from dpbench.analysis.verdict.findings import STATES
-from dpbench.analysis.verdict.run_matrix import RunMatrix
-from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.judge.rules import has_enough_samples_for_percentile, percentile_or_nan
 from dpbench.bench.record.cell import Configuration, sort_key_of_settings
 from dpbench.solvers.own_settings import decode_options_from_json, format_options_as_toml

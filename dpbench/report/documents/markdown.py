@@ -11,14 +11,15 @@ from dpbench.analysis.records.worst_steps import (
     find_worst_steps,
 )
 from dpbench.analysis.times.contrasts import compare_paired_times
-from dpbench.analysis.verdict.fastest import (
+from dpbench.analysis.verdict.verdict import (
+    Verdict,
+    Verdicts,
     list_best_verdict_of_each_solver,
     list_best_verdict_of_own_settings,
     list_main_verdicts,
     sort_best_first,
     sort_fastest_first,
 )
-from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.errors import UnknownNameError, format_allowed_names
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import (

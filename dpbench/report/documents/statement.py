@@ -16,9 +16,12 @@ from dpbench.analysis.records.run_record import group_by_key
 from dpbench.analysis.suites.capability import CapabilityResult, build_capability_results
 from dpbench.analysis.suites.consequence import ConsequenceAnalysis, build_consequence_analyses
 from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances
-from dpbench.analysis.verdict.fastest import choose_solver, list_best_verdict_of_each_solver
 from dpbench.analysis.verdict.ship_results import ShipResult
-from dpbench.analysis.verdict.verdict import Verdict
+from dpbench.analysis.verdict.verdict import (
+    Verdict,
+    choose_solver,
+    list_best_verdict_of_each_solver,
+)
 from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.plan.configurations import name_solvers_of_suite
 from dpbench.bench.record.machine import describe_version

@@ -5,13 +5,13 @@ from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.times.solver_tables import make_configuration_columns
-from dpbench.analysis.verdict.fastest import (
+from dpbench.analysis.verdict.run_matrix import Experiment
+from dpbench.analysis.verdict.verdict import (
+    Verdict,
     find_solver_family,
     find_solver_record_or_none,
     list_best_verdict_of_each_solver,
 )
-from dpbench.analysis.verdict.run_matrix import Experiment
-from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.cell import Configuration
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts import style

@@ -8,14 +8,14 @@ from typing import Any
 
 from dpbench.analysis.times.contrasts import compare_paired_times, find_faster_inconclusive
 from dpbench.analysis.times.machine import find_shortest_wait_ns
-from dpbench.analysis.verdict.fastest import (
+from dpbench.analysis.verdict.speed_margin import SlowStep, find_largest_stall_ns
+from dpbench.analysis.verdict.verdict import (
     SolverChoice,
+    Verdict,
     choose_solver,
     find_fastest_configuration,
     find_solver_record_or_none,
 )
-from dpbench.analysis.verdict.speed_margin import SlowStep, find_largest_stall_ns
-from dpbench.analysis.verdict.verdict import Verdict
 from dpbench.bench.record.cell import Configuration
 from dpbench.errors import InputError, format_allowed_names
 from dpbench.report.capability_text import describe_consequence_solver, describe_unanswered_qps

@@ -16,7 +16,6 @@ from dpbench.analysis.suites.consequence import (
     find_largest_solve_time_share,
     select_configurations_in_all_analyses,
 )
-from dpbench.analysis.verdict.fastest import choose_solver
 from dpbench.analysis.verdict.findings import MISSED
 from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
 from dpbench.analysis.verdict.speed_margin import SpeedMargin, compute_speed_margins
@@ -28,7 +27,7 @@ from dpbench.analysis.verdict.thruster_verdicts import (
     list_late_losses,
     select_thruster_control_loops,
 )
-from dpbench.analysis.verdict.verdict import Verdict, Verdicts
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts, choose_solver
 from dpbench.report.formats import (
     MISSING,
     format_rounded_up,

@@ -5,7 +5,11 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.verdict.fastest import (
+from dpbench.analysis.verdict.findings import Finding
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import (
+    Verdict,
+    Verdicts,
     choose_solver,
     explain_deployment_blocker,
     find_fastest_configuration,
@@ -16,9 +20,6 @@ from dpbench.analysis.verdict.fastest import (
     rank_solvers,
     sort_fastest_first,
 )
-from dpbench.analysis.verdict.findings import Finding
-from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.bench.record.cell import Configuration
 
 PYTHON_CODE = "qtqp"

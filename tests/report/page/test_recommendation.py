@@ -7,9 +7,12 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.verdict.fastest import choose_solver, list_best_verdict_of_each_solver
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.verdict import judge_solvers
+from dpbench.analysis.verdict.verdict import (
+    choose_solver,
+    judge_solvers,
+    list_best_verdict_of_each_solver,
+)
 from dpbench.errors import InputError
 from dpbench.report.documents.markdown import MOST_BYTES, make_report_markdown
 from dpbench.report.formats import format_error, format_rounded_down, format_time
