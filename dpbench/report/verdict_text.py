@@ -15,8 +15,7 @@ from dpbench.analysis.times.machine import (
     select_timed_replays,
     sum_disturbances,
 )
-from dpbench.analysis.verdict.findings import STATES, Finding, State
-from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.requirements import STATES, Finding, Requirements, State
 from dpbench.analysis.verdict.verdict import (
     MOST_OWN,
     SolverChoice,

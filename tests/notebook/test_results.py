@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from dpbench import InputError, compare, load_results
-from dpbench.analysis.verdict.findings import MISSED, STATES
+from dpbench.analysis.verdict.requirements import MISSED, STATES
 from dpbench.errors import ResultsError
 from dpbench.notebook.results import Results
 

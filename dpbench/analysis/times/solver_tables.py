@@ -20,7 +20,7 @@ from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.records.thinned_runs import ThinnedRun
 from dpbench.analysis.times.contrasts import compare_paired_times, compute_log_ratio_half_width
 from dpbench.analysis.times.machine import find_library_call_ns
-from dpbench.analysis.verdict.findings import STATES
+from dpbench.analysis.verdict.requirements import STATES
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import (
     Verdict,

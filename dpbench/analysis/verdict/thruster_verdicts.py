@@ -7,8 +7,14 @@ from typing import Literal
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
-from dpbench.analysis.verdict.findings import LATE, MISSED, STATES, State
-from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
+from dpbench.analysis.verdict.requirements import (
+    LATE,
+    MISSED,
+    STATES,
+    Requirements,
+    State,
+    is_right_to_the_end,
+)
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, judge_solvers
 
 Fault = Literal["too late", "wrong", "too late or wrong"]

@@ -11,19 +11,19 @@ import numpy as np
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.verdict.findings import (
-    Cause,
-    Doubt,
-    Finding,
-    Near,
-    make_finding_on_worst_runs,
-)
 from dpbench.analysis.verdict.lateness import (
     LateTimings,
     find_late_timings,
     waits_for_threads,
 )
-from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.requirements import (
+    Cause,
+    Doubt,
+    Finding,
+    Near,
+    Requirements,
+    make_finding_on_worst_runs,
+)
 from dpbench.analysis.verdict.uncertainty import Uncertainty, estimate_uncertainty
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile_or_nan

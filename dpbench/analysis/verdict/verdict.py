@@ -24,7 +24,7 @@ import numpy as np
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.verdict import time_findings
-from dpbench.analysis.verdict.findings import (
+from dpbench.analysis.verdict.requirements import (
     DOUBTS,
     LATE,
     NEAR,
@@ -32,10 +32,10 @@ from dpbench.analysis.verdict.findings import (
     STATES,
     Doubt,
     Finding,
+    Requirements,
     State,
     make_finding_on_worst_runs,
 )
-from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.judge.rules import maximum_of_known
 from dpbench.bench.record.cell import Configuration, sort_key_of_settings
 from dpbench.errors import UnknownNameError

@@ -8,7 +8,7 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.analysis.verdict.findings import STATES
+from dpbench.analysis.verdict.requirements import STATES
 from dpbench.report.charts import style
 
 MARKS = ("✓", "≈", "?", "▸", "✕", "–")

@@ -10,7 +10,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dpbench.analysis.verdict.findings import STATES
+from dpbench.analysis.verdict.requirements import STATES
 from dpbench.bench.record.schema import FORCES
 from dpbench.report.charts import style
 from dpbench.report.charts.ship_tables import STEP, TIME, Panel, PathTables

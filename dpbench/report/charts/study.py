@@ -6,7 +6,7 @@ from typing import Any
 import altair as alt
 import pandas as pd
 
-from dpbench.analysis.verdict.findings import STATES
+from dpbench.analysis.verdict.requirements import STATES
 from dpbench.report.charts import style
 
 WITHIN = ("all within", "some within", "none within")

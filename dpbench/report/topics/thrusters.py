@@ -16,8 +16,7 @@ from dpbench.analysis.suites.consequence import (
     find_largest_solve_time_share,
     select_configurations_in_all_analyses,
 )
-from dpbench.analysis.verdict.findings import MISSED
-from dpbench.analysis.verdict.requirements import Requirements, is_right_to_the_end
+from dpbench.analysis.verdict.requirements import MISSED, Requirements, is_right_to_the_end
 from dpbench.analysis.verdict.speed_margin import SpeedMargin, compute_speed_margins
 from dpbench.analysis.verdict.thruster_verdicts import (
     ThrusterVerdicts,

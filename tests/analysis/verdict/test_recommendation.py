@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.verdict.findings import Finding
-from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.requirements import Finding, Requirements
 from dpbench.analysis.verdict.verdict import (
     Verdict,
     Verdicts,

@@ -7,21 +7,19 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.findings import (
+from dpbench.analysis.verdict.requirements import (
     DOUBTS,
     LATE,
     MISSED,
     NEAR,
     OWN_DOING,
     STATES,
-    make_finding_on_worst_runs,
-)
-from dpbench.analysis.verdict.requirements import (
     Requirements,
     compute_cost_ratio,
     has_survived,
     is_right_on_every_step,
     is_right_to_the_end,
+    make_finding_on_worst_runs,
 )
 from dpbench.analysis.verdict.verdict import judge_solvers
 

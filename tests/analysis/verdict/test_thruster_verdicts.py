@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.verdict.findings import MISSED
-from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.requirements import MISSED, Requirements
 from dpbench.analysis.verdict.thruster_verdicts import (
     ThrusterVerdicts,
     compare_thrusters_with_forces,

@@ -10,9 +10,8 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.verdict.findings import Finding
 from dpbench.analysis.verdict.lateness import LateTimings
-from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.requirements import Finding, Requirements
 from dpbench.analysis.verdict.time_findings import (
     compute_p99_ns,
     convert_late_timings_to_findings,

@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.times.contrasts import compare_paired_times
-from dpbench.analysis.verdict.findings import MISSED
-from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.requirements import MISSED, Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers, sort_fastest_first
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.verdict_text import (
