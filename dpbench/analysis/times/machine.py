@@ -8,7 +8,7 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
-from dpbench.analysis.verdict.uncertainty import compute_factor_quantile, estimate_uncertainty
+from dpbench.analysis.verdict.lateness import compute_factor_quantile, estimate_uncertainty
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
 from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
 

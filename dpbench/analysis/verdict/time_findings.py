@@ -13,6 +13,8 @@ from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.step_times import StepTimes
 from dpbench.analysis.verdict.lateness import (
     LateTimings,
+    Uncertainty,
+    estimate_uncertainty,
     find_late_timings,
     waits_for_threads,
 )
@@ -24,7 +26,6 @@ from dpbench.analysis.verdict.requirements import (
     Requirements,
     make_finding_on_worst_runs,
 )
-from dpbench.analysis.verdict.uncertainty import Uncertainty, estimate_uncertainty
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile_or_nan
 

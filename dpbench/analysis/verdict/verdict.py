@@ -9,7 +9,7 @@ It *fails* by a wrong or failed step or a process that crashed, and is *late* by
 step, or a call that did not return. No time proves it that other programs may have caused
 (`find_own_times_ns`). It is *inconclusive* where it was not run, could not be
 measured, or may be late. It is *borderline* where nothing of that holds and a time is within its
-uncertainty of a limit (`uncertainty.py`).
+uncertainty of a limit (`estimate_uncertainty`).
 
 The fastest of all may exist only as this benchmark's own Python code; it is named, not recommended.
 """

@@ -10,13 +10,13 @@ import pytest
 from dpbench.analysis.verdict.lateness import (
     LateTimings,
     StallModel,
+    Uncertainty,
     choose_runs_that_show_stalls,
     estimate_stall_model,
     find_late_timings,
 )
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.time_findings import convert_late_timings_to_findings
-from dpbench.analysis.verdict.uncertainty import Uncertainty
 from dpbench.solvers.calibration import COPY_ONLY
 
 REQUIREMENTS = Requirements(p99_ms=3.0, deadline_ms=300.0)

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.records.step_times import StepTimes
-from dpbench.analysis.verdict.lateness import LateTimings
+from dpbench.analysis.verdict.lateness import LateTimings, Uncertainty
 from dpbench.analysis.verdict.requirements import Finding, Requirements
 from dpbench.analysis.verdict.time_findings import (
     compute_p99_ns,
@@ -20,7 +20,6 @@ from dpbench.analysis.verdict.time_findings import (
     find_work_in_other_threads,
     judge_replay_times,
 )
-from dpbench.analysis.verdict.uncertainty import Uncertainty
 
 REQUIREMENTS = Requirements(p99_ms=1.0, deadline_ms=8.0)
 """Limits of 1e6 and 8e6 ns."""

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.verdict.uncertainty import (
+from dpbench.analysis.verdict.lateness import (
     Uncertainty,
     compute_factor_quantile,
     estimate_uncertainty,
