@@ -9,16 +9,14 @@ import pandas as pd
 from dpbench.analysis.records.run_record import RunRecord, build_run_records, map_first_by_key
 from dpbench.analysis.records.run_steps import (
     COUNTING_COLUMNS,
-    RunSteps,
-    extract_counting_rows,
-    yield_merged_steps_by_run,
-)
-from dpbench.analysis.records.step_times import (
     DELAY_COLUMNS,
     TIME_COLUMNS,
     Delays,
+    RunSteps,
     StepTimes,
+    extract_counting_rows,
     yield_delays_by_run,
+    yield_merged_steps_by_run,
     yield_step_times_by_run,
 )
 from dpbench.bench.judge.rules import has_comparable_times

@@ -1,10 +1,11 @@
-"""Steps of runs from the rows that count: one value a step over the rounds, and the hardest.
+"""Steps of runs as arrays: one value a step over the rounds, the hardest, step times and delays.
 
 A table of many runs is turned into arrays at once; a run is then a slice of them.
+A delay is a single timing that took much longer than its step does.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Literal
 
@@ -74,16 +75,16 @@ def extract_counting_rows(steps: pd.DataFrame) -> CountingRows:
         # One object a name, not one a row.
         codes, names = pd.factorize(steps[name])
         arrays[name] = np.asarray(names, dtype=object)[codes[counts]]
-    for field in fields(CountingRows):
-        if field.name in arrays:
+    for each in fields(CountingRows):
+        if each.name in arrays:
             continue
-        column = steps[field.name]
-        if field.name in _COUNTING_FLAGS:
-            arrays[field.name] = column.to_numpy(dtype=np.bool_)[counts]
-        elif field.name in _INTS:
-            arrays[field.name] = column.to_numpy(dtype=np.int64)[counts]
+        column = steps[each.name]
+        if each.name in _COUNTING_FLAGS:
+            arrays[each.name] = column.to_numpy(dtype=np.bool_)[counts]
+        elif each.name in _INTS:
+            arrays[each.name] = column.to_numpy(dtype=np.int64)[counts]
         else:
-            arrays[field.name] = column.to_numpy(dtype=np.float64, na_value=np.nan)[counts]
+            arrays[each.name] = column.to_numpy(dtype=np.float64, na_value=np.nan)[counts]
     return CountingRows(**arrays)  # type: ignore[arg-type] # each array has its field's type, made so above
 
 
@@ -174,3 +175,149 @@ def _reduce_repetitions_by_step(choose: np.ufunc, at: Ints, count: int, values: 
     out = np.full(count, np.nan)
     choose.at(out, at, values)
     return out
+
+
+TIME_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns", "waited_ns")
+
+
+@dataclass(frozen=True, eq=False)
+class StepTimes:
+    """Step times of one replay: the fastest repetition of each step, and the largest timing.
+
+    k : (K,) steps, rising; algo_ns : (K,) least over the rounds, the algorithmic time.
+    net_ns : (K,) least timing less its wait for the core; None where a wait is unknown.
+    timings : (K,) timings of each step that count.
+    rounds_ns : (R,) median of the samples of each round: how far they differ is the machine's part.
+    """
+
+    k: Ints
+    algo_ns: Floats
+    net_ns: Floats | None
+    timings: Ints
+    raw_max_ns: float
+    rounds_ns: Floats
+
+
+def yield_step_times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
+    """Convert a table of steps to step times: yield each run's id and its times."""
+    for run_id, repeat, k, (total_ns, waited_ns) in _yield_valid_timings_by_run(
+        steps, "total_ns", "waited_ns"
+    ):
+        best = _find_least_by_step(k, total_ns)
+        done = np.flatnonzero(np.isfinite(best))
+        net_ns = _subtract_waits(total_ns, waited_ns)
+        net = None if net_ns is None else _find_least_by_step(k, net_ns)[done]
+        rounds = np.array([float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)])
+        timings = np.bincount(k)[done].astype(np.int64)
+        yield run_id, StepTimes(done, best[done], net, timings, float(total_ns.max()), rounds)
+
+
+def _subtract_waits(total_ns: Floats, waited_ns: Floats) -> Floats | None:
+    """Return timings (N,) less their waits for the core; None where a wait is unknown, NaN."""
+    return None if np.isnan(waited_ns).any() else total_ns - waited_ns
+
+
+def _find_least_by_step(k: Ints, times_ns: Floats) -> Floats:
+    """Return the least time of each step from 0 to the largest of `k`; inf without a time."""
+    least = np.full(int(k.max()) + 1, np.inf)
+    np.minimum.at(least, k, times_ns)
+    return least
+
+
+def _yield_valid_timings_by_run(
+    steps: pd.DataFrame, *times: str
+) -> Iterator[tuple[str, Ints, Ints, list[Floats]]]:
+    """Yield each run's id, repetition and step indices, and times [ns] from valid step rows."""
+    counting = steps[steps["counts"]]
+    repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
+    columns = [counting[name].to_numpy(dtype=np.float64, na_value=np.nan) for name in times]
+    for run_id, (first, end) in find_row_ranges_by_label(counting["run_id"]).items():
+        own = slice(first, end)
+        yield run_id, repeat[own], k[own], [column[own] for column in columns]
+
+
+DELAY_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns", "waited_ns")
+DELAYED = 2.0
+"""A timing over this multiple of the fastest time of its step is a delay."""
+
+
+@dataclass(frozen=True, eq=False)
+class Delays:
+    """Timings of one run that took much longer than their step usually does.
+
+    The base time of a timing is the fastest time of its step. In a run of one round it is the
+    median over the steps, and every timing above it is a delay. Where the kernel shows how long
+    every step waited for the core, only the rest of a timing is compared with limits.
+
+    samples : (R,) timings of each round; base_ns : (R,) sum of their base times, the exposed time.
+    step_ns : median over the timings.
+    round, delay_ns, own_ns, net_ns : (D,) of each delay the index of its round, its timing, its
+        base time, and its timing less the wait for the core, where that is known.
+    has_waits : whether the wait of every timing is recorded.
+    """
+
+    samples: Ints
+    base_ns: Floats
+    step_ns: float
+    round: Ints
+    delay_ns: Floats
+    own_ns: Floats
+    net_ns: Floats
+    has_waits: bool
+    _stalls: dict[float, Ints] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def without_waits(self) -> "Delays":
+        """Copy of these delays without the recorded waits for the processor core."""
+        return replace(self, net_ns=self.delay_ns, has_waits=False)
+
+    def count_late_by_repetition(self, limit_ns: float) -> Ints:
+        """Count, by repetition (R,), the timings over a limit without their waits."""
+        return self._count_chosen_by_repetition(self.net_ns > limit_ns)
+
+    def count_stalls_by_repetition(self, longer_than_ns: float) -> Ints:
+        """Count, by repetition (R,), the timings that exceed their step's usual time by so much."""
+        if longer_than_ns not in self._stalls:
+            chosen = self.net_ns - self.own_ns > longer_than_ns
+            self._stalls[longer_than_ns] = self._count_chosen_by_repetition(chosen)
+        return self._stalls[longer_than_ns]
+
+    def _count_chosen_by_repetition(self, chosen: Flags) -> Ints:
+        """Count the selected delays in each repetition (R,) of the run."""
+        return np.bincount(self.round[chosen], minlength=len(self.samples)).astype(np.int64)
+
+
+def yield_delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
+    """Yield each run's id and its unusually long timings, from a table of steps."""
+    for run_id, repeat, k, (total_ns, waited_ns) in _yield_valid_timings_by_run(
+        steps, "total_ns", "waited_ns"
+    ):
+        yield run_id, find_delays(repeat, k, total_ns, waited_ns)
+
+
+def find_delays(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Delays:
+    """Find the timings (N,) of a run that took much longer than their step usually does.
+
+    Steps without a computation, NaN, are left out. Where some wait is NaN, none is known.
+    """
+    timed = ~np.isnan(total_ns)
+    repeat, k, total_ns, waited_ns = repeat[timed], k[timed], total_ns[timed], waited_ns[timed]
+    net_ns = _subtract_waits(total_ns, waited_ns)
+    rounds, index = np.unique(repeat, return_inverse=True)
+    middle = float(np.median(total_ns)) if len(total_ns) else np.nan
+    if len(rounds) > 1:
+        base = _find_least_by_step(k, total_ns)[k]
+        delayed = total_ns > DELAYED * base
+    else:
+        base = np.full(len(total_ns), middle)
+        delayed = total_ns > base
+    return Delays(
+        samples=np.bincount(index, minlength=len(rounds)).astype(np.int64),
+        base_ns=np.bincount(index, weights=base, minlength=len(rounds)).astype(np.float64),
+        step_ns=middle,
+        round=index[delayed].astype(np.int64),
+        delay_ns=total_ns[delayed],
+        own_ns=base[delayed],
+        net_ns=(total_ns if net_ns is None else net_ns)[delayed],
+        has_waits=net_ns is not None,
+    )

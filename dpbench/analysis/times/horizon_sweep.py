@@ -10,7 +10,7 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
-from dpbench.analysis.records.step_times import StepTimes
+from dpbench.analysis.records.run_steps import StepTimes
 from dpbench.analysis.statistics import UNKNOWN, Interval, estimate_percentile_interval
 from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
 from dpbench.bench.judge.rules import percentile_or_nan

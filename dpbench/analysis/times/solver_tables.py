@@ -16,7 +16,7 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
-from dpbench.analysis.records.step_times import StepTimes
+from dpbench.analysis.records.run_steps import StepTimes
 from dpbench.analysis.records.thinned_runs import ThinnedRun
 from dpbench.analysis.times.contrasts import compare_paired_times, compute_log_ratio_half_width
 from dpbench.analysis.times.machine import find_library_call_ns

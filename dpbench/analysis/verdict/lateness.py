@@ -2,7 +2,7 @@
 
 The fastest round of a step hides a solver that is late at random; its single timings show it, but
 so do interrupts of the machine. Time in which another program had the core is taken off where the
-kernel shows it (`step_times.py`), so that waits alone are neither late nor a stall. The rest of the
+kernel shows it (`run_steps.py`), so that waits alone are neither late nor a stall. The rest of the
 machine is known from what the other configurations met in the same interleaved rounds: a stall
 strikes whoever runs, in proportion to the time that it runs. A solver that waits for threads of its
 own (`THREAD_WAITS`), and those that it is compared with, are tested without regard to who had the
@@ -40,7 +40,7 @@ from scipy.stats import binom, nbinom
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
-from dpbench.analysis.records.step_times import Delays
+from dpbench.analysis.records.run_steps import Delays
 from dpbench.analysis.statistics import adjust_p_values_by_holm
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.arrays import Floats

@@ -10,7 +10,7 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
-from dpbench.analysis.records.step_times import StepTimes
+from dpbench.analysis.records.run_steps import StepTimes
 from dpbench.analysis.verdict.lateness import (
     LateTimings,
     Uncertainty,

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.step_times import find_delays, yield_delays_by_run
+from dpbench.analysis.records.run_steps import find_delays, yield_delays_by_run
 from dpbench.analysis.verdict.lateness import (
     DOUBTFUL,
     PROVEN,

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.step_times import StepTimes
+from dpbench.analysis.records.run_steps import StepTimes
 from dpbench.analysis.verdict.lateness import LateTimings, Uncertainty
 from dpbench.analysis.verdict.requirements import Finding, Requirements
 from dpbench.analysis.verdict.time_findings import (

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.records.step_times import yield_step_times_by_run
+from dpbench.analysis.records.run_steps import yield_step_times_by_run
 from dpbench.bench.judge import rules
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.judge.replay import evaluate_replay_log
