@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import Measure
-from dpbench.analysis.records.worst_steps import (
+from dpbench.analysis.records.thinned_runs import (
     WorstStep,
     find_value_at_worst_step,
     find_worst_steps,

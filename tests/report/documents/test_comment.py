@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.records.worst_steps import find_worst_steps
+from dpbench.analysis.records.thinned_runs import find_worst_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.report.documents.markdown import COMMENT_BYTES, compare_solver
