@@ -6,11 +6,12 @@ from collections.abc import Iterator
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import CapabilityResult, build_capability_results
-from dpbench.analysis.suites.consequence import (
+from dpbench.analysis.suites.capability import (
     HELD,
     LOST,
+    CapabilityResult,
     ConsequenceAnalysis,
+    build_capability_results,
     build_consequence_analyses,
     find_largest_solve_time_share,
     select_configurations_in_all_analyses,

@@ -13,7 +13,7 @@ from rich.console import Console
 from dpbench.analysis.compare.answers import DONE, FigureChange
 from dpbench.analysis.compare.evidence import Verdict as Compared
 from dpbench.analysis.statistics import Interval
-from dpbench.analysis.suites.consequence import BatchAnswers
+from dpbench.analysis.suites.capability import BatchAnswers
 from dpbench.analysis.suites.study import find_studies
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import State as Verdict

@@ -1,16 +1,26 @@
-"""Capability plots, and how rightly solvers separate loads that thrusters balance from others."""
+"""Capability plots and consequence analyses: what thrusters hold, and the answers of solvers.
 
+The QPs of all failure groups at one sample of a consequence analysis are a batch, solved one after
+another. Each QP counts once, by the round in which a solver was worst:
+
+    QPs = held rightly + refused rightly + missed alarms + other untrue claims + nothing
+"""
+
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
+import numpy as np
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, map_first_by_key
+from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
 from dpbench.analysis.suites.random_claims import CLAIMS, count_claims_by_run, flag_claims_by_step
 from dpbench.bench.capability.frontier import DIRECTIONS, Capability, WindLimit
-from dpbench.bench.judge.rules import INFEASIBLE
-from dpbench.bench.record.cell import CapabilitySource
+from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile_or_nan
+from dpbench.bench.record.cell import CapabilitySource, ConsequenceSource
+from dpbench.scenario.scenario import build_or_reuse_scenario
 
 
 @dataclass(frozen=True)
@@ -160,3 +170,157 @@ def _tabulate_wind_by_direction(
         wind_mps, number = first["edge_mps"], first["number"]
         rows.append((case, first["lost"], from_deg, wind_mps, number, len(said)))
     return pd.DataFrame(rows, columns=list(EDGES))
+
+
+HELD, LOST, UNKNOWN = "can be held", "cannot be held", "not known"
+"""Proven states of the loss of a group at a sample."""
+SPAN = ("group", "from_s", "to_s", "state")
+
+
+@dataclass(frozen=True)
+class BatchAnswers:
+    """Counts of a configuration's right and wrong answers on possible thruster losses.
+
+    asked : all QPs; feasible, infeasible : how many of each it reached.
+    held : feasible, with a true optimum; refused : infeasible, and rightly called so.
+    missed : infeasible, and claimed solved; untrue : all untrue claims, those included.
+    p99, largest : share of the sample that a batch takes; NaN for too few, or an unfinished group.
+    """
+
+    solver: str
+    name: str
+    asked: int
+    feasible: int
+    infeasible: int
+    held: int
+    refused: int
+    missed: int
+    untrue: int
+    p99: float
+    largest: float
+
+    @property
+    def unanswered_count(self) -> int:
+        """Number of QPs that a configuration left without an answer or never reached."""
+        return self.asked - self.held - self.refused - self.untrue
+
+    @property
+    def has_only_right_answers(self) -> bool:
+        """True if the solver configuration answered every QP correctly."""
+        return self.held + self.refused == self.asked
+
+
+@dataclass(frozen=True, eq=False)
+class ConsequenceAnalysis:
+    """Results of a consequence analysis: losses after which position is held, answers of solvers.
+
+    margin : by which the force to hold is multiplied.
+    spans : columns `SPAN`: for each loss, spans of time and what is proven of them.
+    answers : of every configuration, right ones first, then the fastest.
+    """
+
+    name: str
+    groups: tuple[str, ...]
+    margin: float
+    spans: pd.DataFrame
+    answers: tuple[BatchAnswers, ...]
+
+    @property
+    def best_answers_by_solver(self) -> dict[str, BatchAnswers]:
+        """Answers of each solver's best configuration, by solver name."""
+        return map_first_by_key(self.answers, lambda answers: answers.solver)
+
+
+@lru_cache(maxsize=2)
+def build_consequence_analyses(records: Records) -> list[ConsequenceAnalysis]:
+    """Return the folder's analyses of thruster losses, those in which a QP was solved."""
+    asked = [run for run in records.consequence if run.outcome != "refused"]
+    batches = group_by_key(
+        asked, lambda run: run.sequence.removesuffix(f", {run.lost_thruster_group} lost")
+    )
+    return [
+        _build_consequence_analysis(records, name, runs)
+        for name, runs in batches.items()
+        if any(run.has_steps for run in runs)
+    ]
+
+
+def _build_consequence_analysis(
+    records: Records, name: str, runs: Sequence[RunRecord]
+) -> ConsequenceAnalysis:
+    """Build a consequence analysis from its runs: answers, losses held, time of each solver."""
+    groups = group_by_key(runs, lambda run: run.lost_thruster_group)
+    longest = [max(of_group, key=lambda run: run.steps_done) for of_group in groups.values()]
+    files = runs[0].scenario_documents
+    sample_s = math.nan if files is None else build_or_reuse_scenario(files).sample_s
+    by_configuration = group_by_key(runs, lambda run: run.solver_label)
+    answers = [
+        _sum_answers_over_losses(records, own, len(groups), sample_s)
+        for own in by_configuration.values()
+    ]
+    answers.sort(key=lambda a: (a.untrue > 0, -(a.held + a.refused), a.untrue, a.largest))
+    spans = pd.concat(
+        [_tabulate_loss_state_spans(records, run, sample_s) for run in longest if run.has_steps]
+    )
+    source = runs[0].source
+    margin = source.margin if isinstance(source, ConsequenceSource) else math.nan
+    return ConsequenceAnalysis(name, tuple(groups), margin, spans, tuple(answers))
+
+
+def _tabulate_loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
+    """Return time spans in which the loss of this run's group can, cannot, or may be held."""
+    rows = records.read_counting_step_table(run, ("k", "t_s", "certificate"))
+    steps = rows.drop_duplicates("k").sort_values("k")
+    certificate, t_s = steps["certificate"], steps["t_s"].to_numpy()
+    known = np.where(certificate == INFEASIBLE, LOST, HELD)
+    state = np.where(certificate.isin((UNCERTIFIED, UNDECIDED)), UNKNOWN, known)
+    starts = np.flatnonzero(np.append(True, state[1:] != state[:-1])[: len(state)])
+    ends = np.append(t_s[starts[1:]], t_s[-1:] + sample_s)
+    spans = zip(t_s[starts], ends, state[starts], strict=True)
+    return pd.DataFrame([(run.lost_thruster_group, *span) for span in spans], columns=list(SPAN))
+
+
+def _sum_answers_over_losses(
+    records: Records, runs: Sequence[RunRecord], groups: int, sample_s: float
+) -> BatchAnswers:
+    """Count a configuration's answers over all thruster losses; add times per control sample."""
+    of_runs = []
+    for run in runs:
+        steps = records.read_counting_step_table(run, ("k", *CLAIMS))
+        claims, infeasible = flag_claims_by_step(steps), steps["certificate"] == INFEASIBLE
+        lies = claims["false_claims"]
+        always = {"feasible": claims["steps"] & ~infeasible, "infeasible": infeasible}
+        always["held"] = claims["right_claims"]
+        always["refused"] = claims["right_refusals"] & infeasible
+        ever = {"missed": lies & infeasible, "untrue": lies | claims["wrong_refusals"]}
+        by_step = [pd.DataFrame(columns).groupby(steps["k"]) for columns in (always, ever)]
+        of_runs.append(pd.concat([by_step[0].all().sum(), by_step[1].any().sum()]))
+    counts = pd.concat(of_runs, axis=1).sum(axis=1)
+    # The time of a sample's batch is known where every group was run to its end.
+    times = [known.algo_ns for known in map(records.get_step_times, runs) if known is not None]
+    lengths = {len(algo) for algo in times} | {run.steps_planned for run in runs}
+    is_whole = len(times) == len(runs) == groups and len(lengths) == 1
+    shares = np.sum(times, axis=0) / (1e9 * sample_s) if is_whole else np.zeros(0)
+    return BatchAnswers(
+        solver=runs[0].solver,
+        name=runs[0].solver_label,
+        asked=sum(run.steps_planned for run in runs),
+        p99=percentile_or_nan(shares, 99),
+        largest=float(shares.max()) if len(shares) else math.nan,
+        **{str(name): int(count) for name, count in counts.items()},
+    )
+
+
+def select_configurations_in_all_analyses(
+    analyses: Sequence[ConsequenceAnalysis],
+) -> dict[str, list[BatchAnswers]]:
+    """Return, by name, the configurations run in every consequence analysis with their answers."""
+    answers = [own for analysis in analyses for own in analysis.answers]
+    by_name = group_by_key(answers, lambda own: own.name)
+    return {name: own for name, own in by_name.items() if len(own) == len(analyses)}
+
+
+def find_largest_solve_time_share(answers: Sequence[BatchAnswers]) -> float:
+    """Return the largest share of a sample that an analysis takes; NaN if one is unknown."""
+    shares = [own.largest for own in answers]
+    return max(shares) if all(map(math.isfinite, shares)) else math.nan

@@ -7,7 +7,7 @@ import altair as alt
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN
+from dpbench.analysis.suites.capability import HELD, LOST, UNKNOWN
 from dpbench.arrays import Floats
 from dpbench.report.charts import style
 from dpbench.ship.capability.loads import DP_CONDITIONS

@@ -9,8 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import CapabilityResult
-from dpbench.analysis.suites.consequence import LOST, ConsequenceAnalysis
+from dpbench.analysis.suites.capability import LOST, CapabilityResult, ConsequenceAnalysis
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.capability.frontier import FROM_DEG, INTACT
 from dpbench.report.capability_text import describe_time_held

@@ -13,8 +13,12 @@ from typing import Any
 import vl_convert as vlc
 
 from dpbench.analysis.records.run_record import group_by_key
-from dpbench.analysis.suites.capability import CapabilityResult, build_capability_results
-from dpbench.analysis.suites.consequence import ConsequenceAnalysis, build_consequence_analyses
+from dpbench.analysis.suites.capability import (
+    CapabilityResult,
+    ConsequenceAnalysis,
+    build_capability_results,
+    build_consequence_analyses,
+)
 from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.analysis.verdict.verdict import (

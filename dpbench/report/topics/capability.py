@@ -6,10 +6,11 @@ from math import isnan
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import CapabilityResult, build_capability_results
-from dpbench.analysis.suites.consequence import (
+from dpbench.analysis.suites.capability import (
     BatchAnswers,
+    CapabilityResult,
     ConsequenceAnalysis,
+    build_capability_results,
     build_consequence_analyses,
 )
 from dpbench.report.capability_text import (

@@ -10,7 +10,7 @@ from math import isfinite
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
-from dpbench.analysis.suites.consequence import (
+from dpbench.analysis.suites.capability import (
     HELD,
     build_consequence_analyses,
     find_largest_solve_time_share,

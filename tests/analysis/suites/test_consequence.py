@@ -7,8 +7,14 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.capability import Answers, CapabilityResult
-from dpbench.analysis.suites.consequence import HELD, LOST, UNKNOWN, build_consequence_analyses
+from dpbench.analysis.suites.capability import (
+    HELD,
+    LOST,
+    UNKNOWN,
+    Answers,
+    CapabilityResult,
+    build_consequence_analyses,
+)
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_step_columns
 from dpbench.report import capability_text

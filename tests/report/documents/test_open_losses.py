@@ -8,8 +8,14 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from dpbench.analysis.suites.capability import EDGES, CapabilityResult
-from dpbench.analysis.suites.consequence import HELD, LOST, SPAN, ConsequenceAnalysis
+from dpbench.analysis.suites.capability import (
+    EDGES,
+    HELD,
+    LOST,
+    SPAN,
+    CapabilityResult,
+    ConsequenceAnalysis,
+)
 from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.bench.capability.frontier import FROM_DEG
 from dpbench.report.documents.open_losses import OpenLosses, find_open_losses
