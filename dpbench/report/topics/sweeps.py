@@ -7,7 +7,7 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.slowdown import group_delayed_loops
-from dpbench.analysis.times.horizon_sweep import (
+from dpbench.analysis.times.contrasts import (
     Sweep,
     SweptConfiguration,
     count_qp_variables,
