@@ -16,7 +16,7 @@ from dpbench.analysis.records.thinned_runs import FORCES, TRACK, ThinnedRun, Tra
 from dpbench.analysis.statistics import bound_probability_after_no_event
 from dpbench.analysis.suites.embedded import EmbeddedResults
 from dpbench.analysis.suites.study import Study, find_studies
-from dpbench.analysis.suites.study_pictures import (
+from dpbench.analysis.suites.study_tables import (
     compute_error_excess_cm,
     convert_difference_to_cm,
     find_id_of_worst_run,

@@ -8,7 +8,7 @@ import pandas as pd
 from pandas.api.types import is_numeric_dtype
 
 from dpbench.analysis.statistics import bound_probability_after_no_event
-from dpbench.analysis.suites import study_pictures as pictures
+from dpbench.analysis.suites import study_tables
 from dpbench.analysis.suites.study import (
     ALPHA,
     NOTHING,
@@ -195,8 +195,8 @@ def _draw_study_figures(study: Study) -> Iterator[Figure]:
     """Yield charts of a study: share within the radius over its points, errors by realisation."""
     name = study.name.replace("@", "-").replace("/", "-")
     maps, whole = (
-        pictures.tabulate_shares_in_position(study),
-        pictures.has_few_enough_points_for_tiles(study),
+        study_tables.tabulate_shares_in_position(study),
+        study_tables.has_few_enough_points_for_tiles(study),
     )
     keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
     title = f"Within {study.radius_m:g} m, {study.name}"
@@ -204,14 +204,16 @@ def _draw_study_figures(study: Study) -> Iterator[Figure]:
         own = study.points[keys[0]].nunique() > max(8, len(study.points) // 2)
         drawn = bool(own) or not whole
         chart = draw_within_maps(maps, title, keys[0], keys[1], drawn=drawn)
-        where = "at each point" if whole else f"in {pictures.FIELDS} × {pictures.FIELDS} fields"
+        where = (
+            "at each point" if whole else f"in {study_tables.FIELDS} × {study_tables.FIELDS} fields"
+        )
         caption = f"Share of seas {where}; a run that did not end is not within."
         yield Figure(f"study-within-{name}", chart, caption)
     elif keys:
         chart = draw_within_lines(maps, title, keys[0])
         yield Figure(f"study-within-{name}", chart, "Share of seas at each value.")
     yield from draw_effect_figures(study, name)
-    table, seas, seas_all = pictures.tabulate_error_excess_by_sea(study)
+    table, seas, seas_all = study_tables.tabulate_error_excess_by_sea(study)
     if len(table):
         chart = draw_excess_errors(
             table, seas, f"Behind {study.reference_name}, {study.name}", 100 * SMALL_M

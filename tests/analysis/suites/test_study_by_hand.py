@@ -17,7 +17,7 @@ from dpbench.analysis.suites.study import (
     estimate_mean_over_points,
     find_studies,
 )
-from dpbench.analysis.suites.study_pictures import (
+from dpbench.analysis.suites.study_tables import (
     tabulate_error_excess_by_sea,
     tabulate_shares_in_position,
 )

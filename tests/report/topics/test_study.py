@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.analysis.suites import study_pictures
+from dpbench.analysis.suites import study_tables
 from dpbench.analysis.suites.study import find_studies
 from dpbench.analysis.suites.study_tables import (
     tabulate_differences_from_reference,
@@ -154,9 +154,9 @@ def test_a_small_study_is_drawn_whole(records: Any) -> None:
 
 @pytest.mark.slow
 def test_of_a_large_study_some_seas_are_drawn(records: Any, monkeypatch: Any) -> None:
-    monkeypatch.setattr(study_pictures, "MOST_DOTS", 9)
-    monkeypatch.setattr(study_pictures, "MOST_POINTS", 20)
-    monkeypatch.setattr(study_pictures, "FIELDS", 3)
+    monkeypatch.setattr(study_tables, "MOST_DOTS", 9)
+    monkeypatch.setattr(study_tables, "MOST_POINTS", 20)
+    monkeypatch.setattr(study_tables, "FIELDS", 3)
     found = _fill(records, points=60, seas=2)
     within, _, behind = found.figures
     assert "in 3 × 3 fields" in within.caption and "9 of 120 at even ranks" in behind.caption
