@@ -10,8 +10,8 @@ import pytest
 from markupsafe import escape
 from rich.console import Console
 
-from dpbench.analysis.compare.answers import DONE, FigureChange
 from dpbench.analysis.compare.evidence import Verdict as Compared
+from dpbench.analysis.compare.pairs import DONE, FigureChange
 from dpbench.analysis.statistics import Interval
 from dpbench.analysis.suites.capability import BatchAnswers
 from dpbench.analysis.suites.study import find_studies

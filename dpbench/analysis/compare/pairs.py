@@ -1,13 +1,25 @@
-"""Pairs of cells of two result folders with the same configuration on the same problem."""
+"""Pairs of cells of two result folders with the same configuration, and how their answers differ.
 
-from collections.abc import Mapping
+Accuracy and control are compared as far as no clock enters them. A deterministic solver repeats
+them bit for bit, so nothing is estimated: a figure differs by more than the margin, beyond what the
+rounds of one run differ, or not. Where a time limit stopped a run, accuracy is compared on the
+steps before that.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.bench.judge.rules import mask_decided_steps, mask_failed_steps
 from dpbench.bench.record.cell import CONFIGURATION_COLUMNS
 from dpbench.errors import ResultsError
+from dpbench.qp.solution import Status
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
 
 KEY = ("mode", "scenario", "sequence", *CONFIGURATION_COLUMNS, "steps_planned")
@@ -143,3 +155,164 @@ def _describe_run(run: RunRecord) -> str:
 def make_problem_key(run: RunRecord) -> tuple[object, ...]:
     """Return what defines a run's problem, for comparison: scenario, origin of QPs, fallbacks."""
     return run.files, run.source, run.first, run.fallback, run.backup
+
+
+Change = Literal["worse", "better", "same", "not comparable"]
+Range = tuple[float, float]
+
+ERROR_FLOOR = 1e-9
+"""Errors below it are rounding: an active-set solver's 1e-15 may become 1e-13."""
+CONTROL_FLOOR = 1e-12
+"""Control figures below it are zero [m, deg, 1]."""
+ORDER = ("finished", "timed_out", "invalid", "refused", "hung", "crashed")
+"""Outcomes, best first."""
+BY_CLOCK = ({"finished", "timed_out"}, {"timed_out", "hung"})
+"""Outcomes between which the speed of the machine decides."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """Accuracy or control quantity of a run, as RMS position, and the least change that counts."""
+
+    column: str
+    head: str
+    less_is_better: bool
+    relative: bool
+    floor: float
+
+
+ACCURACY = (
+    Measure("error_move_max", "largest error of the first move", True, True, ERROR_FLOOR),
+    Measure("error_plan_max", "largest error of the plan", True, True, ERROR_FLOOR),
+    Measure("true_share", "share of true answers", False, False, 0.0),
+    Measure("failed_steps", "failed steps per round", True, False, 0.0),
+)
+CONTROL = (
+    Measure("r_rms_m", "position, RMS [m]", True, True, CONTROL_FLOOR),
+    Measure("closed_loop_cost", "closed-loop cost", True, True, CONTROL_FLOOR),
+    Measure("total_variation", "total variation of the force", True, True, CONTROL_FLOOR),
+)
+OUTCOME = Measure("outcome", "outcome", True, False, 0.0)
+DONE = Measure("steps_done", "steps done", False, False, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class FigureChange:
+    """Accuracy or control quantity of two paired runs A and B: ranges in both and its change."""
+
+    pair: Pair
+    measure: Measure
+    a: Range
+    b: Range
+    change: Change
+
+    @property
+    def table_row(self) -> dict[str, Any]:
+        """Table row: run identity, name of the compared quantity, its ranges in A and B, change."""
+        ranges = dict(zip(("a_low", "a_high", "b_low", "b_high"), self.a + self.b, strict=True))
+        figure = {"figure": self.measure.column}
+        return pick_identifying_columns(self.pair.a) | figure | ranges | {"change": self.change}
+
+
+def compare_accuracy_and_control(
+    a: Records, b: Records, pairs: Sequence[Pair], margin: float
+) -> list[FigureChange]:
+    """Compare accuracy and control of each pair of runs A and B: worse, better or same."""
+    answers = []
+    for pair in pairs:
+        for measure, in_a, in_b, repeats in _yield_compared_ranges(a, b, pair):
+            change = (
+                _classify_change_of_range(measure, in_a, in_b, margin)
+                if repeats
+                else "not comparable"
+            )
+            answers.append(FigureChange(pair, measure, in_a, in_b, change))
+    return answers
+
+
+def _yield_compared_ranges(
+    a: Records, b: Records, pair: Pair
+) -> Iterator[tuple[Measure, Range, Range, bool]]:
+    """Yield each accuracy or control quantity of a pair of runs: both ranges, if comparable."""
+    outcomes = pair.a.outcome, pair.b.outcome
+    if pair.a.outcome != pair.b.outcome:
+        by_clock = set(outcomes) in BY_CLOCK
+        in_a, in_b = (_make_range_of_number(ORDER.index(outcome)) for outcome in outcomes)
+        yield OUTCOME, in_a, in_b, not by_clock
+        if not by_clock:
+            return
+    if not (pair.a.has_steps or pair.b.has_steps):
+        return
+    steps = [view.read_counting_step_table(run, _STEPS) for view, run in ((a, pair.a), (b, pair.b))]
+    complete = "timed_out" not in outcomes and "hung" not in outcomes
+    if complete:
+        yield (
+            DONE,
+            _make_range_of_number(pair.a.steps_done),
+            _make_range_of_number(pair.b.steps_done),
+            True,
+        )
+    repeated = min(
+        pair.a.steps_done, pair.b.steps_done, *map(_find_first_step_cut_by_time_limit, steps)
+    )
+    unlimited = complete and all(np.isinf(_find_first_step_cut_by_time_limit(one)) for one in steps)
+    accurate = unlimited or (repeated > 0 and not any(one.empty for one in steps))
+    ranges_a, ranges_b = (
+        _compute_accuracy_ranges(one, run, repeated)
+        for one, run in zip(steps, (pair.a, pair.b), strict=True)
+    )
+    for measure in ACCURACY:
+        yield measure, ranges_a[measure.column], ranges_b[measure.column], accurate
+    for measure in CONTROL if pair.a.mode == "closed_loop" else ():
+        in_a, in_b = (
+            _make_range_of_number(getattr(run, measure.column)) for run in (pair.a, pair.b)
+        )
+        yield measure, in_a, in_b, unlimited
+
+
+def _make_range_of_number(value: float) -> Range:
+    """Return a single number as the range (low, high) with both ends equal to it."""
+    return float(value), float(value)
+
+
+def _classify_change_of_range(measure: Measure, a: Range, b: Range, margin: float) -> Change:
+    """Classify a quantity by its ranges in runs A and B: worse, better or the same in B."""
+    missing_a, missing_b = math.isnan(a[0]), math.isnan(b[0])
+    if missing_a or missing_b:
+        return "same" if missing_a and missing_b else "worse" if missing_b else "better"
+    factor = 1.0 + margin if measure.relative else 1.0
+    if b[0] > max(factor * a[1], measure.floor):
+        return "worse" if measure.less_is_better else "better"
+    if a[0] > max(factor * b[1], measure.floor):
+        return "better" if measure.less_is_better else "worse"
+    return "same"
+
+
+_STEPS = (
+    *("repeat", "k", "status", "error_move", "error_plan", "true"),
+    *("certificate", "fallback", "unconverged"),
+)
+
+
+def _find_first_step_cut_by_time_limit(steps: pd.DataFrame) -> float:
+    """Return a run's first step whose solve the solver's time limit cut short; inf for none."""
+    stopped = steps["k"][steps["status"] == Status.TIME_LIMIT.name]
+    return float(stopped.min()) if len(stopped) else np.inf
+
+
+def _compute_accuracy_ranges(
+    steps: pd.DataFrame, run: RunRecord, common: float
+) -> dict[str, Range]:
+    """Return each accuracy number's range over a run's repetitions, on steps before `common`."""
+    counting = steps[steps["k"] < common]
+    if counting.empty:
+        return {m.column: _make_range_of_number(getattr(run, m.column)) for m in ACCURACY}
+    failed, true = mask_failed_steps(counting), counting["true"].where(mask_decided_steps(counting))
+    rounds = counting.assign(failed=failed.astype(float), true=true.astype(float)).groupby("repeat")
+    by_round = {
+        "error_move_max": rounds["error_move"].max(),
+        "error_plan_max": rounds["error_plan"].max(),
+        "true_share": rounds["true"].mean(),
+        "failed_steps": rounds["failed"].sum(),
+    }
+    return {name: (float(own.min()), float(own.max())) for name, own in by_round.items()}

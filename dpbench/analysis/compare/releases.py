@@ -9,8 +9,7 @@ import numpy as np
 import pandas as pd
 from packaging.version import InvalidVersion, Version
 
-from dpbench.analysis.compare.answers import ORDER
-from dpbench.analysis.compare.pairs import make_problem_key, pick_identifying_columns
+from dpbench.analysis.compare.pairs import ORDER, make_problem_key, pick_identifying_columns
 from dpbench.analysis.compare.times import REFERENCES, make_usual_first_sort_key
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key

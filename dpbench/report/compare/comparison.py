@@ -8,13 +8,15 @@ from pathlib import Path
 
 import pandas as pd
 
-from dpbench.analysis.compare.answers import (
+from dpbench.analysis.compare.pairs import (
     ORDER,
     FigureChange,
+    Pairs,
     Range,
     compare_accuracy_and_control,
+    list_machine_differences,
+    pair_runs_of_folders,
 )
-from dpbench.analysis.compare.pairs import Pairs, list_machine_differences, pair_runs_of_folders
 from dpbench.analysis.compare.times import (
     ComparedTimes,
     SharedFactor,
