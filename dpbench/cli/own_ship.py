@@ -123,7 +123,8 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
             remarks.append(f"assumed of the thrusters: {' '.join(ship.thrusters.assumed)}")
             thrusters = ship.thrusters.thrusters
             rudders = thrusters.caution_on_rudders
-            remarks += [*thrusters.sector_descriptions, *([rudders] if rudders else [])]
+            remarks += [*thrusters.sector_descriptions, *ship.thrusters.half_turns]
+            remarks += [rudders] if rudders else []
     else:
         if sea is None:
             instead = f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or describe the ship anew"
@@ -141,7 +142,8 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
         paths = {group: folder / file for group, file in files.items()}
         remarks += describe_losses(held, number, _find_time_of_loss(vessel), paths)
     harder = _suggest_harder_sea(folder, vessel, number, held)
-    return [*drawn, *_list_files_and_commands(folder, texts, vessel, number, remarks), *harder]
+    written = _list_files_and_commands(folder, texts, vessel, number, held, remarks)
+    return [*drawn, *written, *harder]
 
 
 def _render_sea_files(
@@ -216,6 +218,8 @@ def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None
     vessel = scaling.scale_library_vessel_to_own_ship(like, own, thrust, options.name)
     if own_thrusters is not None:
         vessel = own_thrusters.make_fitted_vessel(vessel)
+        own_thrusters = own_thrusters.choose_half_turns(vessel)
+        vessel = replace(vessel, thrusters=own_thrusters.thrusters)
     if hull is not None:
         vessel = replace(vessel, M=hull.M, D=hull.D, where=hull_file)
     return OwnShip(options.name, own, vessel, like, hull, own_thrusters)
@@ -289,11 +293,16 @@ def _write_new_files(folder: Path, texts: dict[str, str], *, force: bool) -> Non
 
 
 def _list_files_and_commands(
-    folder: Path, texts: dict[str, str], vessel: Vessel, number: int, remarks: list[str]
+    folder: Path,
+    texts: dict[str, str],
+    vessel: Vessel,
+    number: int,
+    held: HeldSea | None,
+    remarks: list[str],
 ) -> list[str]:
     """List the files written for a new ship, its load from weather, and the next commands."""
     paths = [str(folder / name) for name in texts]
-    share, whole = find_mean_share(vessel, number)
+    share, whole = find_mean_share(vessel, number, held)
     lines = [f"wrote {path}" for path in paths]
     lines += [line for remark in remarks for line in textwrap.wrap(remark, WIDTH)]
     wind_mps = scaling.DP_NUMBERS[number][0]
@@ -312,7 +321,7 @@ def _suggest_harder_sea(
     harder = find_hardest_sea(vessel, held)
     if harder <= number:
         return []
-    share, whole = find_mean_share(vessel, harder)
+    share, whole = find_mean_share(vessel, harder, held)
     where = "" if folder == Path() else f" --out {folder}"
     return [
         f"harder: dpbench init {vessel.id} --sea {harder}{where}",
@@ -410,7 +419,8 @@ def render_scenario_file(
     longer = scaling.compute_froude_time_scale(vessel.length_m) ** 2
     wind_mps, hs_m, *_ = scaling.DP_NUMBERS[number]
     step_s = choose_sample_s(vessel)
-    share, _ = find_mean_share(vessel, number)
+    share, _ = find_mean_share(vessel, number, held)
+    from_deg = held.from_deg if held else scaling.FROM_DEG
     return render_document(
         "own_scenario.toml",
         comment=_wrap_as_comment,
@@ -427,11 +437,12 @@ def render_scenario_file(
         limits=choose_limits(vessel),
         wind_mps=wind_mps,
         hs_m=hs_m,
-        from_deg=scaling.FROM_DEG,
+        port=from_deg > 180.0,
+        off_bow_deg=scaling.FROM_DEG,
         step_s=step_s,
         steps=STEPS,
         start=[round(metres * longer, 2) for metres in START_M],
-        sea=scaling.make_environment_of_dp_number(number),
+        sea=scaling.make_environment_of_dp_number(number, from_deg),
         # A lever that grows with the ship.
         yaw_weight=float(f"{YAW_WEIGHT * longer**2:.3g}"),
     )

@@ -1,16 +1,17 @@
 """`dpbench init --thrusters`: the thrusters of one's own ship, and the sea that they hold."""
 
 import argparse
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dpbench.bench.capability.frontier import (
-    FROM_DEG,
     INTACT,
     Capability,
     CapabilityPlot,
+    WindLimit,
     compute_capability,
 )
 from dpbench.bench.capability.utilisation import ThrusterReach
@@ -31,7 +32,7 @@ from dpbench.scenario.own_thrusters import (
 from dpbench.scenario.scenario import load_vessel
 from dpbench.scenario.tables.scenario_file import ControllerTable
 from dpbench.scenario.tables.vessel_file import ThrusterTable
-from dpbench.ship.thrusters import ThrusterSet
+from dpbench.ship.thrusters import Thruster, ThrusterSet, format_sector
 from dpbench.ship.vessel import Vessel
 
 WHERE = "init"
@@ -42,6 +43,8 @@ MOST_LOSSES = 3
 """Failure groups whose loss is simulated, each in a scenario of its own."""
 MOST_FACETS = 150
 """Facets of an attainable set, each a row of the QP at every sample of the control horizon."""
+SIDES_DEG = (scaling.FROM_DEG, 360.0 - scaling.FROM_DEG)
+"""Starboard and port of the bow, from where the sea of a new ship may come."""
 ASKED = ("kind", "x_m", "y_m", "power_kW", "thrust_kN", "group")
 HINTS = {
     "kind": "azimuth, tunnel or main; empty: no more",
@@ -61,6 +64,8 @@ class OwnThrusters:
     rows: list[dict[str, str]]
     tables: tuple[ThrusterTable, ...]
     thrusters: ThrusterSet
+    half_turns: tuple[str, ...] = ()
+    """Sentence on each azimuth whose sector is too wide for controllers: half turns tried."""
 
     @property
     def assumed(self) -> list[str]:
@@ -99,6 +104,70 @@ class OwnThrusters:
             )
         rate = self.thrusters.largest_force_rate_by_axis()
         return replace(vessel, thrusters=self.thrusters, tau_min=low, tau_max=high, rate_max=rate)
+
+    def choose_half_turns(self, vessel: Vessel) -> "OwnThrusters":
+        """Choose the half turns that controllers plan with where azimuths have wider sectors.
+
+        Of three for each azimuth that with which the fitted vessel holds the most wind off the bow,
+        after the losses that leave least. The first round begins with whole sectors, the second
+        has what the first chose for the others.
+        """
+        every, tables = list(self.thrusters.thrusters), list(self.tables)
+        wide = [i for i, t in enumerate(every) if t.convex_sector_rad != t.sector_rad]
+        sentences = {}
+        for i in 2 * wide:
+            thruster, tried = self.thrusters.thrusters[i], {}
+            for half in _list_half_turns(thruster):
+                every[i] = replace(thruster, sector_rad=half)
+                fitted = replace(self.thrusters, thrusters=tuple(every))
+                tried[half] = find_winds_of_worse_side(replace(vessel, thrusters=fitted))[1]
+            best = max(tried, key=lambda half: _sort_winds(tried[half]))
+            every[i] = replace(thruster, sector_rad=best)
+            sentences[i] = _describe_half_turns(thruster.name, tried)
+            half_deg = [round(math.degrees(angle) % 360.0, 9) for angle in best]
+            tables[i] = tables[i].model_copy(update={"controller_sector_deg": half_deg})
+        thrusters = replace(self.thrusters, thrusters=tuple(t.build_thruster() for t in tables))
+        said = tuple(sentences.values())
+        return replace(self, tables=tuple(tables), thrusters=thrusters, half_turns=said)
+
+
+def _list_half_turns(thruster: Thruster) -> list[tuple[float, float]]:
+    """List the half turns in the middle and at both ends of an azimuth's wider sector."""
+    assert thruster.sector_rad and thruster.convex_sector_rad, "a sector wider than a half turn"
+    start, end = thruster.sector_rad
+    return [thruster.convex_sector_rad, (start, start + math.pi), (end - math.pi, end)]
+
+
+def _describe_half_turns(
+    name: str, tried: Mapping[tuple[float, float], Mapping[str, WindLimit]]
+) -> str:
+    """State the wind held off the bow with each half turn tried for controllers."""
+    each = [
+        f"{format_sector(half)} holds {format_rounded_down(held[INTACT].wind_mps)} m/s off the bow "
+        f"and {format_rounded_down(_sort_winds(held)[0])} m/s after the worst loss"
+        for half, held in tried.items()
+    ]
+    return f"{name}, half turns tried for controllers: {', '.join(each)}."
+
+
+def _sort_winds(held: Mapping[str, WindLimit]) -> list[float]:
+    """Return the winds held in all failure cases [m/s], the least first, without their rounding."""
+    return sorted(round(limit.wind_mps, 3) for limit in held.values())
+
+
+def find_winds_of_worse_side(vessel: Vessel) -> tuple[float, dict[str, WindLimit]]:
+    """Return the side of the bow [°] from which thrusters hold less wind, and that by failure case.
+
+    Starboard where both are alike.
+    """
+    plot = CapabilityPlot(vessel)
+    cases = plot.intact_and_failure_cases
+    by_side = {
+        side_deg: {case.name: plot.find_wind_limit(case, math.radians(side_deg)) for case in cases}
+        for side_deg in SIDES_DEG
+    }
+    worse_deg = min(by_side, key=lambda side_deg: _sort_winds(by_side[side_deg]))
+    return worse_deg, by_side[worse_deg]
 
 
 def read_own_thrusters(
@@ -148,11 +217,12 @@ def _ask_for_rows() -> list[dict[str, str]]:
 
 @dataclass(frozen=True)
 class HeldSea:
-    """The DP number that thrusters hold from `FROM_DEG`, after the loss of a group where they can.
+    """The DP number that thrusters hold off the bow, after the loss of a group where they can.
 
     lost : the worst group without which a sea is held; None where there is none, and the number is
         that of the whole ship. losses : DP number held without each group, by rising wind.
     intact_mps : largest wind [m/s] held without a loss. reason : why this sea, for the scenario.
+    from_deg : the side of the bow from which less is held.
     """
 
     capability: Capability
@@ -161,15 +231,20 @@ class HeldSea:
     losses: dict[str, int]
     intact_mps: float
     reason: str
+    from_deg: float
 
 
 def find_held_sea(vessel: Vessel) -> HeldSea:
-    """Find the largest sea that a ship's thrusters hold, by level 1 of DNV-ST-0111."""
+    """Find the largest sea that a ship's thrusters hold, by level 1 of DNV-ST-0111.
+
+    The plot has all directions of each azimuth, the sea those that controllers plan with.
+    """
     with ProgressBar(transient=True) as bar:
         bar.remark("computing the wind that the thrusters hold")
         capability = compute_capability(CapabilityPlot(vessel), bar)
-    at = FROM_DEG.index(scaling.FROM_DEG)
-    held = {case: limits[at] for case, limits in capability.held.items()}
+    assert vessel.thrusters is not None, "asked of ships with thrusters"
+    planned = replace(vessel, thrusters=vessel.thrusters.copy_with_convex_sectors())
+    from_deg, held = find_winds_of_worse_side(planned)
     losses = sorted((case for case in held if case != INTACT), key=lambda c: held[c].wind_mps)
     worst, intact = losses[0], held[INTACT]
     lost = next((case for case in losses if held[case].number), None)
@@ -183,7 +258,7 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
     else:
         number, reason = 1, "the smallest, as its thrusters hold none by level 1"
     numbers = {case: held[case].number for case in losses}
-    return HeldSea(capability, min(number, most), lost, numbers, intact.wind_mps, reason)
+    return HeldSea(capability, min(number, most), lost, numbers, intact.wind_mps, reason, from_deg)
 
 
 def choose_sea(vessel: Vessel, held: HeldSea | None) -> int:
@@ -214,12 +289,14 @@ def describe_losses(
     files : the scenario of each group that is lost in one.
     """
     lines = []
+    if held.from_deg != scaling.FROM_DEG:
+        lines.append(f"wind from {held.from_deg:g}°: the thrusters hold less from port.")
     wind_mps = scaling.DP_NUMBERS[number][0]
     if wind_mps > held.intact_mps:
         lines.append(
             f"CAUTION: the wind of {wind_mps:g} m/s is beyond the "
             f"{format_rounded_down(held.intact_mps)} m/s that the thrusters hold from "
-            f"{scaling.FROM_DEG:g}° by level 1."
+            f"{held.from_deg:g}° by level 1."
         )
     simulated = ", ".join(f"{group} ({path.name})" for group, path in files.items())
     lines.append(f"lost after {at_s:g} s, one in each scenario: {simulated}")
@@ -255,12 +332,12 @@ def find_hardest_sea(vessel: Vessel, held: HeldSea | None) -> int:
     return max(held_numbers, default=1)
 
 
-def find_mean_share(vessel: Vessel, number: int) -> tuple[float, str]:
+def find_mean_share(vessel: Vessel, number: int, held: HeldSea | None = None) -> tuple[float, str]:
     """Return the share that the mean force of a DP number takes, and of what: limits or thrust."""
-    if vessel.thrusters is None:
+    if held is None or vessel.thrusters is None:
         return scaling.compute_limit_share_of_dp_number(vessel, number), "the limits"
     share = ThrusterReach(vessel.thrusters).find_least_thrust_share(
-        -scaling.compute_mean_force_of_dp_number(vessel, number)
+        -scaling.compute_mean_force_of_dp_number(vessel, number, held.from_deg)
     )
     return share, "the thrust"
 

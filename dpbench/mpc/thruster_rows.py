@@ -106,9 +106,9 @@ def _build_limit_rows_of_one_thruster(
     angle = (2.0 * np.arange(sides // 2) + 1.0) * np.pi / sides
     normals = np.column_stack((np.cos(angle), np.sin(angle)))
     most = np.full(len(angle), thruster.thrust_N * np.cos(np.pi / sides))
-    if thruster.sector_rad is None:
+    if thruster.convex_sector_rad is None:
         return normals, -most, most
-    start, end = thruster.sector_rad
+    start, end = thruster.convex_sector_rad
     edges = [(-np.sin(start), np.cos(start)), (np.sin(end), -np.cos(end))]
     beside = np.full(2, thruster.thrust_N)
     low, high = np.concatenate((-most, 0.0 * beside)), np.concatenate((most, beside))

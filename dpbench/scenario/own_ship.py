@@ -220,20 +220,22 @@ def compute_froude_time_scale(length_m: float) -> float:
     return math.sqrt(length_m / LIBRARY[PAPER_SHIP].length_m)
 
 
-def make_environment_of_dp_number(number: int) -> EnvironmentTable:
+def make_environment_of_dp_number(number: int, from_deg: float = FROM_DEG) -> EnvironmentTable:
     """Return wind, waves and current of a DP capability number at full size, as settings."""
     wind_mps, hs_m, tp_s, current_mps = DP_NUMBERS[number]
     return EnvironmentTable(
         ramp_s=RAMP_S,
         seed=1,
-        wind=WindTable(speed_mps=wind_mps, from_deg=FROM_DEG),
-        current=CurrentTable(speed_mps=current_mps, towards_deg=FROM_DEG + 180.0),
-        waves=WavesTable(hs_m=hs_m, tp_s=tp_s, from_deg=FROM_DEG),
+        wind=WindTable(speed_mps=wind_mps, from_deg=from_deg),
+        current=CurrentTable(speed_mps=current_mps, towards_deg=(from_deg + 180.0) % 360.0),
+        waves=WavesTable(hs_m=hs_m, tp_s=tp_s, from_deg=from_deg),
     )
 
 
-def compute_mean_force_of_dp_number(vessel: Vessel, number: int) -> Vector:
-    """Return the mean force (3,) [N, N, N·m] of a DP number's weather from `FROM_DEG`.
+def compute_mean_force_of_dp_number(
+    vessel: Vessel, number: int, from_deg: float = FROM_DEG
+) -> Vector:
+    """Return the mean force (3,) [N, N, N·m] of a DP number's weather from a direction [°].
 
     It is that of `dpbench capability`, level 1 of DNV-ST-0111. Raises InputError where the vessel
     has no hull for it.
@@ -243,7 +245,7 @@ def compute_mean_force_of_dp_number(vessel: Vessel, number: int) -> Vector:
         raise InputError(vessel.where, "capability", "nothing", allowed)
     condition = Condition(*DP_NUMBERS[number])
     load: Vector = compute_mean_environmental_loads(
-        vessel.capability, condition, math.radians(FROM_DEG)
+        vessel.capability, condition, math.radians(from_deg)
     ).sum(axis=0)
     return load
 

@@ -30,7 +30,7 @@ SECTORS = {
 }
 """Columns of the directions in which an azimuth may push, and of those in which it may not."""
 COLUMNS = (
-    *(key for key in ThrusterTable.model_fields if key != "sector_deg"),
+    *(key for key in ThrusterTable.model_fields if not key.endswith("sector_deg")),
     *(column for columns in SECTORS.values() for column in columns),
 )
 REQUIRED = ("kind", "x_m")

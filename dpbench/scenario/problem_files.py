@@ -68,7 +68,7 @@ class FileModel(BaseModel):
         fields = type(self).model_fields
         for key in self.later_keys:
             if getattr(self, key) == fields[key].default:
-                del table[key]
+                table.pop(key, None)
         return table
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)

@@ -12,7 +12,7 @@ optimiser chooses, because azimuths are replaced by force components.
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -28,6 +28,7 @@ Trips = tuple[tuple[int, Indices], ...]
 """(sample, entries of f) of thrusters that stop at once at a sample, in order of time."""
 ETA_1 = {"open": 800.0, "nozzle": 1200.0, "tunnel": 900.0}
 """η_1 of DNV-ST-0111 (2021), section 3.8: N from kW and m."""
+_ROUNDING = 1e-8  # Angles that are the same
 MECHANICAL_EFFICIENCY = 0.93  # η_m of DNV-ST-0111 level 1
 
 
@@ -37,13 +38,22 @@ def describe_sector(start_deg: float, end_deg: float) -> str:
     >>> describe_sector(0.0, 120.0)
     'pushes 0° to 120° (its race goes 180° to 300°), barred 120° to 360°'
     """
-    race = f"its race goes {_format_directions(start_deg + 180.0, end_deg + 180.0)}"
-    barred = f"barred {_format_directions(end_deg, start_deg)}"
-    return f"pushes {_format_directions(start_deg, end_deg)} ({race}), {barred}"
+    race = f"its race goes {format_directions(start_deg + 180.0, end_deg + 180.0)}"
+    barred = f"barred {format_directions(end_deg, start_deg)}"
+    return f"pushes {format_directions(start_deg, end_deg)} ({race}), {barred}"
 
 
-def _format_directions(start_deg: float, end_deg: float) -> str:
-    """Format the directions from one to another, clockwise, an end at 0° as 360°."""
+def format_sector(sector_rad: tuple[float, float]) -> str:
+    """Format the directions of a sector in degrees."""
+    return format_directions(*np.degrees(sector_rad).tolist())
+
+
+def format_directions(start_deg: float, end_deg: float) -> str:
+    """Format the directions from one to another, clockwise, an end at 0° as 360°.
+
+    >>> format_directions(-90.0, 90.0)
+    '270° to 90°'
+    """
     start, end = round(start_deg, 2) % 360.0, round(end_deg, 2) % 360.0 or 360.0
     return f"{start:g}° to {end:g}°"
 
@@ -70,8 +80,10 @@ class Thruster:
     thrust_N : T, the largest thrust ahead; of an azimuth, in any direction it may take [N].
     rise_s : time from zero to full thrust [s].
     astern : thrust astern of a main propeller as a share of T.
-    sector_rad : (from, to), clockwise from ahead, in which an azimuth may push the ship; at most
-        half a turn wide, so that the forces it can give are a convex set. None for all round.
+    sector_rad : (from, to), clockwise from ahead, in which an azimuth may push the ship; None for
+        all round.
+    controller_sector_rad : part of it that controllers plan with, at most half a turn wide, so that
+        its forces are a convex set; None for `sector_rad`, or the middle half turn of a wider one.
     group : what fails together, as behind one switchboard.
     turning_radps : fastest turning of an azimuth [rad/s], if known.
     """
@@ -87,27 +99,39 @@ class Thruster:
     group: str = ""
     screw: Screw | None = None
     turning_radps: float | None = None
+    controller_sector_rad: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.turning_radps is not None and self.kind != "azimuth":
             found = f"a thruster of kind {self.kind}"
             raise InputError(f"thruster {self.name}", "turning_degps", found, "of an azimuth only")
-        if self.sector_rad is not None:
-            width = self.sector_rad[1] - self.sector_rad[0]
-            if self.kind != "azimuth" or not 0.0 < width <= np.pi:
-                found = f"{np.degrees(width):g} degrees of a thruster of kind {self.kind}"
-                allowed = "for an azimuth, from a to b with b − a above 0 and up to 180"
-                if self.kind == "azimuth" and width > np.pi:
-                    start, end = np.degrees(self.sector_rad).tolist()
-                    allowed += (
-                        ", as the forces in a wider one are no convex set: give the half turn that "
-                        "is needed most as sector_from_deg and sector_to_deg of a table "
-                        "(sector_deg of a vessel file), such as "
-                        f"{_format_directions(start, start + 180.0)} or "
-                        f"{_format_directions(end - 180.0, end)}; these are directions of push, "
-                        "the race goes the other way"
-                    )
-                raise InputError(f"thruster {self.name}", "sector_deg", found, allowed)
+        self._require_width("sector_deg", self.sector_rad, 359.0)
+        self._require_width("controller_sector_deg", self.controller_sector_rad, 180.0)
+        if self.sector_rad is not None and self.controller_sector_rad is not None:
+            (low, high), (start, end) = self.sector_rad, self.controller_sector_rad
+            if (start - low + _ROUNDING) % (2.0 * np.pi) + end - start > high - low + 2 * _ROUNDING:
+                found = format_sector(self.controller_sector_rad)
+                allowed = f"part of sector_deg, {format_sector(self.sector_rad)}"
+                raise InputError(f"thruster {self.name}", "controller_sector_deg", found, allowed)
+
+    def _require_width(self, key: str, sector: tuple[float, float] | None, most_deg: float) -> None:
+        """Raise InputError for a sector of no azimuth, or of a width that is not allowed."""
+        if sector is None:
+            return
+        width_deg = float(np.degrees(sector[1] - sector[0]))
+        if self.kind != "azimuth" or not 0.0 < width_deg <= most_deg + _ROUNDING:
+            found = f"{width_deg:g} degrees of a thruster of kind {self.kind}"
+            allowed = f"for an azimuth, from a to b with b − a above 0 and up to {most_deg:g}"
+            raise InputError(f"thruster {self.name}", key, found, allowed)
+
+    @property
+    def convex_sector_rad(self) -> tuple[float, float] | None:
+        """Sector of at most half a turn that controllers plan with; None for all round."""
+        if self.controller_sector_rad is not None or self.sector_rad is None:
+            return self.controller_sector_rad
+        start, end = self.sector_rad
+        spare = 0.5 * (end - start - np.pi)
+        return self.sector_rad if spare <= _ROUNDING else (start + spare, end - spare)
 
     @property
     def component_count(self) -> int:
@@ -171,9 +195,19 @@ class ThrusterSet:
         """Sentence on each azimuth with a sector: where it may push the ship, and where not."""
         return [
             f"{thruster.name} {describe_sector(*np.degrees(thruster.sector_rad).tolist())}"
+            + (
+                f"; controllers plan with {format_sector(convex)}"
+                if convex != thruster.sector_rad
+                else ""
+            )
             for thruster in self.thrusters
-            if thruster.sector_rad is not None
+            if thruster.sector_rad is not None and (convex := thruster.convex_sector_rad)
         ]
+
+    def copy_with_convex_sectors(self) -> "ThrusterSet":
+        """Return the thrusters with the sectors that controllers plan with in place of theirs."""
+        convex = (replace(t, sector_rad=t.convex_sector_rad) for t in self.thrusters)
+        return replace(self, thrusters=tuple(convex))
 
     @property
     def caution_on_rudders(self) -> str:

@@ -15,6 +15,7 @@ from dpbench.scenario.controllers.kinds import JointForceController
 from dpbench.scenario.own_ship import compute_limit_share_of_dp_number
 from dpbench.scenario.own_thrusters import LOADING_KW_PER_M2
 from dpbench.scenario.scenario import load_scenario, load_vessel
+from dpbench.ship.thrusters import format_sector
 
 pytestmark = pytest.mark.slow
 PARTICULARS = ["--length", "80", "--breadth", "18", "--draught", "6", "--displacement", "6000"]
@@ -217,6 +218,54 @@ def test_barred_directions_leave_the_sector_and_both_are_printed(
         assert found in capsys.readouterr().err
 
 
+def test_a_narrow_barred_zone_stays_and_controllers_get_a_half_turn(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Barred astern, which the mains do better: the plot is that of a whole circle.
+
+    The half turn from the zone to port of astern makes no force to starboard.
+    """
+    rows = TABLE.replace("power_kW,group", "power_kW,group,barred_from_deg,barred_to_deg")
+    assert init(rows.rstrip("\n") + ",150,210\n") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "DP capability-L1(8, 5, 0, 0)" in said
+    tried = re.search(
+        r"azimuth 5, half turns tried for controllers: (.*?) after the worst loss\.", said
+    )
+    assert tried is not None
+    text = Path(FILES[0]).read_text(encoding="utf-8")
+    assert "sector_deg = [210.0, 150.0]  # pushes" in text and tried[1][:30] in text
+    winds = {half: float(mps) for half, mps in re.findall(r"(\d+° to \d+°) holds (\S+)", tried[1])}
+    assert list(winds) == ["270° to 90°", "210° to 30°", "330° to 150°"]
+    thrusters = load_scenario(FILES[2]).vessel.thrusters
+    assert thrusters is not None
+    azimuth = thrusters.thrusters[-1]
+    assert azimuth.convex_sector_rad == azimuth.controller_sector_rad
+    best = format_sector(azimuth.controller_sector_rad)
+    assert winds[best] == max(winds.values())
+    assert f"barred 150° to 210°; controllers plan with {best}" in said
+
+
+@pytest.mark.parametrize("port", [-1, 1])
+def test_the_sea_comes_from_the_side_of_the_bow_from_which_less_is_held(
+    port: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same sea on both sides: a ship and its mirror image."""
+    rows = ["kind,x_m,y_m,power_kW,group"]
+    rows += [f"main,-38,{4 * port},2000,board A", f"main,-38,{-4 * port},2000,board B"]
+    rows += ["tunnel,33,,800,board A", "tunnel,30,,800,board B"]
+    rows += [f"azimuth,-30,{3 * port},1200,board B", f"azimuth,-30,{-3 * port},1200,board A"]
+    assert init("\n".join(rows) + "\n") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "sea: DP number 5, wind 10.7 m/s; its level-1 mean force takes 28% of the thrust" in said
+    assert ("wind from 330°: the thrusters hold less from port." in said) == (port > 0)
+    for file in FILES[1:3]:
+        sea = load_scenario(file).files["scenario"]["environment"]
+        assert sea["wind"]["from_deg"] == sea["waves"]["from_deg"] == (30.0 if port < 0 else 330.0)
+        assert sea["current"]["towards_deg"] == (210.0 if port < 0 else 150.0)
+        assert ("bow, to port;" in load_scenario(file).shows) == (port > 0)
+
+
 def test_thrusters_are_asked_for(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -258,17 +307,6 @@ def test_thrusters_are_asked_for(
             ),
             (),
             "thruster 5: barred_to_deg: found nothing",
-        ),
-        (
-            TABLE.replace("group\n", "group,barred_from_deg,barred_to_deg\n").replace(
-                "-30,0,1200,board B", "-30,0,1200,board B,150,210"
-            ),
-            (),
-            "found 300 degrees of a thruster of kind azimuth; allowed: for an azimuth, from a to b "
-            "with b − a above 0 and up to 180, as the forces in a wider one are no convex set: "
-            "give the half turn that is needed most as sector_from_deg and sector_to_deg of a "
-            "table (sector_deg of a vessel file), such as 210° to 30° or 330° to 150°; these are "
-            "directions of push, the race goes the other way",
         ),
         (TABLE, ("--thrust", "300"), "--thrusters and --thrust exclude each other"),
         (TABLE + "main,1,2,3,board A,more\n", (), "thruster 6: found 6 cells"),

@@ -74,6 +74,24 @@ def test_a_sector_keeps_the_directions_it_allows(width_deg: float) -> None:
     np.testing.assert_array_equal(inside(rows, f), within)
 
 
+def test_of_a_wide_sector_controllers_plan_with_the_middle_half_turn_or_the_chosen_one() -> None:
+    """Barred 60° astern, the middle is the half turn ahead."""
+    wide = math.radians(210.0), math.radians(510.0)
+    half = math.radians(270.0), math.radians(450.0)
+    end = math.radians(330.0), math.radians(510.0)
+    middle, ahead, chosen, last = (
+        build_limit_rows_of_thrusters(one_azimuth(**sectors), 16)
+        for sectors in (
+            {"sector_rad": wide},
+            {"sector_rad": half},
+            {"sector_rad": wide, "controller_sector_rad": end},
+            {"sector_rad": end},
+        )
+    )
+    np.testing.assert_allclose(middle.G, ahead.G, atol=1e-12)
+    np.testing.assert_array_equal(chosen.G, last.G)
+
+
 def test_a_lost_azimuth_is_held_at_zero_by_two_rows_alone() -> None:
     rows = build_limit_rows_of_thrusters(
         one_azimuth(sector_rad=(math.radians(-40.0), math.radians(100.0))), 16

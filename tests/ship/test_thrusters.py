@@ -62,7 +62,7 @@ def allowed_forces(thrusters: ThrusterSet, rng: np.random.Generator, count: int)
     return f
 
 
-@pytest.mark.parametrize("sector", [None, (0.5, 2.5), (-2.0, -1.0)], ids=str)
+@pytest.mark.parametrize("sector", [None, (0.5, 2.5), (-2.0, -1.0), (0.5, 5.5)], ids=str)
 def test_the_support_is_reached_and_never_exceeded(sector: tuple[float, float] | None) -> None:
     """Against 20 000 forces within the limits, in 40 directions."""
     thrusters = ship(azimuth(-35.0, -6.0, 3e5, sector_rad=sector), azimuth(-35.0, 6.0))
@@ -91,7 +91,12 @@ def test_limits_of_a_ship_are_those_of_each_axis_by_itself() -> None:
     [
         (lambda: ship(azimuth(0, 0), azimuth(0, 0)), "'azimuth 0 0' twice"),
         (lambda: ThrusterSet((azimuth(0, 0),)), "forces in surge, sway and yaw"),
-        (lambda: azimuth(0, 0, sector_rad=(0.0, 3.5)), "above 0 and up to 180"),
+        (lambda: azimuth(0, 0, sector_rad=(0.0, 6.28)), "above 0 and up to 359"),
+        (lambda: azimuth(0, 0, controller_sector_rad=(0.0, 3.5)), "above 0 and up to 180"),
+        (
+            lambda: azimuth(0, 0, sector_rad=(0.0, 4.0), controller_sector_rad=(1.0, 4.1)),
+            "controller_sector_deg: found 57.3° to 234.91°; allowed: part of sector_deg, 0° to 229",
+        ),
         (
             lambda: ship(azimuth(-30, 0)).find_indices_of_thrusters_or_groups(
                 ["bow"], "my.toml", "faults"

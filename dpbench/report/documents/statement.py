@@ -57,7 +57,7 @@ from dpbench.report.verdict_text import (
 )
 from dpbench.report.words import render_document
 from dpbench.scenario.own_thrusters import ASSUMED_IN_SOURCE
-from dpbench.ship.thrusters import describe_sector
+from dpbench.ship.thrusters import describe_sector, format_directions
 from dpbench.ship.vessel import Vessel
 from dpbench.solvers.settings import resolve_settings_with_fixed_options
 
@@ -347,4 +347,6 @@ def _name_thruster(thruster: Mapping[str, Any]) -> str:
     power_kW, sector_deg = thruster.get("power_kW"), thruster.get("sector_deg")
     facts = [f"{power_kW:g} kW"] if power_kW else []
     facts += [describe_sector(*sector_deg)] if sector_deg else []
+    if planned_deg := thruster.get("controller_sector_deg"):
+        facts.append(f"controllers plan with {format_directions(*planned_deg)}")
     return str(thruster["name"]) + (f" ({', '.join(facts)})" if facts else "")

@@ -1,6 +1,7 @@
 """Keys, units (kN, kN·m, degrees) and bounds of vessel files, converted to SI."""
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -65,6 +66,8 @@ class ReflectionTable(FileModel):
 class ThrusterTable(FileModel):
     """One thruster: its position, and its thrust or the data to compute it by DNV-ST-0111."""
 
+    later_keys: ClassVar[frozenset[str]] = frozenset({"controller_sector_deg"})
+
     name: str
     """Name in tables, and in the faults of a scenario."""
     kind: Literal["azimuth", "tunnel", "main"]
@@ -88,9 +91,13 @@ class ThrusterTable(FileModel):
     astern: keys.Share = 1.0
     """Thrust astern of a main propeller as a share of that ahead."""
     sector_deg: keys.Two | None = None
-    """Directions in which an azimuth may push the ship, from and to, clockwise from ahead [°]; at
-    most half a turn wide. All round by default. In its place: `barred_deg`, from and to, the
-    directions in which it may not push."""
+    """Directions in which an azimuth may push the ship, from and to, clockwise from ahead [°]. All
+    round by default. In its place: `barred_deg`, from and to, the directions in which it may not
+    push."""
+    controller_sector_deg: keys.Two | None = None
+    """Part of sector_deg that controllers plan with, at most half a turn wide, as their QPs need a
+    convex set of forces; by default sector_deg, or the middle half turn of a wider one. Capability
+    plots have all of sector_deg."""
     turning_degps: keys.Positive | None = None
     """Fastest turning of an azimuth [°/s]; needed where a controller limits it."""
     group: str = ""
@@ -131,16 +138,21 @@ class ThrusterTable(FileModel):
             assert self.power_kW and self.diameter_m and self.propeller, "the validator demands it"
             thrust_N = compute_nominal_thrust_N(self.power_kW, self.diameter_m, self.propeller)
             screw = Screw(self.diameter_m, self.propeller, self.height_m)
-        sector = None
-        if self.sector_deg is not None:
-            start, end = self.sector_deg
-            # From 330 to 30 goes by way of 0.
-            end = end if end >= start else start + (end - start) % 360.0
-            sector = math.radians(start), math.radians(end)
         place = self.name, self.kind, self.x_m, self.y_m
-        rest = self.astern, sector, self.group, screw
+        rest = self.astern, _convert_sector_to_radians(self.sector_deg), self.group, screw
         turning = None if self.turning_degps is None else math.radians(self.turning_degps)
-        return Thruster(*place, thrust_N, self.rise_s, *rest, turning)
+        planned = _convert_sector_to_radians(self.controller_sector_deg)
+        return Thruster(*place, thrust_N, self.rise_s, *rest, turning, planned)
+
+
+def _convert_sector_to_radians(sector_deg: Sequence[float] | None) -> tuple[float, float] | None:
+    """Convert the directions of a sector, from and to, to radians that rise; None for None."""
+    if sector_deg is None:
+        return None
+    start, end = sector_deg
+    # From 330 to 30 goes by way of 0.
+    end = end if end >= start else start + (end - start) % 360.0
+    return math.radians(start), math.radians(end)
 
 
 class CapabilityTable(FileModel):

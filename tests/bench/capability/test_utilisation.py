@@ -191,6 +191,19 @@ def test_a_sector_that_excludes_a_force_leaves_none_of_it() -> None:
     assert high[0] == pytest.approx(2e5, rel=3e-3)
 
 
+def test_a_zone_narrower_than_a_half_turn_leaves_no_convex_set() -> None:
+    """By hand: barred 30° to both sides of astern, its sway is what two tunnels can meet.
+
+    The convex hull of what the azimuth can give would be 87 kN astern.
+    """
+    tunnels = [Thruster(f"at {x}", "tunnel", x, 0.0, 1e4, 8.0) for x in (30.0, -30.0)]
+    zone = math.radians(210.0), math.radians(510.0)
+    azimuth = Thruster("azimuth", "azimuth", 0.0, 0.0, 1e5, 10.0, sector_rad=zone)
+    low, high = ThrusterReach(ThrusterSet((*tunnels, azimuth))).find_least_and_largest_pure_forces()
+    assert low[0] == pytest.approx(-2e4 / math.tan(math.radians(30.0)), rel=1e-6)
+    assert high[0] == pytest.approx(1e5, rel=1e-6)
+
+
 def ship_of_azimuths(count: int, sides: int | None = None) -> CapabilityPlot:
     """Azimuths in pairs along a ship, each in the race of its neighbours."""
     screw = Screw(3.1, "open", 1.5)

@@ -112,6 +112,8 @@ def test_a_sector_is_listed_with_its_thruster() -> None:
     said = describe_thrusters([azimuth, {"name": "bow", "group": "A", "sector_deg": None}])
     sector = "pushes 330° to 60° (its race goes 150° to 240°), barred 60° to 330°"
     assert said == f"A: azimuth (1200 kW, {sector}), bow"
+    planned = azimuth | {"sector_deg": [240.0, 60.0], "controller_sector_deg": [240.0, 60.0]}
+    assert describe_thrusters([planned]).endswith(", controllers plan with 240° to 60°)")
 
 
 def test_it_names_the_commit_where_the_record_has_one(written: Any) -> None:
