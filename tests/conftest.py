@@ -166,6 +166,7 @@ class MadeRecords:
             "settings": "default",
             "options": "",
             "formulation": "condensed_box",
+            "n": 30,
             "form": "dense",
             "units": "scaled",
             "outcome": "finished",

@@ -112,9 +112,9 @@ class Results(result_folder.Results):
     def paired_ratios(self) -> pd.DataFrame:
         """Return solvers' step time ratios to the fastest, measured on the same steps, as a table.
 
-        `low` and `high` bound the mean ratio. `finding` is "slower" (the second), "tied" where they
-        include 1, "unstable" where another measure names another solver as faster, or "too few
-        steps" for an interval, which is then 0 to inf.
+        One row for each number of `variables`. `low` and `high` bound the mean ratio. `finding` is
+        "slower" (the second), "tied" where they include 1, "unstable" where another measure names
+        another solver as faster, or "too few steps" for an interval, which is then 0 to inf.
         """
         return self.tables["paired_ratios"]
 

@@ -249,10 +249,20 @@ def format_usual_time(verdict: Verdict) -> str:
     )
 
 
-def describe_paired_times(compared: PairedComparison) -> str:
-    """State the ratio of two configurations' step times, with its interval or why it has none."""
-    if compared.steps == 0:
+def describe_paired_times(by_size: Sequence[PairedComparison]) -> str:
+    """State the ratio of two configurations' step times at the smallest and the largest QP."""
+    if not by_size:
         return "no step was replayed by both"
+    if len(by_size) == 1:
+        return _describe_time_ratio(by_size[0])
+    return "; ".join(
+        f"at {one.variables:.0f} variables {_describe_time_ratio(one)}"
+        for one in (by_size[0], by_size[-1])
+    )
+
+
+def _describe_time_ratio(compared: PairedComparison) -> str:
+    """State the ratio of two configurations' step times, with its interval or why it has none."""
     typically = "typically " if compared.is_unstable else ""
     wording = f"{typically}{significant(compared.ratio.value)} times as long over the same steps"
     if not math.isfinite(compared.ratio.high):

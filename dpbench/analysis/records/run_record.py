@@ -63,6 +63,7 @@ class RunRecord:
     formulation: Formulation
     N_p: Count
     N_c: Count
+    n: Count
     units: Units
     slowdown: float
     deadline_s: float

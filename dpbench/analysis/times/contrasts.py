@@ -36,13 +36,14 @@ from dpbench.scenario.tables.key_types import Horizons
 
 @dataclass(frozen=True)
 class PairedComparison:
-    """Step time ratio second/first of two configurations on the same steps.
+    """Step time ratio second/first of two configurations on the same steps of equal QP size.
 
     `leaders` names the faster one by each yardstick; where they differ the order is unstable.
     """
 
     first: str
     second: str
+    variables: float
     ratio: Interval
     steps: int
     leaders: dict[str, str]
@@ -71,7 +72,8 @@ class PairedComparison:
         """Table row: names of both configurations, time ratio with interval, and the finding."""
         ratio = {"ratio": self.ratio.value, "low": self.ratio.low, "high": self.ratio.high}
         names = {"first": self.first, "second": self.second}
-        return names | ratio | {"steps": self.steps, "finding": self.finding_text}
+        size = {"variables": self.variables}
+        return names | size | ratio | {"steps": self.steps, "finding": self.finding_text}
 
 
 def match_times_by_step(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
@@ -83,43 +85,55 @@ def match_times_by_step(first: StepTimes, second: StepTimes) -> tuple[Floats, Fl
 
 
 def compute_log_ratio_half_width(
-    first: Mapping[int, StepTimes], second: Mapping[int, StepTimes]
+    first: Mapping[int, StepTimes], second: Mapping[int, StepTimes], sizes: Mapping[int, float]
 ) -> float:
-    """Return the half-width of two configurations' log time ratio over replays; NaN if unknown.
+    """Return the half-width of two configurations' log time ratio on their largest common QPs.
 
-    first, second : step times by the index of the replay.
+    NaN if unknown. first, second : step times by the index of the replay; sizes : its variables.
     """
-    common = (match_times_by_step(first[p], second[p]) for p in first if p in second)
-    ratio = estimate_pooled_ratio([np.log(b_ns / a_ns) for a_ns, b_ns in common if len(a_ns)])
+    logs: dict[float, list[Floats]] = {}
+    for p in first.keys() & second.keys():
+        first_ns, second_ns = match_times_by_step(first[p], second[p])
+        if len(first_ns):
+            logs.setdefault(sizes[p], []).append(np.log(second_ns / first_ns))
+    ratio = estimate_pooled_ratio(logs[max(logs)]) if logs else UNKNOWN
     known = ratio.low > 0.0 and ratio.high < math.inf
     return 0.5 * math.log(ratio.high / ratio.low) if known else math.nan
 
 
-def compare_paired_times(records: Records, first: Verdict, second: Verdict) -> PairedComparison:
+def compare_paired_times(
+    records: Records, first: Verdict, second: Verdict
+) -> list[PairedComparison]:
     """Compare two configurations' step times on the QP sequences that both replayed.
 
-    Each sequence has equal weight; `first` has the smaller p99, or the smaller largest step where
-    there is none.
+    One comparison for each number of variables, the fewest first: the ratio depends on the size.
+    Sequences of one size have equal weight; `first` has the smaller p99, or the smaller largest
+    step where there is none.
     """
     names = first.configuration.label, second.configuration.label
-    logs: list[Floats] = []
-    leaders: dict[str, str] = {}
+    logs: dict[float, list[Floats]] = {}
+    leaders: dict[float, dict[str, str]] = {}
     for sequence in records.sequences:
-        times = [
-            _get_step_times_of_verdict(records, sequence, verdict) for verdict in (first, second)
-        ]
-        if times[0] is None or times[1] is None:
+        runs = [_find_replay_of_verdict(records, sequence, verdict) for verdict in (first, second)]
+        times = [None if run is None else records.get_step_times(run) for run in runs]
+        if runs[0] is None or times[0] is None or times[1] is None:
             continue
         first_ns, second_ns = match_times_by_step(times[0], times[1])
-        if not len(first_ns):
-            continue
-        logs.append(np.log(second_ns / first_ns))
-        leaders[f"median on `{sequence}`"] = names[int(np.median(first_ns) > np.median(second_ns))]
-    if not logs:
-        return PairedComparison(*names, UNKNOWN, 0, {})
-    leaders["p99" if math.isfinite(first.p99_ns) else "largest step"] = names[0]
-    steps = sum(map(len, select_long_series(logs)))
-    return PairedComparison(*names, estimate_pooled_ratio(logs), steps, leaders)
+        if len(first_ns):
+            size, leader = runs[0].n, names[int(np.median(first_ns) > np.median(second_ns))]
+            logs.setdefault(size, []).append(np.log(second_ns / first_ns))
+            leaders.setdefault(size, {})[f"median on `{sequence}`"] = leader
+    tail = {"p99" if math.isfinite(first.p99_ns) else "largest step": names[0]}
+    return [
+        PairedComparison(
+            *names,
+            size,
+            estimate_pooled_ratio(logs[size]),
+            sum(map(len, select_long_series(logs[size]))),
+            leaders[size] | tail,
+        )
+        for size in sorted(logs)
+    ]
 
 
 def find_faster_inconclusive(
@@ -130,20 +144,21 @@ def find_faster_inconclusive(
     Those without anything against the requirements.
     """
     unsettled = [v for v in verdicts.all_verdicts if v.state == "inconclusive" and v.timed_on]
-    ratios = [compare_paired_times(records, chosen, verdict).ratio for verdict in unsettled]
-    faster = [pair for pair in zip(ratios, unsettled, strict=True) if pair[0].high < 1.0]
-    ordered = (verdict for _, verdict in sorted(faster, key=lambda pair: pair[0].value))
+    compared = [(compare_paired_times(records, chosen, verdict), verdict) for verdict in unsettled]
+    faster = [
+        (max(one.ratio.value for one in sizes), verdict)
+        for sizes, verdict in compared
+        if sizes and all(one.ratio.high < 1.0 for one in sizes)
+    ]
+    ordered = (verdict for _, verdict in sorted(faster, key=lambda pair: pair[0]))
     return list(map_first_by_key(ordered, lambda verdict: verdict.configuration.solver).values())
 
 
-def _get_step_times_of_verdict(
-    records: Records, sequence: str, verdict: Verdict
-) -> StepTimes | None:
-    """Return a judged configuration's step times on a QP sequence; None without a replay."""
-    for run in records.select_replays(sequence):
-        if run.configuration.moved_to_common_formulation == verdict.configuration:
-            return records.get_step_times(run)
-    return None
+def _find_replay_of_verdict(records: Records, sequence: str, verdict: Verdict) -> RunRecord | None:
+    """Return a judged configuration's replay of a QP sequence; None without one."""
+    wanted, replays = verdict.configuration, records.select_replays(sequence)
+    alike = (run for run in replays if run.configuration.moved_to_common_formulation == wanted)
+    return next(alike, None)
 
 
 RoutePolicy = tuple[str, str]

@@ -237,29 +237,35 @@ def tabulate_hard_steps(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd
 
 
 def tabulate_time_ratios(matrix: RunMatrix) -> pd.DataFrame:
-    """Tabulate each solver's step time over that of the fastest, best configurations of both."""
+    """Tabulate each solver's step time over that of the fastest, best configurations of both.
+
+    One row for each two solvers and size of their QPs.
+    """
     timed = sort_fastest_first(
         [v for v in list_best_verdict_of_each_solver(matrix.verdicts) if v.timed_on]
     )
-    pairs = [compare_paired_times(matrix.records, timed[0], verdict) for verdict in timed[1:]]
-    return pd.DataFrame([pair.table_row for pair in pairs])
+    pairs = (compare_paired_times(matrix.records, timed[0], verdict) for verdict in timed[1:])
+    return pd.DataFrame([one.table_row for sizes in pairs for one in sizes])
 
 
-def compute_half_widths_of_pairs(matrix: RunMatrix) -> tuple[list[int], list[float]]:
+def compute_half_widths_of_pairs(
+    matrix: RunMatrix,
+) -> tuple[list[int], list[float], dict[int, float]]:
     """Return indices of timed configurations, and of each two the log time ratio's half-width.
 
-    In the order (0, 1), (0, 2), ... (1, 2), ...
+    In the order (0, 1), (0, 2), ... (1, 2), ...; last the variables of the QPs of each replay.
     """
     timed: dict[int, dict[int, StepTimes]] = {}
+    sizes: dict[int, float] = {}
     for (c, p), run in matrix.runs.items():
         times = (
             matrix.records.get_step_times(run) if matrix.experiments[p].mode == "replay" else None
         )
         if times is not None:
             timed.setdefault(c, {})[p] = times
-    return list(timed), [
-        compute_log_ratio_half_width(*two) for two in combinations(timed.values(), 2)
-    ]
+            sizes[p] = run.n
+    pairs = combinations(timed.values(), 2)
+    return list(timed), [compute_log_ratio_half_width(*two, sizes) for two in pairs], sizes
 
 
 @dataclass(frozen=True)

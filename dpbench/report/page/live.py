@@ -105,8 +105,9 @@ def _find_replayed_configurations(data: PageData) -> set[int]:
 
 def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
     """Pack, for each two configurations, the half-width of their log time ratio's interval."""
-    timed, widths = compute_half_widths_of_pairs(data)
-    return {"paired": {"c": timed, "reach": data.block.add_as_uint16_logs(widths)}}
+    timed, widths, sizes = compute_half_widths_of_pairs(data)
+    reach = data.block.add_as_uint16_logs(widths)
+    return {"paired": {"c": timed, "reach": reach, "variables": sizes}}
 
 
 def _draw_accuracy(data: PageData) -> Charts:

@@ -10,6 +10,7 @@ from dpbench.analysis.times.solver_tables import (
     build_level_points,
     tabulate_best_times,
     tabulate_experiment_verdicts,
+    tabulate_time_ratios,
     tabulate_verdicts,
 )
 from dpbench.analysis.verdict.requirements import Requirements
@@ -17,6 +18,7 @@ from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import load_path_and_suite
+from dpbench.report.verdict_text import describe_paired_times
 from dpbench.solvers.calibration import COPY_ONLY
 from dpbench.solvers.settings import has_distinct_tolerance_presets, list_preset_names
 from dpbench.solvers.table import find_solver_record
@@ -118,10 +120,27 @@ EXACT = {"spread": 0.0, "rounds": 1}
 """Every algorithmic time is the median itself."""
 
 
-def _compared(records: Any) -> PairedComparison:
+def _compared(records: Any) -> list[PairedComparison]:
     view = records.view()
     first, second = judge_solvers(view, Requirements()).verdicts_on_references
     return compare_paired_times(view, first, second)
+
+
+def test_qps_of_different_sizes_are_not_pooled(records: Any) -> None:
+    """Twice as long at 15 variables and half as long at 120 is not a tie."""
+    for sequence, n, medians in (("calm", 120, (80.0, 40.0)), ("paper", 15, (12.0, 24.0))):
+        for solver, median_us in zip(("base", "other"), medians, strict=True):
+            records.replay(solver, sequence, n=n, median_us=median_us, **EXACT)
+    small, large = _compared(records)
+    assert (small.variables, small.ratio.value) == (15, pytest.approx(2.0))
+    assert (large.variables, large.ratio.value) == (120, pytest.approx(0.5))
+    said = describe_paired_times([small, large])
+    assert said.startswith("at 15 variables 2.00 times as long over the same steps")
+    assert "; at 120 variables typically 0.500 times as long" in said
+    records.loop("base")
+    records.loop("other")
+    table = tabulate_time_ratios(_matrix(records))
+    assert table[["variables", "steps"]].to_numpy().tolist() == [[15, 1000], [120, 1000]]
 
 
 def test_sequences_weigh_the_same_in_a_ratio(records: Any) -> None:
@@ -131,7 +150,7 @@ def test_sequences_weigh_the_same_in_a_ratio(records: Any) -> None:
             (("paper", 1000), ("calm", 500), ("rough", 100)), factors, strict=True
         ):
             records.replay(solver, sequence, steps=steps, median_us=10.0 * factor, **EXACT)
-    found = _compared(records)
+    (found,) = _compared(records)
     assert (found.ratio.value, found.steps) == (pytest.approx(4.0), 1500)
     assert (found.ratio.low, found.ratio.high, found.is_unstable) == (0.0, math.inf, False)
 
@@ -140,7 +159,7 @@ def test_a_ratio_that_turns_with_the_sequence_names_both_leaders(records: Any) -
     for solver, medians in (("base", (20.0, 20.0)), ("other", (10.0, 80.0))):
         for sequence, median_us in zip(("paper", "calm"), medians, strict=True):
             records.replay(solver, sequence, steps=400, median_us=median_us, **EXACT)
-    found = _compared(records)
+    (found,) = _compared(records)
     assert found.leaders["median on `paper`"] == "other (qpsolvers fresh)"
     assert found.leaders["median on `calm`"] == "base (qpsolvers fresh)"
     assert found.is_unstable
@@ -151,14 +170,14 @@ def test_only_common_steps_are_compared(records: Any) -> None:
         "base", steps=300, median_us=10.0, slow=dict.fromkeys(range(250, 300), 50.0), **EXACT
     )
     records.replay("other", steps=300, done=250, median_us=20.0, **EXACT)
-    found = _compared(records)
+    (found,) = _compared(records)
     assert (found.steps, found.ratio.value) == (250, pytest.approx(2.0))
 
 
 def test_without_a_common_step_nothing_is_compared(records: Any) -> None:
     records.replay("base", "paper", steps=40)
     records.replay("other", "calm", steps=40)
-    assert _compared(records).steps == 0
+    assert _compared(records) == []
 
 
 BOTH = ("paper", "rough[900:1400]")

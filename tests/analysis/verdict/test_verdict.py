@@ -270,7 +270,8 @@ def _duel(records: Any, median_us: float) -> Any:
         records.replay(solver, median_us=median, spread=0.1)
     view = records.view()
     ranked = sort_fastest_first(judge_solvers(view, REQUIREMENTS).verdicts_on_references)
-    return compare_paired_times(view, ranked[0], ranked[1])
+    (found,) = compare_paired_times(view, ranked[0], ranked[1])
+    return found
 
 
 def test_a_clear_lead_is_called_so(records: Any) -> None:
@@ -282,13 +283,13 @@ def test_a_clear_lead_is_called_so(records: Any) -> None:
     assert found.ratio.value == pytest.approx(2.0, rel=0.02)
     assert not found.is_tied and found.finding_text == "slower"
     said = r"[\d.]+ times as long over the same steps \(geometric mean, [\d.]+ to [\d.]+\)"
-    assert re.fullmatch(said, describe_paired_times(found))
+    assert re.fullmatch(said, describe_paired_times([found]))
 
 
 def test_a_tie_is_called_a_tie(records: Any) -> None:
     found = _duel(records, 20.0)
     assert found.is_tied and found.finding_text == "tied"
-    assert "no significant difference" in describe_paired_times(found)
+    assert "no significant difference" in describe_paired_times([found])
 
 
 @pytest.mark.parametrize("median_us", [20.2, 45_200.0])
@@ -298,11 +299,11 @@ def test_few_steps_state_the_ratio_and_no_more(records: Any, median_us: float) -
         records.loop(solver, steps=40)
         records.replay(solver, steps=40, median_us=median, spread=0.0)
     view = records.view()
-    found = compare_paired_times(
+    (found,) = compare_paired_times(
         view, *sort_fastest_first(judge_solvers(view, REQUIREMENTS).verdicts_on_references)
     )
     assert found.finding_text == "too few steps"
-    said = describe_paired_times(found)
+    said = describe_paired_times([found])
     assert said.startswith("1.01 times" if median_us < 21.0 else "2260 times")
     assert said.endswith("(geometric mean of 40 steps; fewer than 500 steps, so no interval)")
 
@@ -316,10 +317,10 @@ def test_an_order_that_turns_with_the_yardstick_is_called_unstable(records: Any)
     view = records.view()
     ranked = sort_fastest_first(judge_solvers(view, REQUIREMENTS).verdicts_on_references)
     assert [v.configuration.solver for v in ranked] == ["steady", "nervous"]
-    found = compare_paired_times(view, *ranked)
+    (found,) = compare_paired_times(view, *ranked)
     said = "with the larger p99: which is faster depends on the measure"
-    assert describe_paired_times(found).startswith("typically 0.5")
-    assert found.finding_text == "unstable" and said in describe_paired_times(found)
+    assert describe_paired_times([found]).startswith("typically 0.5")
+    assert found.finding_text == "unstable" and said in describe_paired_times([found])
 
 
 def test_terminal_lines_carry_no_markup(records: Any) -> None:

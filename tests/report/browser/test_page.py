@@ -450,7 +450,8 @@ def test_any_two_have_the_interval_of_their_ratio(opened: Any, written: Any) -> 
     timed = [v for v in facts.verdicts.all_verdicts if v.timed_on]
     page = opened()
     for first, second in ((timed[0], timed[-1]), (timed[-2], timed[1])):
-        ratio = compare_paired_times(facts.records, first, second).ratio
+        (*_, compared) = compare_paired_times(facts.records, first, second)
+        ratio = compared.ratio
         a, b = (facts.find_index(v.configuration) for v in (first, second))
         reach = page.evaluate(f"reachOf({a}, {b})")
         assert reach == page.evaluate(f"reachOf({b}, {a})")

@@ -11,16 +11,25 @@ function together(first, second) {
     x.forEach((ns, j) => {
       const i = a.first + j - b.first, other = y[i];
       if (ns > 0 && other > 0 && !((f[j] | g[i]) & HARD_ONLY)) rows.push({
-        k: a.first + j, a_us: ns / 1e3, b_us: other / 1e3, sequence: experiment.label });
+        k: a.first + j, a_us: ns / 1e3, b_us: other / 1e3, sequence: experiment.label,
+        variables: facts.paired.variables[p] });
     });
   });
   return rows;
 }
 
-// How many times as long the second takes: the geometric mean, each sequence of equal weight.
+// The steps of the largest QPs: the ratio depends on the size, and is not pooled over sizes.
+function ofLargest(rows) {
+  const most = rows.reduce((size, row) => Math.max(size, row.variables), 0);
+  return rows.filter((row) => row.variables === most);
+}
+
+// How many times as long the second takes on the largest QPs: the geometric mean, each sequence of
+// equal weight.
 function ratioOf(rows) {
-  const means = unique(rows.map((row) => row.sequence)).map((name) => {
-    const own = rows.filter((row) => row.sequence === name);
+  const largest = ofLargest(rows);
+  const means = unique(largest.map((row) => row.sequence)).map((name) => {
+    const own = largest.filter((row) => row.sequence === name);
     return own.reduce((sum, row) => sum + Math.log(row.b_us / row.a_us), 0) / own.length;
   });
   return Math.exp(means.reduce((sum, x) => sum + x, 0) / means.length);
@@ -38,11 +47,13 @@ function reachOf(first, second) {
 // What tells a configuration from another: its solver, if that will do.
 const unlike = (c, other) => (C().solver[c] === C().solver[other] ? label(c) : C().solver[c]);
 
-// Which steps they are.
+// Which steps they are; of QPs of several sizes also how large these are.
 function commonSteps(rows) {
-  const counts = unique(rows.map((row) => row.sequence))
-    .map((name) => `${rows.filter((row) => row.sequence === name).length} steps of ${name}`);
-  return `${counts.join(" and ")}${counts.length > 1 ? ", of equal weight" : ""}`;
+  const largest = ofLargest(rows);
+  const counts = unique(largest.map((row) => row.sequence))
+    .map((name) => `${largest.filter((row) => row.sequence === name).length} steps of ${name}`);
+  const size = largest.length < rows.length ? `, the largest QPs (${largest[0].variables} variables)` : "";
+  return `${counts.join(" and ")}${counts.length > 1 ? ", of equal weight" : ""}${size}`;
 }
 
 async function drawTwo() {
