@@ -203,7 +203,7 @@ def run_closed_loop(
 
     Parameters
     ----------
-    scenario : an object, a name or a TOML file.
+    scenario : an object, a name or a TOML file; `Scenario.with_horizons` sets other horizons.
     workspace : an object of `open_workspace`, or the name of a solver.
     steps : only the first so many; by default the whole scenario.
     backup : name of a second solver, asked before the fallback acts; "" for none.

@@ -205,6 +205,27 @@ class Scenario:
         estimator.start_from_state(self.first_state)
         return estimator
 
+    def with_horizons(self, prediction_horizon: int, control_horizon: int) -> "Scenario":
+        """Return the scenario with other horizons N_p and N_c, also in its name.
+
+        Raises InputError for impossible ones.
+
+        Examples
+        --------
+        >>> load_scenario("paper").with_horizons(30, 8)
+        <Scenario paper-30-8: supply_fs99, tuning paper 30/8, 1000 steps of 0.3 s>
+        """
+        N_p, N_c = prediction_horizon, control_horizon
+        controller = self.files["scenario"]["controller"]
+        changed = controller | {"prediction_horizon": N_p, "control_horizon": N_c}
+        files: ScenarioDocuments = {
+            **self.files,
+            "name": f"{self.name}-{N_p}-{N_c}",
+            "scenario": self.files["scenario"] | {"controller": changed},
+        }
+        where = f"{self.name} with horizons {N_p}/{N_c}"
+        return replace(build_scenario_from_documents(files, where=where), steps=self.steps)
+
     def truncate(self, steps: int) -> "Scenario":
         """Return the scenario cut to its first `steps` samples."""
         require_integer_at_least(f"scenario {self.name}: steps", steps, 1)

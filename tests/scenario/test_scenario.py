@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dpbench.errors import InputError
 from dpbench.scenario.own_ship import scale_inertia_and_damping
 from dpbench.scenario.problem_files import list_shipped_problem_names
 from dpbench.scenario.scenario import (
@@ -199,3 +200,12 @@ def test_a_scenario_can_be_cut_to_its_first_steps() -> None:
     scenario = load_scenario("paper")
     assert scenario.truncate(120).steps == 120
     assert scenario.truncate(5000).steps == 1000
+
+
+def test_other_horizons_are_those_of_the_problem_and_the_length_stays() -> None:
+    scenario = load_scenario("paper").truncate(40)
+    longer = scenario.with_horizons(60, 8)
+    assert (longer.problem.N_p, longer.problem.N_c, longer.steps) == (60, 8, 40)
+    assert (scenario.problem.N_p, scenario.problem.N_c) == (30, 5)
+    with pytest.raises(InputError, match=r"paper with horizons 5/8.*control_horizon"):
+        scenario.with_horizons(5, 8)

@@ -34,7 +34,6 @@ from dpbench.bench.record.cell import (
     StudyRealisation,
 )
 from dpbench.bench.sequences.loop_sequences import select_thruster_rows
-from dpbench.bench.sequences.recording import with_horizons
 from dpbench.errors import InputError, format_allowed_names
 from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.scenario import Scenario, load_scenario
@@ -116,7 +115,7 @@ def _load_horizon_variants(
     asked = {
         (table.scenario, pair) for table in suite.replay for pair in table.horizon_pairs if pair
     }
-    return {(name, pair): with_horizons(loaded[name], *pair) for name, pair in sorted(asked)}
+    return {(name, pair): loaded[name].with_horizons(*pair) for name, pair in sorted(asked)}
 
 
 def _unify_own_settings(cells: Sequence[PlannedCell]) -> list[PlannedCell]:

@@ -1,6 +1,5 @@
 """Recording of sequences, along an exactly solved loop or from files."""
 
-import copy
 import hashlib
 import os
 from collections import Counter
@@ -26,7 +25,7 @@ from dpbench.qp.random_mpc import (
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.scenario.problem_files import resolve_sequence_path
-from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
+from dpbench.scenario.scenario import Scenario
 
 WHAT = "a sequence by `dpbench export` (.npz), or a problem (.npz) or folder of them by qpsolvers"
 
@@ -48,7 +47,7 @@ def record_scenario(
         neither a certified optimum nor proof that there is none.
     """
     if horizons is not None:
-        scenario = with_horizons(scenario, *horizons)
+        scenario = scenario.with_horizons(*horizons)
     if steps is not None:
         if not 1 <= steps <= scenario.steps:
             raise InputError("`steps`", "", steps, f"1 to {scenario.steps} of {scenario.name}")
@@ -63,15 +62,6 @@ def record_scenario(
     if part == "allocation" and builder.allocation is not None:
         units = builder.allocation.scale
     return Recorded(sequence, certify_all_steps(sequence), units, {**scenario.files})
-
-
-def with_horizons(scenario: Scenario, N_p: int, N_c: int) -> Scenario:
-    """Return a scenario with other prediction and control horizons, also in its name."""
-    files = copy.deepcopy(scenario.files)
-    controller = files["scenario"]["controller"]
-    controller["prediction_horizon"], controller["control_horizon"] = N_p, N_c
-    files["name"] = f"{scenario.name}-{N_p}-{N_c}"
-    return build_scenario_from_documents(files, where=f"{scenario.name} with horizons {N_p}/{N_c}")
 
 
 def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequence:

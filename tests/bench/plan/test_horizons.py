@@ -11,7 +11,6 @@ from dpbench import run_campaign as run
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile, load_path_and_suite
 from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_loop_exactly
-from dpbench.bench.sequences.recording import with_horizons
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.qp.referee.referee import certify
@@ -105,7 +104,7 @@ def test_stacked_form_is_counted_as_the_solver_gets_it() -> None:
     ("name", "pair"), [("paper", (30, 5)), ("paper", (80, 20)), ("turn", (20, 4))]
 )
 def test_loops_keep_their_optima(tmp_path: Path, name: str, pair: tuple[int, int]) -> None:
-    scenario = with_horizons(load_scenario(name), *pair).truncate(6)
+    scenario = load_scenario(name).with_horizons(*pair).truncate(6)
     exact = solve_loop_exactly(scenario)
     exact.save(tmp_path / "exact.npz")
     kept = ExactLoop.load(tmp_path / "exact.npz").optima

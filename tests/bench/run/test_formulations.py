@@ -21,7 +21,6 @@ from dpbench.bench.plan.cells import NO_MODEL, SEMIDEFINITE_REFUSAL
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.bench.run.formulation import QPBuilder, formulate_sequence
-from dpbench.bench.sequences.recording import with_horizons
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
@@ -104,7 +103,7 @@ def test_the_twin_in_newtons_is_the_scaled_one_in_other_units() -> None:
 
 
 def test_the_steps_of_a_sparse_replay_are_those_of_its_closed_loop() -> None:
-    scenario = with_horizons(early_loss(), 6, 3).truncate(24)
+    scenario = early_loss().with_horizons(6, 3).truncate(24)
     assert scenario.controller.changes[0][0] == 20
     exact, sequence = solve_loop_exactly(scenario), record_sequence(scenario)
     assert sequence.sparse_equivalent is not None
@@ -259,7 +258,7 @@ STEPS = {"hpipm": 5}
     [("paper", (30, 5), 40), ("paper_tight", (30, 5), 40), ("rough", (60, 10), 15)],
 )
 def test_exact_solvers(solver: str, scenario: str, horizons: tuple[int, int], steps: int) -> None:
-    case = with_horizons(load_scenario(scenario), *horizons).truncate(STEPS.get(solver, steps))
+    case = load_scenario(scenario).with_horizons(*horizons).truncate(STEPS.get(solver, steps))
     condensed = record_sequence(case)
     sequence, form = formulate_sequence("sparse", condensed)
     workspace = open_workspace(solver, route="native", policy="reuse", settings=SETTINGS[solver])
