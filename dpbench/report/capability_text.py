@@ -1,7 +1,7 @@
 """Text of what thrusters hold: capability numbers, and losses in a consequence analysis."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import pandas as pd
 
@@ -9,6 +9,8 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import (
     HELD,
     LOST,
+    Answers,
+    BatchAnswers,
     CapabilityResult,
     ConsequenceAnalysis,
     build_capability_results,
@@ -85,17 +87,12 @@ def describe_consequence_solver(records: Records, solver: str) -> str:
     """Name a solver for the consequence analysis beside that of the MPC; "" where it is the same.
 
     The configuration that answers all QPs rightly and takes the least share of a sample counts, if
-    its solver also answers those at the edge of every capability plot. None is named where the
-    QPs are all feasible or all infeasible: one answer to everything would then be right.
+    its solver also answers those at the edge of every capability plot. None is named where all of
+    these QPs are feasible or all infeasible: one answer to everything would then be right.
     """
     own = select_configurations_in_all_analyses(build_consequence_analyses(records))
     if not own:
         return ""
-    reached = [(sum(a.feasible for a in of), sum(a.infeasible for a in of)) for of in own.values()]
-    for kind, count in (("infeasible", 0), ("feasible", 1)):
-        if not any(counts[count] for counts in reached):
-            only = f"none named, as all its QPs are {kind}"
-            return f"MPC: {solver}; consequence analysis: {only}."
     at_edge = [plot.answers for plot in build_capability_results(records, None) if plot.answers]
     right_at_edge = [{a.solver for a in of if a.has_only_right_answers} for of in at_edge]
     right = {
@@ -104,14 +101,29 @@ def describe_consequence_solver(records: Records, solver: str) -> str:
         if all(a.has_only_right_answers for a in of_it)
         and all(of_it[0].solver in solvers for solvers in right_at_edge)
     }
-    if any(of_it[0].solver == solver for of_it in right.values()):
+    asked, edges = ([a for of in each for a in of] for each in (own.values(), at_edge))
+    kinds = _list_kinds(asked)
+    one_kind = kinds[0] if len(kinds) == 1 else ""
+    same = [name for name in right if right[name][0].solver == solver]
+    if same and not one_kind:
         return ""
     deployable = [name for name in right if not explain_deployment_blocker(right[name][0].solver)]
-    shares = {name: find_largest_solve_time_share(right[name]) for name in deployable}
+    shares = {name: find_largest_solve_time_share(right[name]) for name in same or deployable}
     best = min(shares, key=lambda name: (math.isnan(shares[name]), shares[name]), default="")
     edge = " and those at the edge of the capability plot" if at_edge else ""
     other = best or f"no solver that was run answers all its QPs{edge} rightly"
+    if one_kind and _list_kinds([*asked, *edges]) == kinds:
+        fit = join_with_and([*dict.fromkeys(right[name][0].solver for name in right)])
+        who = f"; right on all of them: {fit}" if fit and one_kind == "feasible" else ""
+        other = f"none named, as all its QPs are {one_kind}{who}"
+    elif one_kind and best:
+        other += f" (all its QPs are {one_kind}, of those at the edge not all)"
     return f"MPC: {solver}; consequence analysis: {other}."
+
+
+def _list_kinds(answers: Sequence[Answers | BatchAnswers]) -> list[str]:
+    """List the kinds of QPs that solvers reached: feasible, infeasible or both."""
+    return [kind for kind in ("feasible", "infeasible") if any(getattr(a, kind) for a in answers)]
 
 
 def describe_required_force(analysis: ConsequenceAnalysis) -> str:

@@ -1,6 +1,7 @@
 """Consequence analysis: answers counted by hand, times of a batch, and what the topic says."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import pandas as pd
@@ -183,6 +184,9 @@ def test_a_solver_that_is_silent_where_a_loss_cannot_be_held_is_named(records: A
     )
 
 
+ALL_RIGHT = Answers("quadprog", "finished", 432, 216, 216, 216, 216, 0, 1.0, 2.0)
+
+
 def test_another_solver_for_the_consequence_analysis_is_named_beside_that_of_the_mpc(
     storm: Records,
 ) -> None:
@@ -196,19 +200,28 @@ def test_another_solver_for_the_consequence_analysis_is_named_beside_that_of_the
 def test_qps_that_are_all_alike_recommend_no_solver_for_the_analysis(
     records: Any, monkeypatch: pytest.MonkeyPatch, kind: str, answer: dict[str, Any]
 ) -> None:
-    """A solver that always answers the same would be right on them."""
+    """A solver that always answers the same would be right on them, and not at the edge."""
     monkeypatch.setitem(CERTIFICATES, "board A", [kind] * 4)
     alike = view(records, {"daqp": {"board A": [[answer] * 4]}})
     word = "feasible" if kind == "linear" else kind
-    wanted = f"MPC: daqp; consequence analysis: none named, as all its QPs are {word}."
+    who = "; right on all of them: daqp" if kind == "linear" else ""
+    wanted = f"MPC: daqp; consequence analysis: none named, as all its QPs are {word}{who}."
     assert describe_consequence_solver(alike, "daqp") == wanted
+    at_edge = replace(ALL_RIGHT, solver="daqp")
+    plot = CapabilityResult("osv", 8, pd.DataFrame(), (at_edge, replace(ALL_RIGHT, solver="osqp")))
+    monkeypatch.setattr(capability_text, "build_capability_results", lambda *_: [plot])
+    for solver in ("daqp", "osqp"):
+        assert describe_consequence_solver(alike, solver) == (
+            f"MPC: {solver}; consequence analysis: daqp (all its QPs are {word}, of those at the "
+            "edge not all)."
+        )
 
 
 def test_a_solver_that_leaves_qps_at_the_edge_unanswered_is_not_named(
     storm: Records, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """quadprog, right on the analysis, leaves 32 of 432 without an answer."""
-    silent = Answers("quadprog", "finished", 432, 216, 216, 216, 184, 0, 1.0, 2.0)
+    silent = replace(ALL_RIGHT, refused=184)
     plot = CapabilityResult("osv", 8, pd.DataFrame(), (silent,))
     monkeypatch.setattr(capability_text, "build_capability_results", lambda *_: [plot])
     none = "no solver that was run answers all its QPs and those at the edge of the capability plot"
