@@ -57,7 +57,7 @@ def require_integer_at_least(argument: str, value: int, least: int) -> None:
 
 
 def require_name_or_file(argument: str, value: object, file: str) -> None:
-    """Raise TypeError for what is neither a name nor the path of such a file."""
+    """Raise TypeError for an argument that is neither a name nor a path."""
     if not isinstance(value, str | PathLike):
         raise TypeError(f"{argument}: found {value!r}; allowed: a name or {file}")
 

@@ -36,7 +36,7 @@ _NO_PLACE = "cannot cache function"
 
 
 def njit(*signature: str, **options: Any) -> Callable[[Function], Function]:
-    """Compile a function with Numba, cached on disk if any folder can be written."""
+    """Return a decorator that compiles a function with Numba, cached on disk where possible."""
 
     def compiled(function: Function) -> Function:
         def with_options(given: dict[str, Any]) -> Function:
@@ -61,7 +61,7 @@ class _CompilationNotice(_Listener):  # type: ignore[misc] # Numba's class is un
     is_printed = False
 
     def on_start(self, event: Any) -> None:
-        """Print the line once, for a kernel of this package that is not in Numba's cache."""
+        """Print once that kernels are compiled: at the first of dpbench not in Numba's cache."""
         kernel: Function = event.data["dispatcher"].py_func
         is_due = not self.is_printed and _OWN_PROCESSES.isdisjoint(sys.modules)
         if is_due and kernel.__module__.startswith("dpbench."):
@@ -102,7 +102,7 @@ def _use_temporary_numba_cache() -> bool:
 
 
 def _link_compiled_kernels_into_cache(sources: Path, own: Path) -> None:
-    """Link the kernels compiled before, of a folder of sources, into a cache of one's own."""
+    """Link the compiled kernels of a folder of sources into `own`, a new Numba cache."""
     name = _locator.get_suitable_cache_subpath(str(sources / "any.py"))
     given = [Path(folder) / name for folder in filter(None, [_config.CACHE_DIR])]
     for place in (*given, sources / "__pycache__", _numba_folder_in_user_cache() / name):

@@ -168,7 +168,7 @@ def _try_lock_open_file(lock: int, how: int) -> bool:
 
 
 def describe_lock_holders(lock: int) -> str:
-    """Describe the processes that hold the lock of an open file or folder."""
+    """Return as text which processes hold the lock of an open file or folder."""
     named = _read_holders_named_in_lock_file(lock) or _read_holders_from_proc_locks(lock)
     return " and ".join(map(str, named)) or "another process, which left no name"
 
@@ -273,9 +273,10 @@ def hold_machine_lock(
     patience: WaitLimit = WaitLimit(),
     say_waiting: Callable[[str], None] = lambda holders: None,
 ) -> AbstractContextManager[bool]:
-    """Lock this machine against other campaigns: exclusively for timed replays, else shared.
+    """Return a context that locks this machine against other campaigns; it yields whether it did.
 
-    Returns false where locks do not work. Parameters and errors as in `hold_file_lock`.
+    Exclusively for timed replays, else shared; false where locks do not work. Parameters and errors
+    as in `hold_file_lock`.
     """
     path, where = find_safe_lock_folder() / "machine", "this machine"
     return hold_file_lock(

@@ -23,7 +23,7 @@ ATTEMPTS = 10  # To remove a folder that others still write to
 
 @contextmanager
 def make_temporary_folder_for_block(place: Path) -> Iterator[Path]:
-    """Make a private temporary folder below `place`, removed at the end of the block."""
+    """Yield a private temporary folder below `place`, removed at the end of the block."""
     remove_abandoned_temporary_folders(place)
     # Nobody looks for this name: it gets the other when it is locked.
     made = Path(tempfile.mkdtemp(prefix=f".{PREFIX}", dir=place))

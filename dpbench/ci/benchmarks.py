@@ -45,7 +45,7 @@ class Benchmark:
 
     @classmethod
     def from_json_entry(cls, entry: Mapping[str, Any]) -> "Benchmark":
-        """Read an entry of a JSON file; KeyError, TypeError or ValueError if it is none."""
+        """Return the benchmark in a JSON entry; KeyError, TypeError or ValueError if it is none."""
         stats, extra = entry["stats"], entry.get("extra_info", {})
         reference = extra.get("reference_ns")
         times = float(stats["min"]), float(stats["q1"])

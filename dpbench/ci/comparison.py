@@ -71,7 +71,7 @@ class Row:
 
     @property
     def cells(self) -> dict[str, str]:
-        """Row of the table, as text by head."""
+        """Texts of a benchmark's row in the table of a comparison, by column head."""
         number = "–"
         if self.ratio is not None and np.isfinite(self.ratio.value):
             number = f"{self.ratio.value:.2f}"
@@ -118,7 +118,7 @@ class RunComparison:
 
     @property
     def table(self) -> Table | None:
-        """A row for each benchmark; None without any."""
+        """Table with a row for each compared benchmark; None without any."""
         return (
             Table.from_rows([row.cells for row in self.rows], text_columns=4) if self.rows else None
         )
@@ -145,7 +145,7 @@ class RunComparison:
 
 
 def describe_end(found: RunComparison, against: str) -> str:
-    """State in one line whether a regression against a baseline is shown."""
+    """Return a line on whether a regression against a baseline is shown."""
     line = f"{'a regression' if found.worse else 'no regression shown'} against {against}"
     open_ones = sum(row.verdict in (DISTURBED, NO_KERNEL) for row in found.rows)
     if not open_ones:
@@ -156,7 +156,7 @@ def describe_end(found: RunComparison, against: str) -> str:
 def compare_runs(
     pairs: Pairs, *, margin: float = MARGIN, allow_gone: bool = False
 ) -> RunComparison:
-    """Compare the runs of two revisions, taken by turns: (base, head) of each pair."""
+    """Return a comparison of two revisions' runs, from (base, head) pairs taken by turns."""
     times = _assess_times(pairs, margin)
     was = {name for base, _ in pairs for name in base.names}
     is_timed = any(base.benchmarks for base, _ in pairs)
@@ -185,12 +185,12 @@ def compare_runs(
 
 
 def _explain_missing_base_time(reason: str) -> str:
-    """State why a benchmark of the base has no time."""
+    """Return as text why a benchmark of the base has no time."""
     return f"failed in the base: {reason}"
 
 
 def _judge_benchmark(name: str, pairs: Pairs, time: Assessment, complaints: Sequence[str]) -> Row:
-    """Judge a benchmark that both revisions have timed; complaints take its time's verdict."""
+    """Return the row of a benchmark that both revisions timed; "disturbed" if with complaints."""
     both = [
         (base.benchmarks[name], head.benchmarks[name])
         for base, head in pairs
@@ -220,7 +220,7 @@ def _judge_benchmark(name: str, pairs: Pairs, time: Assessment, complaints: Sequ
 
 
 def find_exact_changes(was: Benchmark, now: Benchmark) -> list[str]:
-    """Describe which exact measures of one benchmark grew or are missing."""
+    """Return lines on the exact measures of one benchmark that grew or are missing."""
     changes = []
     for name in sorted(was.exact.keys() & now.exact.keys()):
         factor, more = SLACK.get(name, (1.0, 0.0))
@@ -231,7 +231,7 @@ def find_exact_changes(was: Benchmark, now: Benchmark) -> list[str]:
 
 
 def _assess_times(pairs: Pairs, margin: float) -> dict[str, tuple[Assessment, list[str]]]:
-    """Assess the time of each benchmark that both revisions have, with what disturbed it.
+    """Return by name the assessed time of each benchmark in both revisions, and what disturbed it.
 
     Disturbed pairs are left out where enough others remain. Below three other solvers the
     reference kernel stands for the machine.
@@ -258,7 +258,7 @@ def _assess_times(pairs: Pairs, margin: float) -> dict[str, tuple[Assessment, li
 
 
 def _describe_disturbed_runs(both: Sequence[tuple[Benchmark, Benchmark]]) -> list[str]:
-    """Describe how many runs of a benchmark were disturbed, and the worst of them."""
+    """Return remarks on a benchmark's disturbed runs: how many, and the worst."""
     runs = [(side, one) for pair in both for side, one in zip(("base", "head"), pair, strict=True)]
     disturbed = [(side, one) for side, one in runs if one.complaints]
     side, worst = max(disturbed, key=lambda found: len(found[1].complaints))
@@ -269,7 +269,7 @@ def _describe_disturbed_runs(both: Sequence[tuple[Benchmark, Benchmark]]) -> lis
 def _assess_ratios_together(
     measured: dict[str, list[tuple[Benchmark, Benchmark]]], margin: float
 ) -> dict[str, Assessment]:
-    """Assess the ratios of several benchmarks, each of one or more pairs, together."""
+    """Return by name the assessed time ratio of each benchmark, estimated together from pairs."""
     if not measured:
         return {}
     kernels = np.array(

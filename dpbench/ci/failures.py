@@ -21,7 +21,7 @@ class FailedBenchmarks:
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Note a benchmark that fails or cannot be set up."""
+        """Store why a benchmark fails or cannot be set up; return pytest's report unchanged."""
         report = yield
         is_benchmark = "benchmark" in getattr(item, "fixturenames", ())
         if report.failed and is_benchmark and call.excinfo is not None:
@@ -48,5 +48,5 @@ class FailedBenchmarks:
         path.write_text(content, encoding="utf-8")
 
     def _collect_failures_and_files(self) -> dict[str, Any]:
-        """Return what is stored beside the benchmarks that were timed."""
+        """Return failed benchmarks and imported files, as stored in the benchmarks' JSON file."""
         return {FAILED: self.reasons, IMPORTED: list_imported_files()}

@@ -34,7 +34,7 @@ from dpbench.errors import InputError
 def measure_suspects_again(
     was: BenchmarkRun, now: BenchmarkRun, retries: int, console: Console
 ) -> BenchmarkRun:
-    """Run what looks worse or was disturbed again, at most so many times; keep the better times."""
+    """Repeat benchmarks that look worse or disturbed; return the run with the better times."""
     for _ in range(retries):
         rows = compare_runs([(was, now)]).rows
         doubtful = [row.name for row in rows if row.verdict in (SLOWER, WORSE, DISTURBED)]
@@ -54,7 +54,7 @@ def measure_suspects_again(
 
 
 def _run_benchmarks(names: Sequence[str]) -> dict[str, Benchmark]:
-    """Run benchmarks in the present folder; return those that were timed."""
+    """Run benchmarks in the present folder; return them by name, none where one fails."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "again.json"
         command = [sys.executable, "-m", "pytest", "-q", *names, f"--benchmark-json={path}"]
@@ -72,7 +72,7 @@ def _merge_repeated_measurements(was: Benchmark, *measured: Benchmark) -> Benchm
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Compare with the baseline, or store it where there is none; return the exit code."""
+    """Compare benchmarks with a baseline, or store it if missing; return the exit code."""
     parser = argparse.ArgumentParser(prog="dpbench.ci.gate", description=__doc__.splitlines()[0])
     parser.add_argument("json", type=Path, metavar="FILE", help="written by --benchmark-json")
     parser.add_argument(

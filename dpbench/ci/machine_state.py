@@ -43,7 +43,7 @@ class MachineState:
 
     @classmethod
     def from_stored_state(cls, stored: Mapping[str, Any]) -> "MachineState":
-        """Read a stored state, NaN for a hidden counter; TypeError or ValueError for no number."""
+        """Return a stored machine state, hidden counters NaN; TypeError or ValueError if bad."""
         return cls(*(float(stored.get(one.name, np.nan)) for one in fields(cls)))
 
     def complaints(self) -> list[str]:
@@ -71,7 +71,7 @@ class MachineState:
 
 @contextmanager
 def watch_machine(benchmark: HasInfo) -> Iterator[None]:
-    """Note the machine's state over the block, and the shorter time of its kernel [ns]."""
+    """Store the machine's state over the block, and its kernel's time [ns], in a benchmark."""
     time_speed_and_load_tests(time.perf_counter_ns)
     kernel_before_ns = time_speed_and_load_tests(time.perf_counter_ns)
     counters, processor_s = read_disturbance_counters(), time.process_time()

@@ -42,7 +42,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Read the stored run before any test; UsageError for bad input."""
+    """Read the stored run of benchmarks before any test; UsageError for bad input."""
     if hasattr(config, "workerinput") or not config.pluginmanager.hasplugin("benchmark"):
         if config.getoption("dpbench_compare") and not hasattr(config, "workerinput"):
             raise pytest.UsageError("--dpbench-compare: pip install 'dpbench[ci]'")
@@ -62,7 +62,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture
 def dpbench_reference_kernel(benchmark: BenchmarkFixture) -> Iterator[None]:
-    """Note the state of the machine during a benchmark of any kind, and its reference kernel."""
+    """Store the machine's state during a benchmark of any kind, and its kernel's time, in it."""
     from dpbench.ci.machine_state import watch_machine
 
     with watch_machine(benchmark):

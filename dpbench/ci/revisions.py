@@ -48,7 +48,7 @@ class Measured:
 
 
 def measure_tree(tree: Path, arguments: Sequence[str]) -> Measured:
-    """Run the benchmarks of a working tree with pytest."""
+    """Run a working tree's benchmarks with pytest; return the times, or why there are none."""
     own = tree.resolve() / ".venv" / "bin" / "python"
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.json"
@@ -101,7 +101,7 @@ def _has_module(tree: Path, installed: Path) -> bool:
 def measure_by_turns(
     trees: tuple[Path, Path], count: int, arguments: Sequence[str]
 ) -> list[tuple[Measured, Measured]]:
-    """Measure both trees by turns until so many pairs are undisturbed, at most twice as many.
+    """Measure two trees by turns until so many pairs are undisturbed; return all pairs.
 
     One pair is enough where the base has no benchmark or the head has one that fails.
     SituationError where a tree is not measured with its own files.

@@ -28,7 +28,7 @@ class SessionComparison:
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Compare what the session measured; a regression is exit code 1."""
+        """Compare a session's benchmarks with the stored run; set exit code 1 if one is worse."""
         # No public hook has the benchmarks of a session that writes no JSON file.
         measured = self._config._benchmarksession.benchmarks  # type: ignore[attr-defined] # a private attribute
         entries = (one.as_dict() for one in measured if one and not one.has_error)

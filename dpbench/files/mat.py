@@ -20,10 +20,10 @@ _ALLOWED = "a .mat file of version 7 or older (in MATLAB: save -v7)"
 
 
 def read_mat_structure_in_child(path: Path, name: str) -> tuple[list[str], dict[str, NDArray[Any]]]:
-    """Read the numeric fields of a structure in an untrusted MATLAB file, in a child process.
+    """Return the variable names and one structure's arrays of an untrusted MATLAB file.
 
-    The names of all variables, and of the structure `name` each field as an array, by its dotted
-    name from `name` on; a field without numbers is empty.
+    A child process reads them. The fields of the structure `name` have dotted names from `name` on;
+    one without numbers is empty.
 
     InputError : it cannot be opened, is no such file, or reading it takes too long or too much.
     """

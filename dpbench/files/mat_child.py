@@ -48,7 +48,7 @@ def _lower_own_resource_limit(kind: int, most: int) -> None:
 
 
 def _flatten_numeric_fields_by_dotted_name(structure: dict[str, Any]) -> dict[str, Any]:
-    """Flatten a nested structure to arrays by dotted name; fields without numbers become empty."""
+    """Return a nested structure's arrays by dotted name, empty ones for fields without numbers."""
     import numpy as np
 
     numbers: dict[str, Any] = {}

@@ -45,7 +45,7 @@ def open_regular_file(
     most_bytes: int | None = None,
     error: type[InputError] = InputError,
 ) -> Iterator[BinaryIO]:
-    """Open a file to read bytes; `error` unless it is a regular `what` of at most `most_bytes`."""
+    """Yield a file open to read bytes; `error` unless it is regular, of at most `most_bytes`."""
     try:
         number = os.open(path, _FLAGS)
     except FileNotFoundError as failure:

@@ -236,7 +236,7 @@ class RowGroupWriter:
         self._at += len(data)
 
     def copy_row_group(self, source: BinaryIO, footer: Footer, index: int) -> None:
-        """Copy a row group undecoded; ValueError, KeyError or IndexError where it is damaged."""
+        """Append another Parquet file's row group undecoded; ValueError or LookupError if bad."""
         first_footer = self._footer or footer
         if footer.raw_field_bytes(_SCHEMA) != first_footer.raw_field_bytes(_SCHEMA):
             raise ValueError("a row group of another schema")

@@ -31,7 +31,7 @@ _IS_NUMBER = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa
 def open_untrusted_parquet_table(
     path: Path, *, error: type[InputError] = InputError
 ) -> Iterator[pq.ParquetFile]:
-    """Open an untrusted Parquet table of numbers and texts, with its unpacked size bounded.
+    """Open an untrusted Parquet table of numbers and texts, its unpacked size bounded; yield it.
 
     Raises InputError : it is no regular file, has columns of other types, or unpacks to too much.
     OSError, ValueError, ArrowException : it is damaged.
@@ -65,7 +65,7 @@ def _estimate_unpacked_table_bytes(metadata: pq.FileMetaData, words: int) -> int
 def decode_dictionary_columns_to_text(
     table: pa.Table, path: Path, *, error: type[InputError] = InputError
 ) -> pa.Table:
-    """Convert dictionary-encoded text columns to plain text; raise `error` if too large."""
+    """Return a table with dictionary-encoded columns as plain text; raise `error` if too large."""
     coded = {f.name: table[f.name] for f in table.schema if pa.types.is_dictionary(f.type)}
     refuse_implausible_unpacked_size(
         path,

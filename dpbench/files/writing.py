@@ -24,7 +24,7 @@ def is_plain_file_name(text: str) -> bool:
 
 
 def make_folder_if_missing(path: Path) -> Path:
-    """Make a folder unless it exists; InputError if a link has its name."""
+    """Make a folder unless it exists and return its path; InputError if a link has its name."""
     if path.is_symlink():
         raise InputError(str(path), "", "a link", "a folder: nothing is written through a link")
     path.mkdir(exist_ok=True)
@@ -32,7 +32,7 @@ def make_folder_if_missing(path: Path) -> Path:
 
 
 def create_empty_file(path: Path) -> Path:
-    """Make an empty regular file at a path, replacing a file or link of that name."""
+    """Make an empty regular file, in place of a file or link of its name; return the path."""
     path.unlink(missing_ok=True)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     os.close(os.open(path, flags, 0o666))
@@ -58,7 +58,7 @@ def rename_durably(part: Path, path: Path) -> None:
 
 
 def sync_path_to_disk(path: Path) -> None:
-    """Wait until a file or folder is on the disk."""
+    """Flush a file or folder to the disk and wait until it is there."""
     number = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(number)

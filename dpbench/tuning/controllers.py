@@ -53,7 +53,7 @@ class Realisation:
 
 
 def make_controller_space(scenario: Scenario) -> SearchSpace:
-    """Return the ranges of weights, and of horizons from a third or a half of the own ones up."""
+    """Return the ranges in which a controller's weights and horizons are searched."""
     table = scenario.files["scenario"]["controller"]
     N_p, N_c = table["prediction_horizon"], table["control_horizon"]
     return SearchSpace(
@@ -97,13 +97,13 @@ def change_controller(scenario: Scenario, options: Options) -> Scenario:
 
 
 def _convert_to_number(value: object) -> float:
-    """Return a value as a number; it is one by its range."""
+    """Return the value of a controller's option as a number, which its range ensures that it is."""
     assert isinstance(value, int | float), "of a range"
     return value
 
 
 def _scale_weight(weight: float, factor: float) -> float:
-    """Multiply a controller's weight by a factor, to four digits."""
+    """Return a controller's weight times a factor, rounded to four digits."""
     return float(f"{weight * factor:.4g}")
 
 

@@ -43,7 +43,7 @@ class SearchForecast:
 
     @property
     def lines(self) -> list[str]:
-        """Lines to print for `--dry-run`."""
+        """Lines of text on the expected time of a settings search, for `--dry-run`."""
         request = self.request
         batches = len(split_into_batches(request.trials))
         done = f", {self.finished} of them finished" if self.finished else ""
@@ -96,7 +96,7 @@ def estimate_tuning(solver: str, **asked: Any) -> SearchForecast:
 def _repeat_finished_batches(
     request: SearchRequest,
 ) -> tuple[SettingsSearch, list[float], list[float]]:
-    """Repeat the search as far as its batches are finished.
+    """Repeat a settings search as far as its batches are finished; return it and their times.
 
     Returns it, and for each such batch the forecast time and the time it took [s].
     """
@@ -147,7 +147,7 @@ def _estimate_final_seconds(request: SearchRequest) -> float:
 
 
 def _is_final_finished(request: SearchRequest, search: SettingsSearch) -> bool:
-    """Return whether the best settings were measured, or are not because none is accurate."""
+    """Return whether a search's best settings are measured, or need not be: none is accurate."""
     if not search.best.score.is_right:
         return True
     named = list(request.name_settings(search.best.options).values())

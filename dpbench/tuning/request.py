@@ -78,7 +78,7 @@ class SearchRequest:
         return [DEFAULT, HIGH] if has_levels else [DEFAULT]
 
     def name_settings(self, best: Options) -> dict[str, Options]:
-        """Return the settings that are measured in the end beside the presets, by name."""
+        """Return by name the user's and the best settings, to be measured beside the presets."""
         return ({} if self.start is None else {YOURS: self.start}) | {BEST: best}
 
 
@@ -195,7 +195,7 @@ def _refuse_bad_options(adapter: _Adapter, space: SearchSpace, start: Options | 
 
 
 def _describe_searched_options(adapter: _Adapter, space: SearchSpace) -> list[str]:
-    """Describe the options that are searched, and the iteration limits, searched or not."""
+    """Return lines on the options that are searched and on iteration limits, searched or not."""
     target = None if adapter.make_settings is None else adapter.make_settings()
     names = [] if target is None else list_public_settings_attributes(target)
     names = names if adapter.list_options is None else [*adapter.list_options()]

@@ -50,16 +50,16 @@ class OptionRange:
 
     @property
     def is_logarithmic(self) -> bool:
-        """Return whether the range is searched on a logarithmic scale."""
+        """Return whether the range of an option is searched on a logarithmic scale."""
         return self.low > 0.0 and self.high >= LOGARITHMIC_FROM * self.low
 
     @property
     def is_whole(self) -> bool:
-        """Return whether the values are whole numbers."""
+        """Return whether the option's values are whole numbers."""
         return isinstance(self.low, int) and isinstance(self.high, int)
 
     def value_at(self, share: float) -> float:
-        """Return the value at a share of the range from 0 to 1, to three significant digits."""
+        """Return the option's value at a share 0 to 1 of its range, to three significant digits."""
         if self.is_logarithmic:
             value = math.exp(math.log(self.low) + share * math.log(self.high / self.low))
         else:
@@ -76,7 +76,7 @@ class OptionRange:
         return (inside - self.low) / (self.high - self.low)
 
     def describe_edge(self, value: float) -> str:
-        """State that a value is at the edge of the range, with a wider one; "" elsewhere."""
+        """Return a remark on a value at its range's edge, with a wider range; "" elsewhere."""
         share, width = self.share_of(value), self.high - self.low
         if self.is_limited or _EDGE < share < 1.0 - _EDGE:
             return ""
@@ -94,7 +94,7 @@ class OptionRange:
 
 
 def _round_to_digits(value: float) -> float:
-    """Round a number to `_DIGITS` significant digits."""
+    """Return a number rounded to `_DIGITS` significant digits."""
     return float(f"{value:.{_DIGITS}g}")
 
 
@@ -125,14 +125,14 @@ class SearchSpace:
         }
 
     def point_of(self, options: Options) -> Vector:
-        """Return the point of some options; the middle of a range for an option without value."""
+        """Return the unit-cube point of some options, at the middle of a range without a value."""
         values = ((own, options.get(own.name)) for own in self.ranges)
         return np.array(
             [own.share_of(v) if isinstance(v, int | float) else 0.5 for own, v in values]
         )
 
     def describe_edges(self, options: Options) -> list[str]:
-        """State which options are at the edge of their range, with a wider range for each."""
+        """Return a remark on each option at the edge of its range, with a wider range."""
         values = ((own, options.get(own.name)) for own in self.ranges)
         texts = (own.describe_edge(v) for own, v in values if isinstance(v, int | float))
         return [text for text in texts if text]
@@ -254,7 +254,7 @@ class TrialSearch(Generic[_Score]):
         self.drawn = 0
 
     def run(self, trials: int, start: Options | None = None) -> None:
-        """Try so many options: a half of the batches spread, the others near the best.
+        """Try so many options, half of them spread, others near the best; store all in `trials`.
 
         start : options that are tried with the first batch, beside the others.
         """
@@ -275,7 +275,7 @@ class TrialSearch(Generic[_Score]):
                 radius /= 2.0
 
     def _try_points(self, points: Matrix, given: Sequence[tuple[Options, Vector]] = ()) -> None:
-        """Evaluate options that are given and those at some points, except what was tried."""
+        """Evaluate given options and those at some points, unless tried; add them to `trials`."""
         known = {trial.name for trial in self.trials}
         new: dict[str, tuple[Options, Vector]] = {}
         for options, point in [*given, *((self._space.options_at(p), p) for p in points)]:

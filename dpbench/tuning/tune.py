@@ -45,7 +45,7 @@ class TunedRole:
     runs: Mapping[str, Sequence[RunRecord]]
 
     def summarise_best_settings(self, requirements: Requirements) -> str:
-        """State whether the best settings are right, and their step time beside the presets."""
+        """Return as text if the best settings are accurate, and their time beside the presets."""
         best = self.runs[BEST]
         wrong = sum(not is_right_on_every_step(run, requirements) for run in best)
         if wrong:
@@ -222,12 +222,12 @@ class _SearchProgress:
         progress.start(started * self._training + in_end * self._all)
 
     def plan(self, settings: int, *, with_test: bool = False) -> None:
-        """Announce a campaign with so many settings, presets included."""
+        """Store the work of a search's next campaign, of so many settings with the presets."""
         self._batch += 1
         self._planned = settings * (self._all if with_test else self._training)
 
     def start(self, work: int) -> None:
-        """Begin the campaign; what it has not to do any more is finished."""
+        """Report as finished what a campaign of the search need not do again."""
         if work < self._planned:
             self.advance(self._planned - work, "finished before")
 
@@ -265,7 +265,7 @@ def tune_solver(
     wait_s: float | None = None,
     progress: Progress | None = None,
 ) -> Tuning:
-    """Search a solver's settings on training sequences and measure the best on test sequences.
+    """Search a solver's settings on training sequences; return the best, measured on test ones.
 
     Finished runs are kept: the same call goes on after an interruption. Ctrl-C ends the search with
     the best settings of its finished batches, if there are any.
@@ -330,7 +330,7 @@ def tune_solver(
 def _make_search(
     request: SearchRequest, progress: _SearchProgress, wait_s: float | None
 ) -> SettingsSearch:
-    """Make the search on the training sequences, one campaign for each batch."""
+    """Return a search that measures each batch of settings in a campaign on training sequences."""
     numbers, tuned, problems = count(1), request.solver, request.training
 
     def evaluate(settings: Sequence[Options]) -> list[Score]:
@@ -345,7 +345,7 @@ def _make_search(
 def _measure_roles(
     request: SearchRequest, best: Options, progress: _SearchProgress, wait_s: float | None
 ) -> tuple[TunedRole, ...]:
-    """Time presets, the settings to start from and the best ones side by side."""
+    """Time presets, own and best settings side by side; return their training and test runs."""
     presets, named = request.presets, request.name_settings(best)
     progress.plan(len(presets) + len(named), with_test=True)
     runs = measure_settings(

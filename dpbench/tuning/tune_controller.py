@@ -74,7 +74,7 @@ class ControllerTuning:
 
     @property
     def keeps_margin(self) -> bool:
-        """Return whether the controller keeps the margin, in the search and in fresh seas."""
+        """Return whether the best controller keeps the offset margin, in search and fresh seas."""
         return max(self.chosen.score.share, self.fresh.share) <= self.margin
 
     @property
@@ -161,7 +161,7 @@ def tune_controller(
     out: str | Path | None = None,
     progress: Progress | None = None,
 ) -> ControllerTuning:
-    """Search a controller's weights and horizons, and write the scenario with the best.
+    """Search a controller's weights and horizons; write the best, return it with all trials.
 
     Finished trials are kept: the same call goes on after an interruption.
 
@@ -224,7 +224,7 @@ def tune_controller(
 def _write_tuning(
     tuning: ControllerTuning, base: Scenario, folder: Path, name: str
 ) -> ControllerTuning:
-    """Write the scenario, the table of trials and the figure; return the result with the paths."""
+    """Write a tuned scenario, table of trials and figure; return the result with their paths."""
     changed = change_controller(base, tuning.chosen.options)
     comment = "\n".join(("Controller found by `dpbench tune`.", *tuning.lines))
     paths = write_scenario_and_own_ship_files(changed.files, folder / f"{name}_tuned.toml", comment)
