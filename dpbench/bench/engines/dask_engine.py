@@ -30,9 +30,8 @@ from dpbench.bench.engines.engine import (
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome, RecordedSource
 from dpbench.bench.record.machine import describe_machine
-from dpbench.bench.sequences.source import choose_source_file, is_readable
+from dpbench.bench.sequences.source import is_readable
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result
-from dpbench.errors import CertificateError, InputError
 from dpbench.files.writing import write_bytes_atomically
 
 RETRIES = 2
@@ -118,7 +117,6 @@ class DaskEngine(ExitStack):
 
     def submit(self, batch: Batch) -> None:
         """Submit a batch of runs or files as a task to the Dask scheduler."""
-        self._require_connection()
         if isinstance(batch, CellBatch):
             future = self._submit_cells(batch)
         elif batch.are_sources:
@@ -182,11 +180,6 @@ class DaskEngine(ExitStack):
                 write_bytes_atomically(Path(name), made.data)
         return on_worker.list_outcomes_as_results(returned)
 
-    def _require_connection(self) -> None:
-        """Raise HandOverError or EngineGoneError where the Dask scheduler is not connected."""
-        if self.cluster.client.status != "running":
-            raise self._choose_error_after_waiting()
-
     def _choose_error_after_waiting(self) -> HandOverError | EngineGoneError:
         """Wait for a lost Dask scheduler; return the error to raise: submit again, or give up."""
         self._drop_tasks_and_sources()
@@ -218,7 +211,7 @@ class DaskEngine(ExitStack):
         for path, text in batch.texts.items():
             cell = Cell.from_json(text)
             if isinstance(cell.source, RecordedSource) or is_readable(cell, path):
-                found = _read_or_make_source(cell, path)
+                found = on_worker.read_or_make_source(cell, path)
                 made[str(path)] = self._submit_call(
                     on_worker.return_file_unchanged, found, name="source"
                 )
@@ -242,18 +235,9 @@ class DaskEngine(ExitStack):
         self, function: Callable[..., Any], *args: Any, name: str, **how: Any
     ) -> Future:
         """Submit a function call as a uniquely named Dask task to the accepted workers."""
-        self._require_connection()
+        if self.cluster.client.status != "running":
+            raise self._choose_error_after_waiting()
         key = f"{name}-{next(self._names)}"
         if not self.cluster.is_own:
             how["workers"] = [*self.cluster.addresses]
         return self.cluster.client.submit(function, *args, key=key, pure=False, **how)
-
-
-def _read_or_make_source(cell: Cell, path: Path) -> on_worker.MadeFile:
-    """Return the file of a run's QPs as bytes; make it where it is missing."""
-    if not is_readable(cell, path):
-        try:
-            choose_source_file(cell).make_file(path)
-        except (CertificateError, InputError) as error:
-            return on_worker.MadeFile(Outcome("invalid", str(error)))
-    return on_worker.MadeFile(Outcome("finished", ""), path.read_bytes())

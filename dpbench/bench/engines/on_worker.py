@@ -16,14 +16,15 @@ from functools import cache
 from pathlib import Path
 
 from dpbench.bench.progress import Silent
-from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
+from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import MachineDescription
+from dpbench.bench.sequences.source import choose_source_file, is_readable
 from dpbench.bench.workers.child import start_forkserver
 from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result, Target
 from dpbench.bench.workers.scratch import Scratch
-from dpbench.errors import DpbenchError
+from dpbench.errors import CertificateError, DpbenchError, InputError
 from dpbench.locks import hold_free_core_lock
 from dpbench.solvers.table import find_solver_availability
 from dpbench.temporary_folders import make_temporary_folder_for_block
@@ -112,6 +113,16 @@ def make_files(
             data = path.read_bytes() if outcome.outcome == "finished" else b""
             made[paths[path]] = MadeFile(outcome, data)
         return made
+
+
+def read_or_make_source(cell: Cell, path: Path) -> MadeFile:
+    """Return the file of a run's QPs as bytes, on the campaign's machine; make it if missing."""
+    if not is_readable(cell, path):
+        try:
+            choose_source_file(cell).make_file(path)
+        except (CertificateError, InputError) as error:
+            return MadeFile(Outcome("invalid", str(error)))
+    return MadeFile(Outcome("finished", ""), path.read_bytes())
 
 
 def return_file_unchanged(made: MadeFile) -> MadeFile:
