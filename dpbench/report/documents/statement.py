@@ -41,8 +41,8 @@ from dpbench.report.capability_text import (
 )
 from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
 from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
-from dpbench.report.documents.open_losses import find_open_losses
 from dpbench.report.formats import format_time, join_with_and, strip_markdown
+from dpbench.report.open_losses import find_open_losses
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation, describe_speed_margin
 from dpbench.report.page.terms import DRAG_MISMATCH

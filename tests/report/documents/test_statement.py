@@ -16,7 +16,6 @@ import vl_convert as vlc
 
 from dpbench.cli.main import main
 from dpbench.report.documents import statement
-from dpbench.report.documents.open_losses import OpenLosses
 from dpbench.report.documents.statement import (
     HEIGHT,
     MARGIN,
@@ -25,6 +24,7 @@ from dpbench.report.documents.statement import (
     make_statement_svg,
 )
 from dpbench.report.formats import format_error, format_time
+from dpbench.report.open_losses import OpenLosses
 from dpbench.report.page.recommendation import describe_speed_margin
 from dpbench.report.report import Report
 from dpbench.report.ship_text import BANNER
