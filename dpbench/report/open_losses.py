@@ -31,9 +31,11 @@ class OpenLosses:
     not_simulated: str = ""
 
     @property
-    def lines(self) -> list[str]:
-        """Sentences of both kinds, losses that are not held first."""
-        return [*self.not_held, *filter(None, [self.not_simulated])]
+    def summary(self) -> str:
+        """Line with the first loss that is not held, how many more, and those not simulated."""
+        first, more = self.not_held[:1], len(self.not_held) - 1
+        others = [f"Not held either: {more} more, see the statement."] if more > 0 else []
+        return " ".join([*first, *others, *filter(None, [self.not_simulated])])
 
 
 def find_open_losses(
@@ -43,6 +45,8 @@ def find_open_losses(
     analyses: Sequence[ConsequenceAnalysis],
 ) -> OpenLosses:
     """Find the listed losses that are not simulated, or not held by level 1 or an analysis."""
+    if not plots and not analyses:
+        return OpenLosses()
     known = [scenario for scenario in map(records.build_scenario, records.scenarios) if scenario]
     by_vessel = {s.vessel.id: s.vessel.thrusters for s in known if s.vessel.thrusters is not None}
     not_held, not_simulated = [], []

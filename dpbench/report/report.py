@@ -8,6 +8,10 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.capability import (
+    build_capability_results,
+    build_consequence_analyses,
+)
 from dpbench.analysis.times.machine import (
     find_largest_median_by_test_solver,
     select_delayed_loops,
@@ -22,6 +26,7 @@ from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.csv_tables import build_tables
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import strip_markdown
+from dpbench.report.open_losses import find_open_losses
 from dpbench.report.page.data import PageData
 from dpbench.report.page.live import draw_section_charts, select_static_charts
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
@@ -70,6 +75,11 @@ class Report:
         if named not in {v.configuration.solver for v in data.verdicts.all_verdicts if v.steps}:
             named = None  # a part of the suite was run, without it
         recommendation = build_recommendation(data, results.machine, baseline or named)
+        plots = build_capability_results(records, capability)
+        analyses = build_consequence_analyses(records)
+        losses, ship = find_open_losses(records, data.ships, plots, analyses), recommendation.ship
+        caution = " ".join(filter(None, [ship.caution, losses.summary]))
+        recommendation = replace(recommendation, ship=replace(ship, caution=caution))
         topics = build_topics(
             records, data.verdicts, designs, capability, data.studies, data.counts
         )

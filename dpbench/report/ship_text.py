@@ -27,7 +27,7 @@ class ShipSummary:
     warning : begins with `BANNER`, or with `LOST` where the loops of all lost ships are unstable
     without limits; "" where no ship is lost. text : "" without any ship.
     caution : of ships on station with little margin, still moving away, or farther off since a
-    loss; "" without any.
+    loss, and in a report of losses that no closed loop shows to be held; "" without any.
     """
 
     warning: str = ""

@@ -3,6 +3,8 @@
 `thrusters_loss` has 13.8 m/s of wind from 40° on `ratownik`, heads north and loses board A at 90 s.
 """
 
+import re
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -18,7 +20,11 @@ from dpbench.analysis.suites.capability import (
 )
 from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.bench.capability.frontier import FROM_DEG
+from dpbench.report import report
+from dpbench.report.documents.markdown import make_report_markdown
 from dpbench.report.open_losses import OpenLosses, find_open_losses
+from dpbench.report.page.write import make_page_html
+from dpbench.report.report import Report
 
 LONG = {"steps": 500, "exact_loss_offset_max_m": 0.3, "exact_loss_heading_max_deg": 0.1}
 """A run of 150 s, so of 60 s after the loss."""
@@ -52,10 +58,30 @@ def test_a_loss_that_level_1_does_not_hold_is_not_held_though_another_is_simulat
 ) -> None:
     records.loop("daqp", "thrusters_loss", **LONG)
     found = find(records, [plot(board_A=14.0, board_B=1.29)])
-    assert found.lines == [
+    assert found.summary == (
         "Loss of board B: not held (not simulated: by level 1 the thrusters then hold 1.29 m/s of "
         "wind from 40°, and the scenario has 13.8 m/s)."
-    ]
+    )
+
+
+def test_every_report_has_a_line_on_losses_that_no_closed_loop_shows_to_be_held(
+    records: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """`report.md`, page and terminal, after what becomes of the ship."""
+    not_held = "Loss of A: not held.", "Loss of B: not held."
+    losses = OpenLosses(not_held, "Loss of C: not simulated.")
+    summary = (
+        "Loss of A: not held. Not held either: 1 more, see the statement. Loss of C: not simulated."
+    )
+    records.loop("daqp")
+    assert summary not in make_report_markdown(Report.from_results(records.results()))
+    monkeypatch.setattr(report, "find_open_losses", lambda *_: losses)
+    found = Report.from_results(records.results())
+    assert ("caution", summary) in found.summary_rows()
+    assert f"**{summary}**" in make_report_markdown(found)
+    parts = found.results, found.data, found.recommendation, {}, found.topics
+    page = make_page_html(tmp_path, *parts, light=True)
+    assert summary in re.sub(r"<[^>]+>", "", page)
 
 
 def test_a_loss_that_is_held_but_not_simulated_is_not_shown(records: Any) -> None:
