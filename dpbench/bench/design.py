@@ -133,7 +133,7 @@ class Design:
 
 
 def pair_controllers_with_vessels(table: DesignTable, beside: Path | None = None) -> list[Design]:
-    """Pair each controller of a suite table with each vessel; InputError for a bad file."""
+    """Return each controller of a suite table with each vessel, as pairs; InputError if bad."""
     controllers = [load_scenario(name, beside=beside) for name in table.controllers]
     vessels = [find_problem_path("vessels", name, beside) for name in table.vessels]
     given = {"controllers": [c.name for c in controllers], "vessels": [v.stem for v in vessels]}
@@ -256,7 +256,7 @@ def find_bracket_in_still_water(
 def run_stability_study_in_process(
     text: str, folder: Path, name: str, core: int, path: Path
 ) -> None:
-    """Study a controller's stability in a process of its own; write the record to `path`."""
+    """Study a controller's stability as a process's main function; write the record to `path`."""
     pin_to_core(core)
     disable_gc_and_warnings()
     write_json(path, asdict(Designs((study_stability(Design(**json.loads(text))),))))
@@ -289,11 +289,11 @@ class DesignStudy:
 
     @property
     def work(self) -> int:
-        """Remaining work in equivalent solver steps, for the progress bar."""
+        """Remaining work of stability studies, in equivalent solver steps, for the progress bar."""
         return WORK * len(self._pending)
 
     def run(self, dispatcher: Dispatcher, progress: Progress) -> None:
-        """Study the stability of all controllers without a stored record, in own processes."""
+        """Make and store missing records of controllers' stability, each in a process."""
         for path in self._pending:
             # One that is looked into again must not leave its old record behind if it fails.
             path.unlink(missing_ok=True)

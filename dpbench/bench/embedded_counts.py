@@ -62,7 +62,7 @@ class PlannedCount:
         return json.dumps(asdict(self), sort_keys=True, ensure_ascii=False)
 
     def count_instructions(self) -> StepCounts:
-        """Solve the loop exactly, and count the solver's C along its QPs."""
+        """Return the instructions counted in a solver's C along an exactly solved loop's QPs."""
         # The emulator takes a while to load, and every campaign imports this module.
         from dpbench.embedded.count import count_instructions_along_sequence
 
@@ -83,7 +83,7 @@ class PlannedCount:
 def pair_sequences_with_cores(
     table: EmbeddedTable, beside: Path | None = None
 ) -> list[PlannedCount]:
-    """Pair each sequence of a suite's table with each core and solver; InputError if it is bad."""
+    """Return a planned count for each sequence, core and solver of a suite; InputError if bad."""
     known = list(find_recipes())
     for name in table.solvers:
         if name not in known:
@@ -115,7 +115,7 @@ def _parse_scenario_and_steps(
 
 
 def run_count_in_process(text: str, folder: Path, name: str, core: int, path: Path) -> None:
-    """Count a solver's C in a process of its own; write its steps to `path`, and the outcome."""
+    """Count a solver's C as a process's main function; write its steps to `path`, and outcome."""
     pin_to_core(core)
     disable_gc_and_warnings()
     try:
@@ -143,7 +143,7 @@ class EmbeddedCounts:
 
     @property
     def work(self) -> int:
-        """Remaining work in equivalent solver steps, for the progress bar."""
+        """Remaining work of embedded counts, in equivalent solver steps, for the progress bar."""
         return WORK * len(self._pending)
 
     def is_written(self, out: Path) -> bool:
@@ -151,7 +151,7 @@ class EmbeddedCounts:
         return len(self._pending) == len(self._counts) or (out / EMBEDDED_FILE).is_file()
 
     def run(self, dispatcher: Dispatcher, progress: Progress) -> None:
-        """Count what has no stored count, in processes of their own."""
+        """Make and store missing counts of solvers' C, each in a process; store why one failed."""
         for path in self._pending:
             path.unlink(missing_ok=True)
         texts = {path: self._counts[path].text for path in self._pending}
@@ -164,7 +164,7 @@ class EmbeddedCounts:
             progress.advance(WORK, f"count {count.solver} {count.target} {count.sequence}")
 
     def take_over_reasons(self, missing: Iterable[UncountedSolver]) -> None:
-        """Take over the reasons why solvers were not counted where these counts were run."""
+        """Store the given reasons why solvers were not counted on embedded cores."""
         known = {(one["solver"], one["target"], one["sequence"]): one["reason"] for one in missing}
         for path, count in self._counts.items():
             reason = known.get((count.solver, count.target, count.sequence))

@@ -63,7 +63,7 @@ class ProgressLines:
 
 
 def choose_progress(progress: Progress | bool | None) -> Progress:
-    """Return a receiver: the given one, lines for True, none for False.
+    """Return a receiver of progress: the given one, or one that prints (True) or is silent (False).
 
     None is True where somebody looks on: in a terminal or a notebook.
     """

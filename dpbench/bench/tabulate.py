@@ -72,7 +72,7 @@ class RequestedRuns:
     def _copy_rows_under_alias_ids(
         self, finished: pd.DataFrame, aliases: Mapping[str, str]
     ) -> pd.DataFrame:
-        """Repeat finished runs' rows of `runs.parquet` under the run ids of their aliases."""
+        """Return copies of finished runs' rows of `runs.parquet` under their aliases' run ids."""
         settings = [self.jobs[run_id][1] for run_id in aliases]
         cells = [
             self.jobs[run_id][0].cell.with_settings_name(self.jobs[run_id][1]) for run_id in aliases
@@ -90,7 +90,7 @@ class RequestedRuns:
         return make_run_row(run_id, cell, outcome, job.library, job.machine_id, None, None)
 
     def find_aliases(self, finished: pd.DataFrame) -> dict[str, str]:
-        """Map run_ids under other names of the same solver settings to those of finished runs."""
+        """Return, by run_id under another name of the same settings, that of the finished run."""
         return {
             run_id: job.run_id
             for run_id, (job, _) in self.jobs.items()

@@ -131,7 +131,7 @@ class CapabilityPlot:
         return case.lost | nowhere
 
     def _list_piece_choices(self, case: Case) -> Choices:
-        """Return the pieces of each thruster between which there is a choice."""
+        """Return each thruster's convex thrust areas in a failure case, to choose one from."""
         return tuple(tuple(some or [_NOWHERE]) for some in self.pieces_of(case))
 
     def least_use(self, case: Case, from_rad: float, wind_mps: float, chosen: Combination) -> float:

@@ -249,7 +249,7 @@ class _ConeRows:
     def add_rows_of_piece(
         self, rows: Matrix, cones: list[Any], has_size: bool, *, is_round: bool
     ) -> int:
-        """Add the rows of one piece; return the index of its u_k, that of u without one."""
+        """Add constraint rows of a convex thrust area; return the index of its u_k, else of u."""
         at, count = self._first, rows.shape[1] - 1
         own = at + count if has_size else self._width - 1
         if is_round:
@@ -349,7 +349,7 @@ def _compute_least_use_of_pieces(relax: Relax, chosen: Combination) -> float:
 
 
 def _branch_on_thruster(choices: Choices, uses: Sequence[Vector]) -> list[Choices]:
-    """Branch on the thruster that is most between two pieces: one set of choices for each piece."""
+    """Return choices of convex areas, split by those of the thruster most between two of them."""
     between = [float(np.sort(use)[-2]) if len(use) > 1 else -1.0 for use in uses]
     at = int(np.argmax(between))
     return [(*choices[:at], (piece,), *choices[at + 1 :]) for piece in choices[at]]

@@ -73,7 +73,7 @@ class OwnWorker(_WithoutHttp, Worker):  # type: ignore[misc] # Dask is untyped h
 
 @contextmanager
 def connect_client(address: str, tls: TlsFiles | None = None) -> Iterator[Client]:
-    """Connect a client to a Dask scheduler; InputError where none answers or it refuses."""
+    """Yield a client connected to a Dask scheduler; InputError where none answers or it refuses."""
     with _silence_dask():
         security = Security() if tls is None else _build_security(address, tls)
         try:
@@ -132,7 +132,7 @@ def _build_security(address: str, tls: TlsFiles) -> Security:
 
 @contextmanager
 def start_own_cluster(workers: int) -> Iterator[Client]:
-    """Start a Dask cluster of `workers` processes on this machine; one may time replays."""
+    """Start a Dask cluster of `workers` processes, one of them for timing; yield its client."""
     stack = ExitStack()
     try:
         # Half a cluster cannot be closed.
@@ -211,7 +211,7 @@ class Cluster:
         self.kinds = len({info.machine["id"] for info in self._infos.values()})
 
     def update_workers(self) -> list[str]:
-        """Update the workers, if the scheduler answers; return a remark on each refused one."""
+        """Update the list of workers, if the scheduler answers; return remarks on refused ones."""
         try:
             return [
                 f"a worker is given no cells: {error}" for error in self._read_current_workers()
@@ -257,7 +257,7 @@ class Cluster:
 
 
 def _parse_worker_info(address: str, answer: object) -> WorkerInfo:
-    """Check a Dask worker's description of itself; InputError where it cannot take runs."""
+    """Return a Dask worker's checked description of itself; InputError if it cannot take runs."""
     if not isinstance(answer, WorkerInfo):
         found = f"worker {address} without dpbench {HARNESS_VERSION} ({answer!r})"
         raise InputError(WHERE, "", found, "workers in the environment of the campaign")

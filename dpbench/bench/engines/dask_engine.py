@@ -47,7 +47,7 @@ NOT_ALONE = (
 def open_dask_engine(
     scheduler: str | None, workers: int, tls: TlsFiles | None = None
 ) -> "DaskEngine":
-    """Open an engine on a Dask scheduler's workers, or on `workers` new ones on this machine."""
+    """Return an engine on a Dask scheduler's workers, or on `workers` new ones on this machine."""
     engine = DaskEngine(workers)
     with ExitStack() as until_connected:
         until_connected.push(engine)
@@ -72,7 +72,7 @@ class DaskEngine(ExitStack):
         self._drop_tasks_and_sources()
 
     def _drop_tasks_and_sources(self) -> None:
-        """Drop all submitted tasks, and the files of QPs that were made on workers."""
+        """Empty the records of submitted tasks and of files of QPs made on Dask workers."""
         self._in_flight: dict[str, Batch] = {}
         self._sources: dict[str, Future] = {}  # by the path of their file
         self._given_to: dict[str, frozenset[str]] = {}  # the workers that each task may run on
@@ -189,7 +189,7 @@ class DaskEngine(ExitStack):
         return HandOverError("the connection was lost for a while")
 
     def _submit_cells(self, batch: CellBatch) -> Future:
-        """Submit a batch of runs as a Dask task, with the files of their QPs."""
+        """Submit a batch of runs and the files of their QPs as a Dask task; return its future."""
         alone = batch.is_timed and self.cluster.exclusive
         return self._submit_call(
             on_worker.run_cells,
@@ -205,7 +205,7 @@ class DaskEngine(ExitStack):
         )
 
     def _submit_making_of_sources(self, batch: FileBatch) -> Future:
-        """Submit Dask tasks that make files of QPs, kept on workers; return their outcomes."""
+        """Submit Dask tasks that make and keep files of QPs; return their outcomes' future."""
         made: dict[str, Future] = {}
         texts = dict(batch.texts)
         for path, text in batch.texts.items():
@@ -225,7 +225,7 @@ class DaskEngine(ExitStack):
         return self._submit_call(on_worker.list_outcomes_as_results, made, name="made")
 
     def _submit_making_of_files(self, batch: FileBatch, texts: Mapping[Path, str]) -> Future:
-        """Send the task of making a batch of files, with the texts it reads, to a Dask worker."""
+        """Submit a Dask task that makes a batch of files from texts; return its future."""
         named = {str(path): text for path, text in texts.items()}
         args = on_worker.make_files, self._context, batch.target, named, batch.limit_s
         name = batch.target.__name__
@@ -234,7 +234,7 @@ class DaskEngine(ExitStack):
     def _submit_call(
         self, function: Callable[..., Any], *args: Any, name: str, **how: Any
     ) -> Future:
-        """Submit a function call as a uniquely named Dask task to the accepted workers."""
+        """Submit a function call as a uniquely named task to Dask workers; return its future."""
         if self.cluster.client.status != "running":
             raise self._choose_error_after_waiting()
         key = f"{name}-{next(self._names)}"

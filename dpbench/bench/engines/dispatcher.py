@@ -172,7 +172,7 @@ class Dispatcher:
         return room and batch.is_timed == other.is_timed and not (batch.isolated or other.isolated)
 
     def _note_made_sources(self, results: Sequence[Result]) -> None:
-        """Note for each source file whether it was made or why it failed."""
+        """Store for each file of QPs whether the engine made it or why it failed."""
         keys = {str(self._sources.path(key)): key for key in self._being_made}
         for result in results:
             key = keys[result.run_id]

@@ -207,7 +207,7 @@ _get_forkserver = cache(start_forkserver)
 def _open_executor_and_folder(
     context: CampaignContext, cores: list[int], concurrency: int = 1
 ) -> Iterator[tuple[CellExecutor, Path]]:
-    """Open an executor of runs, one at a time, on these cores, and its temporary folder."""
+    """Yield an executor that does runs one at a time on these cores, and its temporary folder."""
     with ExitStack() as stack:
         place = stack.enter_context(make_temporary_folder_for_block(Path(tempfile.gettempdir())))
         modules = {}

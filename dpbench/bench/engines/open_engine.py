@@ -82,7 +82,7 @@ def open_engine(
     tls: TlsFiles | None = None,
     patience: WaitLimit = WaitLimit(),  # noqa: B008 - frozen, shared
 ) -> AbstractContextManager[Engine]:
-    """Open the engine that does a campaign's runs: "local" processes, or "dask" cluster workers.
+    """Return the engine that does a campaign's runs: "local" processes, or "dask" cluster workers.
 
     Without a `scheduler` the cluster is made of `jobs` workers of this machine; `patience` is with
     other campaigns on it. InputError for a bad option, without the extra of dask, and for a

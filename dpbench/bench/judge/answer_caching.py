@@ -130,7 +130,7 @@ _CONFIGURATION = ["scenario", *CONFIGURATION_COLUMNS]
 
 
 def add_loop_ratios(runs: pd.DataFrame) -> pd.DataFrame:
-    """Add columns to a table of runs: closed-loop over replay step time, at p50 and at p90.
+    """Return a copy of a table of runs with loop over replay step times added, at p50 and p90.
 
     NaN without a loop in that scenario that finished without a failed step, as a solver that fails
     meets other QPs.

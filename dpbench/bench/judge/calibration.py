@@ -43,7 +43,7 @@ class Calibration:
 
 
 def time_dummy_solvers() -> Calibration:
-    """Time made-up QPs with every dummy solver of known duration, on this process's last core."""
+    """Time every dummy solver on this process's last core; return medians and disturbance."""
     allowed = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {max(allowed)})
     collecting = gc.isenabled()

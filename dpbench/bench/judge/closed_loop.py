@@ -107,7 +107,7 @@ class StepEvaluator:
         self._evaluated: list[Matrix] = []
 
     def take_new_matrices(self, step: QPStep, own: QPStep) -> None:
-        """Switch to the QP matrices of a step where it has new ones."""
+        """Store a step's QP matrices for the answers queued from now on, where they are new."""
         if self._scaled.changed_by(step):
             self._evaluate_queue()
             self._scaled, self._own = self._scaled.at(step), self._own.at(own)
@@ -173,7 +173,7 @@ class StepEvaluator:
 
 
 def _stack_attribute(parts: Sequence[object], name: str) -> Matrix:
-    """Stack one named attribute of every part as the rows of a matrix."""
+    """Return a matrix whose rows are one named attribute of every part."""
     return np.array([getattr(part, name) for part in parts])
 
 
@@ -255,7 +255,7 @@ def _make_evaluator_and_rebuilder(
 def _make_allocation_columns(
     scenario: Scenario, scaled: QPBuilder, own: QPBuilder, log: RawLog
 ) -> Columns:
-    """Return, of a loop with thrust allocation, the undelivered force and allocation columns."""
+    """Return a loop's columns of undelivered force and thrust-allocation QPs; none without any."""
     if not scenario.controller.allocates:
         return {}
     done, ship = int(log.done[0]), scenario.vessel
@@ -281,7 +281,7 @@ def _make_allocation_columns(
 
 
 def _evaluate_backup_columns(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
-    """Return the backup solver's step columns: its answers, whether and when they were applied."""
+    """Return the step columns of the backup solver's answers and their use; none without it."""
     answers = log.backup
     if answers is None:
         return {}
@@ -301,7 +301,7 @@ def _evaluate_backup_columns(cell: Cell, scenario: Scenario, log: RawLog) -> Col
 def _evaluate_steps_and_count_matrices(
     answers: AnswerLog, evaluator: StepEvaluator, rebuilt: RebuildStep, asked: Flags
 ) -> tuple[Columns, int]:
-    """Evaluate a solver's answers in the `asked` steps (K,); count steps with new matrices."""
+    """Return columns of answers in the `asked` steps (K,), and how many brought new matrices."""
     evaluations = np.full((len(asked), len(EVALUATION)), np.nan)
     certificates = np.full(len(asked), CERTIFICATES.index("none"), dtype=np.int8)
     matrix_steps = 0

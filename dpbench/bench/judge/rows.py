@@ -124,7 +124,7 @@ def _answer_columns(columns: Columns, asked: Flags | None) -> StepColumns:
 
 
 def join_cascade_steps(first: StepColumns, second: StepColumns) -> StepColumns:
-    """Join the step columns of a cascade's two QPs, control and thrust allocation, into one set.
+    """Return one set of step columns for a cascade's two QPs, control and thrust allocation.
 
     A step is claimed, and true, only if both answers are; its time is that of both. Status and
     certificate are those of the first QP, or of the second where the first is solved, or has no

@@ -108,7 +108,7 @@ def plan_replay_per_configuration(
     why_no_sparse_form: str = NO_MODEL,
     **fields: Any,
 ) -> list[PlannedCell]:
-    """Plan replays of `steps` QPs, one for each solver configuration of a suite table.
+    """Return planned replays of `steps` QPs, one for each solver configuration of a suite table.
 
     Untimed ones, random or of a capability, have no budget. A window of the hardest steps has its
     share of the budgets of its stretch, and a short warm-up.
@@ -148,7 +148,7 @@ def _compute_dummy_wait_s(
 def plan_recorded_replays(
     suite: SuiteFile, solvers: Sequence[str], beside: Path | None, taken: Sequence[str]
 ) -> list[PlannedCell]:
-    """Plan the replays of all recorded sequences of QPs that a suite in folder `beside` names.
+    """Return planned replays of all recorded sequences that a suite in folder `beside` names.
 
     InputError for a file that is no sequence, or a name that is there twice or `taken`.
     """
@@ -176,7 +176,7 @@ def plan_recorded_replays(
 def plan_capability_replays(
     suite: SuiteFile, table: CapabilityTable, solvers: Sequence[str], beside: Path | None
 ) -> list[PlannedCell]:
-    """Plan the runs that solve a capability plot's QPs; InputError without thrusters or hull."""
+    """Return planned runs of a capability plot's QPs; InputError without thrusters or hull."""
     files = read_validated_vessel_documents(table.vessel, beside=beside)
     cases = CapabilityPlot(
         build_vessel_from_documents(files, table.vessel), table.sides
@@ -199,7 +199,7 @@ def _mark_refused_if_semidefinite(planned: PlannedCell) -> PlannedCell:
 def plan_random_replays(
     suite: SuiteFile, table: RandomTable, solvers: Sequence[str]
 ) -> list[PlannedCell]:
-    """Plan the runs that solve the random QPs of a suite table."""
+    """Return the planned runs that solve the random QPs of a suite table."""
     # What depends on the configuration alone is found out once: a table may make thousands of
     # cells.
     blanks = plan_replay_per_configuration(suite, table, solvers, table.steps, scenario={})

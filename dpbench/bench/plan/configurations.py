@@ -113,7 +113,7 @@ def refuse_unknown_settings_names(
 
 
 def refuse_invalid_own_settings(suite: SuiteFile, choices: Iterable[str], where: str) -> None:
-    """Check settings of one's own against the options of the solvers that are installed.
+    """Raise SettingsError for settings of one's own that an installed solver does not accept.
 
     where : the place of the choices of solvers.
 

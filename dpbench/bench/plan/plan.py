@@ -156,7 +156,7 @@ def _merge_equal_cells(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
 def _plan_closed_loops(
     suite: SuiteFile, table: ClosedLoopTable, scenario: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
-    """Plan the closed loops of a scenario, one per solver configuration and computer slow-down."""
+    """Return planned closed loops of a scenario, one per solver configuration and slow-down."""
     steps = min(table.steps or scenario.steps, scenario.steps)
     if table.deadline_s > scenario.sample_s:
         where, allowed = f"suite: closed loop of {scenario.name}", f"at most {scenario.sample_s:g}"
@@ -195,7 +195,7 @@ def _plan_closed_loops(
 def _plan_scenario_replays(
     suite: SuiteFile, table: ReplayTable, scenario: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
-    """Plan replays of a scenario's QPs: along the exact loop, its hardest steps, or failures."""
+    """Return planned replays of a scenario's QPs: of the exact loop, hardest steps, or failures."""
     if table.first >= scenario.steps:
         raise InputError(
             f"suite: replay of {scenario.name}", "first", table.first, f"below {scenario.steps}"
@@ -254,7 +254,7 @@ def _plan_consequence_replays(
     solvers: Sequence[str],
     steps: int,
 ) -> list[PlannedCell]:
-    """Plan the consequence-analysis replays of each failure group of a scenario's ship."""
+    """Return planned consequence-analysis replays of each failure group of a scenario's ship."""
     thrusters, _ = select_thruster_rows(scenario)
     if table.units != ["scaled"]:
         where = f"suite: consequence analysis of {scenario.name}"
@@ -279,7 +279,7 @@ def _plan_consequence_replays(
 def plan_study_loops(
     suite: SuiteFile, solvers: Sequence[str], beside: Path | None
 ) -> list[PlannedCell]:
-    """Plan the closed loops of a suite's studies; InputError for a parameter without effect."""
+    """Return planned closed loops of a suite's studies; InputError for a parameter of no effect."""
     cells: list[PlannedCell] = []
     titles = [table.title for table in suite.study]
     for table in suite.study:
@@ -299,7 +299,7 @@ def _plan_loops_of_study(
     solvers: Sequence[str],
     beside: Path | None,
 ) -> list[PlannedCell]:
-    """Plan the closed loops of one study: each parameter point with each solver configuration."""
+    """Return planned closed loops of a study: each parameter point with each configuration."""
     base = load_scenario(table.base, beside=beside)
     keys = [*table.keys, *([table.replicates.key] if table.replicates.count > 1 else [])]
     own = {key: read_value_of_dotted_key(base, key, where) for key in keys}
@@ -318,7 +318,7 @@ def _plan_loops_of_study(
 def _plan_base_cells(
     suite: SuiteFile, table: StudyTable, base: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
-    """Plan a run for each solver configuration in a study's unchanged base scenario."""
+    """Return a planned run of a study's unchanged scenario for each solver configuration."""
     calls = {name: getattr(table, name) for name in ("solvers", "settings", "routes", "policies")}
     loops = ClosedLoopTable(scenarios=[table.base], **calls)
     cells = [

@@ -41,21 +41,21 @@ FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
 
 
 def _require_slowdown_0_or_from_1(value: float) -> float:
-    """Check a slow-down of the ship's computer; ValueError outside 0 and 1 to `SLOWEST`."""
+    """Return a computer slow-down unchanged; ValueError outside 0 and 1 to `SLOWEST`."""
     if value != 0.0 and not 1.0 <= value <= SLOWEST:
         raise ValueError(f"0 (off), or 1 to {SLOWEST:g}")
     return value
 
 
 def _require_known_fallback(name: str) -> str:
-    """Check the name of a policy for steps without an answer; ValueError for an unknown one."""
+    """Return the name of a policy for unanswered steps unchanged; ValueError if unknown."""
     if name not in FALLBACKS:
         raise ValueError(" | ".join(map(repr, FALLBACKS)))
     return name
 
 
 def _require_known_core(name: str) -> str:
-    """Check the name of an embedded core; ValueError for an unknown one."""
+    """Return the name of an embedded core unchanged; ValueError for an unknown one."""
     if name not in TARGETS:
         raise ValueError(" | ".join(map(repr, TARGETS)))
     return name

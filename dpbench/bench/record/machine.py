@@ -50,7 +50,7 @@ def measure_clock_cost_and_resolution_ns() -> tuple[float, int]:
 
 
 def describe_machine() -> MachineDescription:
-    """Describe this machine for `machine.json`; its `id` hashes what makes timings comparable.
+    """Return this machine's description for `machine.json`; `id` hashes what timings depend on.
 
     A solver's own version is part of each cell's key instead.
     """

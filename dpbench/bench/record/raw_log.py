@@ -202,7 +202,7 @@ class RawLog(AnswerLog):
 
     @classmethod
     def create(cls, path: Path, layout: Layout) -> "RawLog":
-        """Create the file that a run is recorded in, at full size; OSError where there is no room.
+        """Return a run's new record in a file of its full size; OSError where there is no room.
 
         It appears at `path` whole or not at all, as the supervisor may read it at any moment.
         Without all its room a later step would die by SIGBUS.
@@ -218,7 +218,7 @@ class RawLog(AnswerLog):
 
     @classmethod
     def open(cls, path: Path) -> "RawLog":
-        """Open the file that a run is recorded in, writable and shared between processes."""
+        """Return a run's record in its file, writable and shared between processes."""
         layout = json.loads(path.with_suffix(".layout").read_text(encoding="ascii"))
         with path.open("r+b") as file:
             return cls(layout, mmap.mmap(file.fileno(), 0))

@@ -53,7 +53,7 @@ _PANDAS = {dtype: pd.api.types.pandas_dtype(dtype) for dtype in get_args(DType)}
 
 
 def convert_to_columns(frame: pd.DataFrame, columns: Columns) -> pd.DataFrame:
-    """Give a data frame exactly these columns and types; absent ones have no values."""
+    """Return a data frame with exactly these columns and types; absent ones have no values."""
     # Most runs lack most columns: what is absent is made once for each type, not for each column.
     fillers: dict[str, object] = {"str": "", "bool": False, "int32": 0, "int64": 0, "Int64": pd.NA}
     absent = {
@@ -74,12 +74,12 @@ def _convert_column(column: "pd.Series[Any]", dtype: DType) -> Any:
 
 
 def convert_to_step_columns(frame: pd.DataFrame) -> pd.DataFrame:
-    """Give a data frame the columns and types of `steps.parquet`; absent ones have no values."""
+    """Return a data frame with the columns of `steps.parquet`; absent ones have no values."""
     return convert_to_columns(frame, STEP_COLUMNS)
 
 
 def convert_to_run_columns(frame: pd.DataFrame) -> pd.DataFrame:
-    """Give a data frame the columns and types of `runs.parquet`, then its study parameters."""
+    """Return a data frame with the columns of `runs.parquet`, then its study parameters."""
     runs = convert_to_columns(frame, RUN_COLUMNS)
     keys = [name for name in frame.columns if name.startswith(STUDY_PREFIX)]
     return runs.join(frame[keys]) if keys else runs

@@ -91,7 +91,7 @@ def _make_table_of_all_columns(arrays: Mapping[str, Any], rows: int, columns: Co
 
 
 def _refuse_missing_numbers(runs: pa.Table) -> pa.Table:
-    """Raise ValueError for a table of runs that lacks a number which every run has."""
+    """Return a table of runs unchanged; ValueError if it lacks a number which every run has."""
     for name in _WHOLE_NUMBERS:
         if runs[name].null_count:
             raise ValueError(f"{name}: no number")
@@ -163,7 +163,7 @@ def encode_steps_as_parquet(table: pa.Table, metadata: Mapping[str, str] | None 
 
 
 def add_missing_step_columns(table: pa.Table) -> pa.Table:
-    """Complete a table of steps to all columns of `steps.parquet`; ValueError if wrong types."""
+    """Return a table of steps with all columns of `steps.parquet`; ValueError for wrong types."""
     return _cast_columns(table, STEP_COLUMNS, FILE_SCHEMA)
 
 
@@ -185,7 +185,7 @@ def write_runs(path: Path, runs: pa.Table, metadata: Mapping[str, str]) -> None:
 
 
 def runs_from_frame(frame: pd.DataFrame) -> pa.Table:
-    """Convert a data frame of runs to an Arrow table, its study columns last."""
+    """Return a data frame of runs as an Arrow table, its study columns last."""
     runs = convert_to_run_columns(frame).reset_index(drop=True)
     keys = pa.Schema.from_pandas(runs[[name for name in runs if name not in RUN_COLUMNS]])
     schema = pa.schema([*RUNS_SCHEMA, *keys])
@@ -193,7 +193,7 @@ def runs_from_frame(frame: pd.DataFrame) -> pa.Table:
 
 
 def add_missing_run_columns(table: pa.Table) -> pa.Table:
-    """Complete a table of runs to all columns of `runs.parquet`; ValueError if wrong types."""
+    """Return a table of runs with all columns of `runs.parquet`; ValueError for wrong types."""
     return _refuse_missing_numbers(_cast_columns(table, RUN_COLUMNS, RUNS_SCHEMA))
 
 
@@ -245,7 +245,7 @@ DAMAGE = (OSError, ValueError, KeyError, TypeError, IndexError, pa.ArrowExceptio
 
 
 def _convert_to_json_value(value: object) -> object:
-    """Convert a NumPy number to a Python one for JSON, a missing one to None; TypeError else."""
+    """Return a NumPy number as a Python one for JSON, a missing one as None; TypeError else."""
     if value is pd.NA:
         return None
     if isinstance(value, np.generic):

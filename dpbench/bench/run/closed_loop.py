@@ -52,10 +52,10 @@ class Actuation:
         """Set up the allocation solver, if any, before the first step."""
 
     def set_tripped_forces_to_zero(self, entries: Indices) -> None:
-        """Set the commands of thrusters that stop at once to zero, and the force they made."""
+        """Set commands and forces of tripped thrusters to zero; nothing without thrusters."""
 
     def apply_input_of_step(self, k: int) -> int:
-        """Set command and force from step k's limited u; return the allocation's time [ns]."""
+        """Set the ship's command and force from step k's u; return the allocation's time [ns]."""
         return 0
 
 
@@ -71,7 +71,7 @@ class ThrusterActuation(Actuation):
         self.command[entries] = 0.0
 
     def apply_input_of_step(self, k: int) -> int:
-        """Set the force on the ship to T_e u, from the thruster forces u of step k."""
+        """Set the force on the ship to T_e u of thruster forces u in step k; return 0 [ns]."""
         self._T_e.dot(self.command, out=self.tau)
         self._log.tau[k] = self.tau
         return 0

@@ -73,7 +73,7 @@ class ExactWorkspace(Workspace):
         self._step = QPStep(qp.q, qp.l, qp.u)
 
     def update(self, step: QPStep) -> None:
-        """Take a step's QP as the next to solve; set up anew where its matrices have changed."""
+        """Store a step's QP as the next to solve; set up anew where its matrices have changed."""
         assert self._base is not None, "setup comes first"
         if self._base.changed_by(step):
             self.setup(self._base.at(step))
@@ -166,7 +166,7 @@ def read_allocation_sizes(stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]
 
 
 def _optima_to_arrays(optima: list[Optimum], name: str) -> dict[str, NDArray[Any]]:
-    """Convert certified optima to arrays over steps, by name with a prefix."""
+    """Return certified optima as arrays over steps, by name with a prefix."""
     return {
         f"{name}_{part}": np.array([getattr(optimum, part) for optimum in optima])
         for part in _OF_OPTIMUM
@@ -183,7 +183,7 @@ def _arrays_to_optima(stored: Mapping[str, NDArray[Any]], name: str) -> list[Opt
 
 
 def solve_loop_exactly(scenario: Scenario) -> ExactLoop:
-    """Run a closed loop of a scenario with the certified optimum of every step.
+    """Run a scenario's closed loop with the certified optimum of every step; return its record.
 
     Where a step has no feasible point, or nothing can be proven, the loop follows its last plan.
     """
@@ -347,7 +347,7 @@ def record_sequence(
 
 
 def compute_station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) -> dict[str, float]:
-    """Return where the exactly solved loop's ship is in `steps` steps, and how often limits act.
+    """Return how a ship in an exactly solved loop keeps station, and how often limits act.
 
     The ship is on station within `RADIUS_M` and `HEADING_DEG` of its setpoint, lengths and times
     scaled for a model ship. Offsets count from its arrival on, or all if it never arrives; after a
@@ -400,7 +400,7 @@ def compute_largest_offset_share(scenario: Scenario, state: Matrix) -> float:
 def _measure_offsets_and_arrivals(
     scenario: Scenario, state: Matrix
 ) -> tuple[Vector, Vector, Vector, Flags, float]:
-    """Return offset [m], heading error [°], distance [limits], arrivals (K,) and radius [m]."""
+    """Return a ship's offset [m], heading error [°], distance [limits], arrivals, radius [m]."""
     scale = Froude(float(scenario.files["vessel"]["model_scale"]))
     wanted = scenario.build_reference_table(len(state))
     north, east, turn = (state[:, POSE] - wanted).T

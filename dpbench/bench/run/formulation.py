@@ -117,7 +117,7 @@ class BoxFormulation:
         return self._base
 
     def step(self, step: QPStep) -> QPStep:
-        """Return a step's QP for the solver: itself, or a copy once new matrices are noted."""
+        """Return a step's QP for the solver, a copy after new matrices; store those for `base`."""
         # This is a part of emitting: asking the flag `refresh` takes half a microsecond, and a new
         # `base` three.
         if not (step.P is None and step.A is None and step.lb is None and step.ub is None):
@@ -156,7 +156,7 @@ class SparseFormulation(BoxFormulation):
         self._condensed = condensed
 
     def solution(self, answer: Solution) -> Solution:
-        """Convert a solver's answer to the sparse QP into that to the condensed QP."""
+        """Return a solver's answer to the sparse QP as one to the condensed QP."""
         return self._condensed(answer)
 
 
@@ -194,7 +194,7 @@ def _build_condensed_formulation(
 
 
 def convert_qp_to_one_sided_rows(qp: QuadraticProgram) -> QuadraticProgram:
-    """Convert a QP with two-sided rows and bounds to 2m + 2n one-sided rows M z ≤ γ."""
+    """Return a QP with two-sided rows and bounds as one with 2m + 2n one-sided rows M z ≤ γ."""
     identity = np.eye(qp.n)
     M = np.vstack([-qp.A, qp.A, -identity, identity])
     gamma = np.concatenate([-qp.l, qp.u, -qp.lb, qp.ub])
@@ -204,7 +204,7 @@ def convert_qp_to_one_sided_rows(qp: QuadraticProgram) -> QuadraticProgram:
 
 
 def convert_step_to_one_sided_rows(step: QPStep, stacked: QuadraticProgram) -> QPStep:
-    """Convert a step of a QP to one of its one-sided form `stacked`, M from what it brings."""
+    """Return a QP's step for its one-sided form `stacked`, with M where the step has new rows."""
     m = step.l.shape[0]
     gamma = stacked.u.copy()
     np.negative(step.l, out=gamma[:m])
@@ -223,7 +223,7 @@ def convert_step_to_one_sided_rows(step: QPStep, stacked: QuadraticProgram) -> Q
 
 
 def convert_solution_to_two_sided_rows(solution: Solution, m: int) -> Solution:
-    """Convert a solution of the one-sided QP back to one of the two-sided QP with m rows."""
+    """Return a solution of the one-sided QP as one of the two-sided QP with m rows."""
     n = solution.z.shape[0]
     lam = solution.y
     y, y_box = lam[m : 2 * m] - lam[:m], lam[2 * m + n :] - lam[2 * m : 2 * m + n]

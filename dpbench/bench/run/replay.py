@@ -58,7 +58,7 @@ def _measure_machine_load() -> None:
 
 
 def time_speed_and_load_tests(clock: Clock, load_kernel_ns: Floats | None = None) -> int:
-    """Time the machine-speed test, return its shortest time [ns]; write the load test's times."""
+    """Return the machine-speed test's shortest time [ns]; write load-test times to an array."""
     best, turn = 2**62, 0 if load_kernel_ns is None else KERNEL_REPEATS // len(load_kernel_ns)
     for i in range(KERNEL_REPEATS):
         started = clock()

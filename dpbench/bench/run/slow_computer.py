@@ -192,7 +192,7 @@ class SlowComputer:
         return solution, self._delay.simulate_latency_ns(step_ns)
 
     def _solve_by_backup(self, backup: Backup, step: QPStep, begins_ns: int) -> None:
-        """Let the backup solve the step from `begins_ns` after t_k to the sample's end."""
+        """Solve a step by the backup, `begins_ns` after t_k; store its plan where it is in time."""
         solve, recorded_ns = partial(backup.answer, self._k), -1
         answer, latency_ns = self._time_answer(backup.solver, solve, step)
         if self._solver.repeated:

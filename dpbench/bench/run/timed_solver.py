@@ -276,7 +276,7 @@ class TimedSolver:
 
 
 def list_failure_descriptions(counts: Mapping[str, int]) -> list[str]:
-    """Describe a solver's failures by count and the library's words, the most frequent first."""
+    """Return lines on a solver's failures in the library's words, the most frequent first."""
     named = Counter(counts).most_common(MOST_FAILURES)
     others = sum(counts.values()) - sum(count for _, count in named)
     words = [f"{count} × {text}" for text, count in named]

@@ -148,7 +148,7 @@ def _record_requested(
     at: int | None,
     part: Part,
 ) -> Recorded:
-    """Load a stored sequence or record one from a scenario, cut to the requested steps."""
+    """Return a stored sequence, or one recorded from a scenario, cut to the requested steps."""
     if _is_scenario(what):
         scenario = resolve_to_scenario(what)
         record = partial(recording.record_scenario, horizons=horizons, part=part)
@@ -193,7 +193,7 @@ def _load_recorded(what: str | Path | Scenario | QPSequence) -> Recorded:
 
 
 def _record_step(recorded: Recorded, k: int) -> Recorded:
-    """Cut a recording to its step k, with the optimum of that step certified."""
+    """Return step k of a recording as a recording, its optimum certified again."""
     sequence = recording.select_step(recorded.sequence, k)
     return replace(recorded, sequence=sequence, optima=certify_all_steps(sequence))
 
@@ -209,7 +209,7 @@ def _parse_horizons(text: str | None) -> Horizons | None:
 
 
 def save_qpbenchmark(out: str | Path, recorded: Recorded) -> tuple[Path, Path]:
-    """Write a sequence as a qpbenchmark test set: `<stem>.parquet` and `<stem>.py`.
+    """Write a sequence as a qpbenchmark test set, Parquet and Python file; return their paths.
 
     Steps without a certified optimum are left out; InputError for a stem that Python cannot import.
     """
@@ -277,7 +277,7 @@ def _render_test_set(stem: str, sequence: QPSequence, count: int) -> str:
 
 
 def save_mat(path: Path, recorded: Recorded) -> Path:
-    """Write a sequence to a MATLAB file, version 5.
+    """Write a sequence to a MATLAB file, version 5, and return its path.
 
     P, A, lb, ub as in `QuadraticProgram`, with the step as the first axis where they vary; q, l, u
     (K, ·), the optima z, y, y_box (K, ·) and their error `bound` (K,). `unit_z` (n,) and `unit_row`
@@ -293,7 +293,7 @@ def save_mat(path: Path, recorded: Recorded) -> Path:
 
 
 def save_csv(folder: Path, recorded: Recorded) -> Path:
-    """Write a sequence to a folder, each array a CSV table without head, a row per row.
+    """Write a sequence to a folder, a CSV table without head for each array; return the folder.
 
     Arrays of every step have a row per step; a matrix is flattened by rows there.
     """
@@ -306,7 +306,7 @@ def save_csv(folder: Path, recorded: Recorded) -> Path:
 
 
 def save_qps(folder: Path, recorded: Recorded) -> Path:
-    """Write each QP of a sequence to a folder as a file in QPS format, named by its step.
+    """Write each QP of a sequence to a folder as a QPS file, named by its step; return the folder.
 
     The format of the Maros-Meszaros and CUTEst test sets (MPS with a section QUADOBJ, free form).
     A row with two limits is stored as its upper limit and the range between them.

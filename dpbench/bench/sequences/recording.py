@@ -86,7 +86,7 @@ def select_step(sequence: QPSequence, k: int) -> QPSequence:
 
 
 def _select_steps(sequence: QPSequence, kept: slice, name: str, meta: dict[str, Any]) -> QPSequence:
-    """Cut a sequence, and its scaled equivalent, to a slice of its steps under a new name."""
+    """Return a slice of a sequence's steps, its scaled equivalent included, under a new name."""
     arrays = {part: getattr(sequence, part) for part in ("q", "l", "u", *CONSTANT)}
     cut: dict[str, Any] = {part: array[kept] for part, array in arrays.items() if array is not None}
     if sequence.scaled is not None:
@@ -97,7 +97,7 @@ def _select_steps(sequence: QPSequence, kept: slice, name: str, meta: dict[str, 
 
 
 def describe_sequence(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
-    """Describe a sequence of QPs in half a line: length, QP size, kinds of optimum proof."""
+    """Return half a line on a sequence of QPs: length, QP size, kinds of optimum proof."""
     kinds = Counter(optimum.kind for optimum in optima)
     bounds = [optimum.bound for optimum in optima if np.isfinite(optimum.bound)]
     proofs = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))

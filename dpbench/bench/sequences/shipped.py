@@ -75,7 +75,7 @@ class RecordingRule:
         return f"{self.scenario}-{horizons}"
 
     def record(self, steps: int | None = None) -> Recorded:
-        """Record the QPs by this rule, or their beginning from the first `steps` samples."""
+        """Return QPs recorded by this rule, or their beginning from the first `steps` samples."""
         scenario = load_scenario(self.scenario)
         # Second QPs are of one size, whatever the horizons.
         horizons = (self.N_p, self.N_c) if self.part == "controller" else None

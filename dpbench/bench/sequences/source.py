@@ -121,7 +121,7 @@ class _LoopFile:
         return ReplayInput(sequence, scenario.sample_s, optima, station)
 
     def refuse_damaged_file(self, path: Path) -> None:
-        """Read the whole file of a loop; ResultsError where it is damaged or has too few steps."""
+        """Raise ResultsError where a loop's file, read whole, is damaged or has too few steps."""
         stored, needed = len(ExactLoop.load(path).theta), self.cell.steps_needed_in_file
         if stored < needed:
             raise ResultsError(str(path), "theta", f"{stored} steps", f"{needed} of them")

@@ -114,7 +114,7 @@ class CellRun:
         return self._start_process_of_cells(self._cells, core)
 
     def start_next(self, child: Child, core: int) -> Child | None:
-        """Record the outcomes of a batch's process; start the next one; None at the end."""
+        """Store outcomes of a batch's ended process; start and return the next; None at the end."""
         assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
         ended, rest = child.split_items()
         if self._to_run:
@@ -176,7 +176,7 @@ class CellRun:
         return (self.folder / f"{cell.name}.raw").exists()
 
     def _start_process_of_cells(self, cells: Sequence[BatchCell], core: int) -> Child:
-        """Start a process on one core that runs cells, or judges those already run."""
+        """Start and return a process on one core that runs cells, or judges those already run."""
         target, verdict = run_batch, "json"
         if not self._to_run:
             target, verdict = evaluate_batch, "evaluated.json"
@@ -224,7 +224,7 @@ class FileRun:
         )
 
     def start_next(self, child: Child, core: int) -> Child | None:
-        """Record the outcomes of a process that made files; start the next one; None at the end."""
+        """Store outcomes of an ended process that made files; start and return the next, if any."""
         assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
         ended, rest = child.split_items()
         self.results += [Result(self._paths[name], outcome) for name, outcome in ended.items()]
@@ -233,7 +233,7 @@ class FileRun:
         return self._start_process_of_files(rest, core) if rest and not child.is_suspect else None
 
     def _start_process_of_files(self, tasks: Sequence[FileTask], core: int) -> Child:
-        """Start a process on one core that makes files."""
+        """Start and return a process on one core that makes files."""
         target, alone = partial(make_files_in_turn, self.batch.target), self.batch.isolated
         return _ItemProcess(
             self._context, target, tasks, self.folder, core, logs=False, alone=alone

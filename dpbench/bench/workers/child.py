@@ -144,7 +144,7 @@ class Child:
         self.notice.close_descriptor()
 
     def _name_files(self, folder: Path, name: str, verdict: str) -> None:
-        """Choose the folder and the names of a process's files, and remove an old verdict."""
+        """Store the names of a process's files, make their folder, and remove an old verdict."""
         self.folder, self.name = folder, name
         # Somebody else may have removed the folder, which costs those that had files in it.
         folder.mkdir(0o700, parents=True, exist_ok=True)

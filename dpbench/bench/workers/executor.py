@@ -292,7 +292,7 @@ class CellExecutor(ExitStack):
                 pass
 
     def _lock_machine(self, how: int) -> AbstractContextManager[bool]:
-        """Lock this machine, shared or alone, and report which campaigns it waits for."""
+        """Return a lock of this machine, shared or alone, that shows which campaigns it awaits."""
         return hold_machine_lock(
             how, self._holder, patience=self._patience, say_waiting=self._report_wait
         )

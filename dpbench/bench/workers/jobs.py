@@ -129,7 +129,7 @@ Batch = CellBatch | FileBatch
 
 
 def group_jobs(jobs: Iterable[CellJob], key: Callable[[CellJob], Key]) -> dict[Key, list[CellJob]]:
-    """Group runs by a key, in the order in which the keys appear."""
+    """Return runs grouped by a key, in the order in which the keys appear."""
     groups: dict[Key, list[CellJob]] = {}
     for job in jobs:
         groups.setdefault(key(job), []).append(job)
@@ -137,12 +137,12 @@ def group_jobs(jobs: Iterable[CellJob], key: Callable[[CellJob], Key]) -> dict[K
 
 
 def group_by_source(jobs: Iterable[CellJob]) -> dict[str, list[CellJob]]:
-    """Group runs by the file of their QPs."""
+    """Return runs grouped by the file of their QPs."""
     return group_jobs(jobs, lambda job: job.source_key)
 
 
 def group_by_problem(jobs: Iterable[CellJob]) -> list[list[CellJob]]:
-    """Group replays by their QPs; the solvers of a group are timed by turns."""
+    """Return replays grouped by their QPs; the solvers of a group are timed by turns."""
     return list(group_jobs(jobs, lambda job: job.cell.problem_key).values())
 
 
@@ -152,7 +152,7 @@ def configuration_key(cell: Cell) -> tuple[str, ...]:
 
 
 def split_into_batches(kind: Kind, jobs: Sequence[CellJob], slots: int) -> list[CellBatch]:
-    """Split runs of one kind into batches, sea by sea, enough to keep `slots` processes busy."""
+    """Return runs of one kind as batches, sea by sea, enough to keep `slots` processes busy."""
     if kind == "replays":
         return [CellBatch(kind, group) for group in group_by_problem(jobs)]
     alike = group_jobs(jobs, lambda job: configuration_key(job.cell))
@@ -173,7 +173,7 @@ def choose_batch_seconds(total_s: float, slots: int) -> float:
 def cut_into_groups(
     items: Iterable[Item], seconds_of: Callable[[Item], float], size_s: float
 ) -> Iterator[list[Item]]:
-    """Cut a list of runs or files into groups of `size_s` of work or more, at most `LONGEST_S`."""
+    """Yield groups of runs or files with `size_s` of work or more, at most `LONGEST_S`."""
     group: list[Item] = []
     total_s = 0.0
     for item in items:

@@ -22,7 +22,7 @@ _IGNORED = (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP, signal
 
 
 def _split_keeper() -> None:
-    """Fork the fork server from its supervisor, which ends with its children."""
+    """Fork this process: the child returns as fork server, the parent watches it until its end."""
     main, keeper = os.getppid(), os.getpid()
     adopt_orphans()
     template = os.fork()
@@ -38,7 +38,7 @@ def _split_keeper() -> None:
 
 
 def _watch_forkserver(template: int, main: int) -> None:
-    """Wait until the process workers are forked from, or the main program, has ended."""
+    """Wait until the fork server or the main program has ended."""
     for number in _IGNORED:
         signal.signal(number, signal.SIG_IGN)
     # The template's socket must refuse a connection when it is dead.
@@ -62,7 +62,7 @@ def _watch_forkserver(template: int, main: int) -> None:
 
 
 def _reap_children(template: int) -> bool:
-    """Reap ended children; return False when the process workers are forked from has ended."""
+    """Reap ended child processes; return False when the fork server has ended."""
     while True:
         try:
             state = os.waitid(os.P_ALL, 0, os.WEXITED | os.WSTOPPED | os.WNOHANG)

@@ -28,7 +28,7 @@ class NoRoomError(DpbenchError):
 
 
 def open_scratch_folder() -> AbstractContextManager[Path]:
-    """Open a temporary folder, in memory where that can be written."""
+    """Return a context that yields a temporary folder, in memory where that can be written."""
     return make_temporary_folder_for_block(
         MEMORY if os.access(MEMORY, os.W_OK) else Path(tempfile.gettempdir())
     )

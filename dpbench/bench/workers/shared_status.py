@@ -115,7 +115,7 @@ class _Sink(io.FileIO):
 
 
 def _receive_output(descriptor: Any) -> Output:
-    """Rebuild shared captured output from a descriptor, in the process that receives it."""
+    """Return captured output rebuilt from a descriptor, in the process that receives it."""
     return Output(descriptor.detach())
 
 
@@ -138,7 +138,7 @@ class SharedStatus:
         os.close(self._descriptor)
 
     def begin(self) -> None:
-        """Record this worker's parents, and that the benchmark works; end if the template died."""
+        """Record this worker's parents and first phase; have it end with the fork server."""
         orphans.end_with_parent(orphans.template)
         orphans.adopt_orphans()
         _TEMPLATE.pack_into(self._page, _HEAD.size, orphans.template, orphans.keeper)
@@ -190,7 +190,7 @@ class SharedStatus:
 
 
 def _receive_status(descriptor: Any, output: Output) -> SharedStatus:
-    """Rebuild a shared status from a descriptor, in the process that receives it."""
+    """Return a shared status rebuilt from a descriptor, in the process that receives it."""
     notice = SharedStatus(descriptor.detach(), output)
     notice.close_descriptor()
     return notice

@@ -415,7 +415,7 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
 
 
 def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
-    """Judge logs of runs without loading their solver; the first names its `<name>.judged`."""
+    """Judge raw logs of runs without loading their solver; write results and outcomes to files."""
     pin_to_core(core)
     disable_gc_and_warnings()
     judged: dict[str, tuple[Row, pa.RecordBatch]] = {}

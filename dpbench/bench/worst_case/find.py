@@ -104,7 +104,7 @@ def find_worst_case(
     solver_module: str | Path | None = None,
     progress: Progress | None = None,
 ) -> WorstCase:
-    """Search for a solver's worst step over variants of a scenario, and save these QPs.
+    """Search scenario variants for a solver's worst step, save its QPs, and return the result.
 
     Ctrl-C ends the search early with the best case so far.
 
@@ -187,7 +187,7 @@ def _make_baseline_cell(
 
 
 def _save_findings(worst_case: WorstCase, seed: int) -> WorstCase:
-    """Save the QPs of the worst case and of the first of each failure; return their paths."""
+    """Save the QPs of the worst case and each failure's first; return the result with paths."""
     search, cell, path = worst_case.search, worst_case.cell, worst_case.path
     facts = {
         "goal": worst_case.goal,

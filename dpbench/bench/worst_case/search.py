@@ -211,7 +211,7 @@ class Search:
         self.stopped = ""
 
     def run(self, base: Scenario, seed: int) -> None:
-        """Replay the unchanged scenario, then search its variants until all trials are used up.
+        """Replay the unchanged scenario, then variants until trials are used up; store the worst.
 
         InputError where the goal is iterations and the solver counts none, or a case cannot be
         made; CertificateError for the scenario itself.
