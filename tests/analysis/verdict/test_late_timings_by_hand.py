@@ -163,12 +163,13 @@ def test_switches_outside_of_the_timed_calls_explain_nothing(records: Any) -> No
 
 
 @pytest.mark.parametrize(
-    ("switches", "replay_s", "proven"), [(50, 0.36, False), (50, 6.0, True), (4, 0.36, True)]
+    ("switches", "replay_s", "proven"),
+    [(50, 0.36, False), (51, 5.0, False), (50, 5.0, True), (4, 0.36, True)],
 )
 def test_a_disturbed_loop_proves_nothing(
     records: Any, switches: int, replay_s: float, proven: bool
 ) -> None:
-    """139 switches a second of another program; not 8.3 a second, nor four of 450 timings."""
+    """139 switches a second of another program; not ten a second, nor four of 450 timings."""
     slow = dict.fromkeys(range(200), 7e6)
     _loop(records, 450, slow, involuntary_switches=switches, replay_s=replay_s)
     (found,) = _found(records)["daqp"]
@@ -263,6 +264,22 @@ def test_a_replay_beside_a_solver_without_stalls(records: Any) -> None:
     assert found.p == pytest.approx(2 * (4 * q**3 * (1 - q) + q**4), rel=1e-9)
     assert found.machine == pytest.approx(0.5 / 3000)
     assert found.is_proven_late
+
+
+def test_a_replay_of_two_rounds_beside_one_of_a_test_solver(records: Any) -> None:
+    """Half a stall in the only round of 20 ms is a mean of 1/2 with a shape of 1.
+
+    Three stalls in a round then have a share of (1/3)^3, in both rounds its square.
+    """
+    _replay(records, "daqp", {}, rounds=2)
+    frame = records._steps[-1]
+    late = (frame["k"] // 3).eq(frame["repeat"])
+    frame["total_ns"] = np.where(late, 10_000_000, BASE_NS)
+    _replay(records, COPY_ONLY, {}, rounds=1)
+    (found,) = _found(records)["daqp"]
+    assert (found.kind, found.late, found.samples) == ("late at random", 6, 2000)
+    assert found.p == pytest.approx(2 / 27**2, rel=1e-9)
+    assert found.machine == pytest.approx(1 / 2000)
 
 
 def test_who_remembers_answers_hides_nobody(records: Any) -> None:

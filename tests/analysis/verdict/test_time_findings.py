@@ -165,6 +165,23 @@ def test_the_times_of_a_replay_at_limits(
 
 
 @pytest.mark.parametrize(
+    ("ns", "kinds"),
+    [
+        (333_333, []),
+        (333_334, ["p99 borderline"]),
+        (2_666_666, ["p99 borderline"]),
+        (2_666_667, ["deadline borderline", "p99 borderline"]),
+    ],
+)
+def test_a_third_of_a_limit_is_not_rounded(records: Any, ns: int, kinds: list[str]) -> None:
+    """Limits of 1 ms and 8 ms, of times that are uncertain by a factor of three."""
+    _even_replay(records, ns, 1000)
+    view = records.view()
+    uncertainty = Uncertainty({}, {}, {}, 3.0)
+    assert _kinds(judge_replay_times(view, view.runs, REQUIREMENTS, uncertainty)[0]) == kinds
+
+
+@pytest.mark.parametrize(
     ("slow", "rounds", "switches", "expected"),
     [
         (30, 1, None, [("few timings", 1)]),
