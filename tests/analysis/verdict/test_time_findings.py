@@ -225,14 +225,24 @@ def test_few_timings_prove_no_late_p99(
 
 
 @pytest.mark.parametrize(
-    ("switches", "expected"),
-    [(math.nan, [3.0] * 4), (8, [3.0] * 4), (7, [1.0, 3.0, 3.0, 3.0]), (1, [1.0, 2.0, 4.0, 9.0])],
+    ("outcome", "switches", "expected"),
+    [
+        ("finished", math.nan, [3.0] * 4),
+        ("finished", 8, [3.0] * 4),
+        ("finished", 7, [1.0, 3.0, 3.0, 3.0]),
+        ("finished", 1, [1.0, 2.0, 4.0, 9.0]),
+        ("crashed", 1, [3.0] * 4),
+        ("timed_out", 1, [3.0] * 4),
+    ],
 )
-def test_own_times_of_two_timings_by_hand(switches: float, expected: list[float]) -> None:
-    """Four steps with a median of 3; each two switches may have hit one of the slowest."""
-    run: Any = SimpleNamespace(
-        outcome="finished", involuntary_switches=switches, voluntary_switches=0
-    )
+def test_own_times_of_two_timings_by_hand(
+    outcome: str, switches: float, expected: list[float]
+) -> None:
+    """Four steps with a median of 3; each two switches may have hit one of the slowest.
+
+    Only of a finished run all switches are counted.
+    """
+    run: Any = SimpleNamespace(outcome=outcome, involuntary_switches=switches, voluntary_switches=0)
     k, algo_ns = np.arange(4), np.array([4.0, 1.0, 9.0, 2.0])
     times = StepTimes(k, algo_ns, None, np.full(4, 2), 9.0, np.array([3.0, 3.0]))
     assert find_own_times_ns(run, times).tolist() == expected
