@@ -184,7 +184,7 @@ class Campaign:
         return list(read_suite_description(self._out).get("revisions", []))
 
     def _describe_changed_keys(self) -> str:
-        """Name the keys of all cells that the suite had with other values in this folder; or ""."""
+        """Return as text the suite's keys that had other values in this folder; "" without any."""
         if self._fresh or not (self._out / "suite.json").is_file():
             return ""
         found: Mapping[str, Any] = dict(read_suite_description(self._out))

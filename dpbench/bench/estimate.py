@@ -236,7 +236,7 @@ def find_finished_cells(planned: Sequence[PlannedCell], folder: Path) -> set[int
 
 
 def describe_what_is_not_forecast(slots: int) -> list[str]:
-    """Describe what a forecast leaves out: waits for other campaigns and other programs' load."""
+    """Return lines on what a forecast leaves out: other campaigns and other programs' load."""
     lines = ["not in it: waits for other campaigns on this machine (--wait), other programs"]
     if holders := find_machine_lock_holders():
         lines.append(f"now in use by {' and '.join(map(str, holders))}: perhaps to be waited for")

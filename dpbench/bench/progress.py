@@ -56,7 +56,7 @@ class ProgressLines:
             self._printed_s, self._printed_share = now_s, share
 
     def remark(self, text: str) -> None:
-        """Print a line."""
+        """Print a remark of a campaign."""
         print(f"dpbench: {text}", file=sys.stderr, flush=True)
 
     waiting = remark

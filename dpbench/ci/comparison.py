@@ -124,7 +124,7 @@ class RunComparison:
         )
 
     def markdown(self, lines: Iterable[str] = ()) -> str:
-        """Return a Markdown document that begins with the verdict."""
+        """Return the comparison as a Markdown document that begins with the verdict."""
         parts = [f"**dpbench: {escape_markdown_paragraph(self.headline)}**"]
         if self.table is not None:
             parts.append(make_markdown_table(self.table.heads, self.table.rows, 4))

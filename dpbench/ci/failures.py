@@ -31,7 +31,7 @@ class FailedBenchmarks:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_benchmark_update_json(self, output_json: dict[str, Any]) -> None:
-        """Add the failures and the imported files to the JSON file."""
+        """Add failed benchmarks and imported files to the given JSON document, in place."""
         output_json |= self._collect_failures_and_files()
 
     @pytest.hookimpl(trylast=True)

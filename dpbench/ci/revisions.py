@@ -219,7 +219,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def run() -> int:
-    """Run `main`; Ctrl-C or SIGTERM ends its pytest first, exit code 128 and the signal."""
+    """Run `main` and return its exit code; at a signal end pytest first: 128 and its number."""
     with first_signal_only() as interruption:
         try:
             return main()

@@ -158,13 +158,13 @@ def plan_settings(
     settings: Sequence[Options],
     presets: Sequence[str] = (DEFAULT,),
 ) -> list[PlannedCell]:
-    """Return the planned runs of `measure_settings`."""
+    """Return the planned runs that time settings and presets of a solver on some sequences."""
     document = tomllib.loads(format_suite_as_toml(solver, problems, settings, presets))
     return plan_suite(SuiteFile.model_validate(document))
 
 
 def count_steps_of_settings(solver: TunedSolver, problems: Sequence[TunedProblem]) -> int:
-    """Return the steps that settings of a solver take on some sequences, for the progress bar."""
+    """Return how many steps a solver takes with default settings on some sequences."""
     return sum(count_steps(planned.cell) for planned in plan_settings(solver, problems, ()))
 
 

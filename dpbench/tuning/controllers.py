@@ -123,7 +123,7 @@ def draw_realisations(
 
 
 def change_sea_of_scenario(scenario: Scenario, sea: Realisation) -> Scenario:
-    """Return the scenario in one sea; the noise of its sensors stays."""
+    """Return a scenario changed to one sea, the noise of its sensors kept."""
     weather = scenario.files["scenario"]["environment"]
     if sea.number is not None:
         weather = make_environment_of_dp_number(sea.number).model_dump() | {

@@ -263,7 +263,7 @@ class _ConeRows:
         return own
 
     def add_row_of_sum(self, sizes: Indices) -> None:
-        """Add the row Σ u_k ≤ u of a thruster with several pieces."""
+        """Add the constraint row Σ u_k ≤ u of a thruster with several convex thrust areas."""
         row = np.zeros((1, self._width))
         row[0, sizes], row[0, -1] = -1.0, 1.0
         self._append_rows(row, [_import_clarabel().NonnegativeConeT(1)])

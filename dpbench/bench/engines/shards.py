@@ -96,7 +96,7 @@ def _sum_planned_steps(jobs: list[CellJob]) -> int:
 
 
 def _split_into_inseparable_groups(jobs: list[CellJob]) -> list[list[CellJob]]:
-    """Split runs on one file of QPs into the smallest groups that must stay on one machine."""
+    """Return runs on one file of QPs in the smallest groups that must stay on one machine."""
     units = group_by_problem([job for job in jobs if job.cell.is_timed])
     alike: dict[tuple[str, ...], list[CellJob]] = {}
     for job in jobs:

@@ -132,7 +132,7 @@ class StepEvaluator:
         return np.concatenate([np.empty((0, len(EVALUATION))), *self._evaluated])
 
     def _evaluate_queue(self) -> None:
-        """Compute residuals, errors and correctness of all queued answers, of equal matrices."""
+        """Store errors, residuals and correctness of queued answers to QPs of equal matrices."""
         if not self._waiting:
             return
         scaled, own, answers, optima = zip(*self._waiting, strict=True)

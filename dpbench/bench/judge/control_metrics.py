@@ -178,7 +178,7 @@ def compute_axis_limit_metrics(
     violated = (above | below).any(axis=1) | _mask_steps_over_rate_limit(scenario, tau)
     shares = {f"at_amplitude_{force}": at_amplitude[:, i] for i, force in enumerate(FORCES)}
     return (
-        _share_of_steps_at_rate_limit(scenario, tau)
+        _compute_rate_limit_shares(scenario, tau)
         | {name: float(share.mean()) for name, share in shares.items()}
         | {"limit_violations": float(violated.sum())}
     )
@@ -202,13 +202,13 @@ def compute_joint_limit_metrics(
     violated = (outside & (share > share_before + 1e-9)) | _mask_steps_over_rate_limit(
         scenario, tau
     )
-    return _share_of_steps_at_rate_limit(scenario, tau) | {
+    return _compute_rate_limit_shares(scenario, tau) | {
         "limit_violations": float(violated.sum()),
         "at_limit_thrusters": float(at_limit.mean()),
     }
 
 
-def _share_of_steps_at_rate_limit(scenario: Scenario, tau: Matrix) -> dict[str, float]:
+def _compute_rate_limit_shares(scenario: Scenario, tau: Matrix) -> dict[str, float]:
     """Return by column the share of steps at which each force changes at its rate limit."""
     du_max = scenario.problem.du_max
     at_rate = np.abs(tau - shift_forces_by_one_step(tau)) >= du_max - AT_LIMIT * du_max
@@ -248,7 +248,7 @@ def compute_thruster_metrics(
     per_entry = control.thrusters.repeat_for_each_force_entry(control.thrusters.largest_thrusts_N)
     turned_deg, reversals = _azimuth_travel_and_reversals(control, f, before)
     at_rate = np.abs(change) >= (1.0 - AT_LIMIT) * step_max
-    at_limit, violated = _limit_share_and_violations(control, step_max, f, before, limits)
+    at_limit, violated = _compute_limit_share_and_violations(control, step_max, f, before, limits)
     return {
         "thrust_share": float(shares["thrust_share"].mean()),
         "power_share": float(shares["power_share"].mean()),
@@ -280,7 +280,7 @@ def _azimuth_travel_and_reversals(
     return float(np.degrees(turned)), float(reversals)
 
 
-def _limit_share_and_violations(
+def _compute_limit_share_and_violations(
     control: ThrusterControl, step_max: Vector, f: Matrix, before: Matrix, limits: Sequence[Limits]
 ) -> tuple[float, float]:
     """Return the share of steps with a thruster at its limit, and how many violate a limit.

@@ -270,10 +270,10 @@ def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
     iterations = steps["iterations"][steps["iterations"] > MISSING_INT]
     bounds = steps["optimum_bound"]
     return {
-        "claimed_share": _share_of_true(steps["claimed"]),
-        "true_share": _share_of_true(steps["true"][known]),
-        "true_1e4_share": _share_of_true(steps["true_1e4"][known]),
-        "true_1e6_share": _share_of_true(steps["true_1e6"][known]),
+        "claimed_share": _compute_share_of_true(steps["claimed"]),
+        "true_share": _compute_share_of_true(steps["true"][known]),
+        "true_1e4_share": _compute_share_of_true(steps["true_1e4"][known]),
+        "true_1e6_share": _compute_share_of_true(steps["true_1e6"][known]),
         "claimed_not_true": int(rules.mask_claimed_not_true(steps).sum()),
         "true_not_claimed": int(rules.mask_true_not_claimed(steps).sum()),
         "error_move_p50": np.quantile(moves, 0.5, method="higher") if len(moves) else np.nan,
@@ -298,7 +298,7 @@ def _worst_error_columns(steps: StepColumns) -> dict[str, Any]:
     }
 
 
-def _share_of_true(flags: Flags) -> float:
+def _compute_share_of_true(flags: Flags) -> float:
     """Return the share of flags that are true; NaN without any."""
     return float(flags.mean()) if len(flags) else float("nan")
 

@@ -73,7 +73,7 @@ def mask_disturbed_rounds(reference_kernel_ns: Floats) -> Flags:
 
 
 def mask_counted_rows(repeat: NDArray[np.int32], disturbed: Flags) -> Flags:
-    """Mask a replay's rows that count (N,): no warm-up, no disturbed round unless all are.
+    """Return a mask (N,) of a replay's rows that count: no warm-up, disturbed rounds only if all.
 
     No disturbed round counts, unless all of them are.
     """

@@ -235,7 +235,7 @@ def name_solvers_of_suite(choices: Sequence[str]) -> list[str]:
 
 
 def _list_default_solvers() -> list[str]:
-    """List the solvers of "all": neither the baseline law nor those of a missing extra."""
+    """Return the solvers of "all": neither the baseline law nor those of a missing extra."""
     return [s for s in list_all_solver_names() if s != BASELINE_LAW and _is_default_solver(s)]
 
 
@@ -281,7 +281,7 @@ def find_plugin_file(solver: str) -> str:
 def list_configurations(
     suite: SuiteFile, solvers: Sequence[str], table: Table
 ) -> list[Configuration]:
-    """Return each solver of a suite table in every call mode, settings, units and QP form.
+    """Return the configurations of a suite table: solvers by mode, settings, units and QP form.
 
     Of solvers named by the table, those of the suite take part. The harness's own configurations
     have one call mode, whatever the table has, and take part in timed replays alone.

@@ -143,7 +143,7 @@ class LoopWithBackup:
 
     @property
     def waited_ns(self) -> int:
-        """Wait for the core during the main solver's last answer [ns]; −1 if unknown."""
+        """Time waited for the core in the main solver's last answer [ns]; −1 if unknown."""
         return self._solver.waited_ns
 
     @property

@@ -168,7 +168,7 @@ def build_actuation(
     clock: Clock,
     u: Vector,
 ) -> Actuation:
-    """Return how a controller's output acts on the ship: as force, by thrusters, or allocated."""
+    """Return what applies a controller's output to the ship: as force, by thrusters, allocated."""
     if isinstance(controller, CascadeController):
         return Allocator(controller, builder, log, solver, clock, u)
     if controller.commanded_thrusters is not None:
@@ -269,7 +269,7 @@ def record_closed_loop(setup: ClosedLoopSetup) -> bool:
 def _choose_solver_fallback_and_emitter(
     setup: ClosedLoopSetup,
 ) -> tuple[TimedSolver | SolverReplacement, FallbackPolicy | SolverReplacement, Emit]:
-    """Return what solves the QPs, what moves without an answer, and what makes each QP."""
+    """Return a loop's solver, its fallback policy, and the function that makes each step's QP."""
     builder, solver, backup = setup.builder, setup.solver, setup.backup
     control = builder.condensed.control
     law = FALLBACKS[setup.fallback](

@@ -322,7 +322,7 @@ def _stack_q_l_u(steps: Sequence[QPStep]) -> dict[str, Any]:
 
 
 def _stack_matrices(matrices: list[Matrix | None]) -> Floats | None:
-    """Stack the matrices of all steps into one array; None where no step has new ones."""
+    """Return all steps' matrices stacked into one array; None where no step has new ones."""
     brought = [matrix for matrix in matrices if matrix is not None]
     return np.array(brought) if brought else None
 

@@ -72,7 +72,7 @@ class RunDelay:
 
     @property
     def pending_ns(self) -> int:
-        """Wait for the core [ns] since it was last read, without starting anew; 0 if unknown."""
+        """Time waited for the core [ns] since the last reading, which stays; 0 if unknown."""
         return max(self.read_total_ns() - self._before_ns, 0)
 
 
@@ -158,7 +158,7 @@ class TimedSolver:
 
     @property
     def pending_wait_ns(self) -> int:
-        """Wait for the core since the end of the last answer [ns]; 0 if unknown."""
+        """Time waited for the core since the end of the last answer [ns]; 0 if unknown."""
         return self._run_delay.pending_ns
 
     @property

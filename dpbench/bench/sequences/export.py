@@ -186,7 +186,7 @@ def _is_scenario(what: object) -> bool:
 
 
 def _load_recorded(what: str | Path | Scenario | QPSequence) -> Recorded:
-    """Return a sequence with its units; of a given one, without optima."""
+    """Return a sequence by name or file as recorded; one given as an object, without optima."""
     if isinstance(what, QPSequence):
         return Recorded(what.scaled or what, None, what.units)
     return recording.load_named_sequence(str(what))

@@ -150,7 +150,7 @@ class CellRun:
     def _collect_part(
         self, cells: Sequence[BatchCell], ended: Mapping[str, Outcome]
     ) -> list[BatchCell]:
-        """Collect the judged runs' results; return the runs to judge again where they are gone."""
+        """Store the judged runs' results; return runs to judge again, whose results are gone."""
         lost = {
             name: f"the referee failed on it: {verdict.detail}"
             for name, verdict in ended.items()

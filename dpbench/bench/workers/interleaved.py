@@ -73,7 +73,7 @@ class IdleWorkers:
 
     def start_replay(self, order: ReplayOrder, cell: Cell) -> ServingChild:
         """Begin a replay in a waiting worker process or a new one; return the process."""
-        child = self._idle.pop(process_key(cell), None)
+        child = self._idle.pop(make_process_key(cell), None)
         # One whose template died counts as dead too.
         if child is not None and not child.process.is_alive():
             child.dismiss()
@@ -88,7 +88,7 @@ class IdleWorkers:
 
     def finish_replay(self, child: ServingChild, cell: Cell) -> Outcome:
         """End a replay and return its outcome; its process waits for another if it lives."""
-        outcome, key = child.finish_cell(), process_key(cell)
+        outcome, key = child.finish_cell(), make_process_key(cell)
         if child.process.is_alive() and key not in self._idle:
             self._idle[key] = child
         else:
@@ -104,7 +104,7 @@ class IdleWorkers:
             child.dismiss()
 
 
-def process_key(cell: Cell) -> tuple[str, ...]:
+def make_process_key(cell: Cell) -> tuple[str, ...]:
     """Return a key that is equal for replays that one worker process may do in turn."""
     return (cell.solver_module, *(str(getattr(cell, name)) for name in CONFIGURATION_COLUMNS))
 

@@ -107,7 +107,7 @@ class _Sink(io.FileIO):
     """A file that drops what it has no room for, so that a printing solver does not fail."""
 
     def write(self, data: Any) -> int:
-        """Write data; where there is no room, drop it and report it as written."""
+        """Write data, or drop it where there is no room; return its length in either case."""
         try:
             return super().write(data)
         except OSError:

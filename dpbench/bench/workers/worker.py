@@ -255,7 +255,7 @@ def _replay_untimed(
 
 
 def _describe_last_round(log: RawLog) -> str:
-    """Name the last round that a stopped replay reached, from its raw log."""
+    """Return in words the last round that a stopped replay reached, by its raw log."""
     return f"in round {int(np.flatnonzero(log.done)[-1])}"
 
 
