@@ -3,8 +3,7 @@
 import tomllib
 from pathlib import Path
 
-from dpbench.solvers.contract import Route
-from dpbench.solvers.record import NOT_OFFERED, POLICIES, RouteRecord, SolverRecord
+from dpbench.solvers.contract import NOT_OFFERED, POLICIES, Route, RouteRecord, SolverRecord
 from dpbench.solvers.settings import (
     find_options_of_preset,
     has_distinct_tolerance_presets,

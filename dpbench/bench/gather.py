@@ -32,7 +32,7 @@ from dpbench.bench.workers.jobs import CellJob
 from dpbench.errors import InputError
 from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
 from dpbench.files.writing import write_bytes_atomically
-from dpbench.solvers.record import Build
+from dpbench.solvers.contract import Build
 from dpbench.solvers.table import Availability
 
 _WHERE = "gather"

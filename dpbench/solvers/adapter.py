@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
-from dpbench.solvers.contract import Options, Policy, Workspace
+from dpbench.solvers.contract import Options, Policy, SolverRecord, Workspace
 from dpbench.solvers.one_sided import Box
-from dpbench.solvers.record import SolverRecord
 
 OpenWorkspace = Callable[[SolverRecord, Policy, Options], Workspace]
 """Makes a workspace of a record, a policy and validated options."""

@@ -16,8 +16,14 @@ import numpy as np
 
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.contract import Workspace, check_step, make_error_for_missing_setup
-from dpbench.solvers.record import NO_PROJECT_FACTS, RouteRecord, SolverRecord
+from dpbench.solvers.contract import (
+    NO_PROJECT_FACTS,
+    RouteRecord,
+    SolverRecord,
+    Workspace,
+    check_step,
+    make_error_for_missing_setup,
+)
 
 NO_OP, COPY_ONLY = "no_op", "copy_only"
 WAITS_NS = {f"busy_wait_{wait}us": 1000 * wait for wait in (5, 20, 50, 200, 1000)}

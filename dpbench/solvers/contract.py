@@ -1,4 +1,4 @@
-"""The workspace contract every solver is driven through.
+"""The contract of every solver: the workspace it is driven through, and the record of its facts.
 
     setup(qp)      prepare the problem; the only call that may be slow
     update(step)   hand over what changed
@@ -10,10 +10,15 @@ library's failures into a `Status`; it raises only for a person's mistake.
 
 The harness hands over arrays for this workspace alone. The vectors of a step never change later;
 where every step is set up, the matrices come in the same memory each time, restored before.
+
+Tables, legends, tolerance levels, conformance tests and deployability are read from the record. No
+field has a default that would hide a forgotten one: what is not known is `UNKNOWN_FACT`.
 """
 
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 from dpbench.arrays import Vector
@@ -125,3 +130,236 @@ def shift_into(target: Vector, source: Vector, block: int) -> None:
     elif target.size:
         target[:-block] = source[block:]
         target[-block:] = 0.0
+
+
+Start = Literal["none", "primal", "dual", "primal and dual", "active set"]
+Updates = Literal["nothing", "vectors", "vectors and matrices"]
+Extra = Literal["core", "solvers", "jax", "casadi", "own", "plugin", "qpsolvers"]
+Family = Literal[
+    "active set",
+    "interior point",
+    "first order",
+    "augmented Lagrangian",
+    "baseline law",
+    "harness",
+    "not stated",
+]
+"""Kind of method; "harness" is none, "not stated" that of a plug-in without one."""
+Levels = Mapping[str, Options]
+"""The options of each name of settings; a tolerance level that is missing sets nothing."""
+
+POLICIES: Mapping[Policy, str] = {
+    "fresh": "set up from nothing at each step",
+    "reuse": "factorisation and memory kept, start reset",
+    "warm": "previous answer kept as start",
+}
+# Why a policy is missing, where a record does not say more.
+NOT_OFFERED = "not offered"
+REFUSED_BY_QPSOLVERS: Mapping[Policy, str] = {
+    "reuse": "qpsolvers sets the library up anew at every solve, so nothing can be reused",
+    "warm": "it ignores a start handed over by qpsolvers, so it cannot differ from fresh",
+}
+
+# Faults several libraries share. A NaN compares false with everything.
+NAN_IGNORED = {"solved despite a nan in u": "a NaN limit is never violated, so it limits nothing"}
+NAN_FAULTS = {
+    "solved despite a nan in q": "a NaN in q passes its tests of convergence",
+    **NAN_IGNORED,
+}
+
+DEFAULT, MID, HIGH = "default", "mid", "high"
+TOLERANCES = {"low": 1e-3, MID: 1e-6, HIGH: 1e-9}
+LEVELS = (DEFAULT, *TOLERANCES)
+"""The tolerance levels: the library's own choice, then those of `TOLERANCES`."""
+
+
+def make_tolerance_presets(
+    *criteria: str, always: Options | None = None, **constant: object
+) -> Levels:
+    """Make option presets default, low, mid and high, from the names of tolerance options.
+
+    criteria : options that are the tolerance at the levels of `TOLERANCES`.
+    always : options of every level, and of a person's own settings.
+    constant : further options of the levels of `TOLERANCES`.
+    """
+    always = always or {}
+    return {DEFAULT: always} | {
+        name: {**always, **dict.fromkeys(criteria, eps), **constant}
+        for name, eps in TOLERANCES.items()
+    }
+
+
+@dataclass(frozen=True)
+class Build:
+    """Build of a solver library: its instruction set, "" if unknown.
+
+    `generic`: it has kernels for vector instructions, and this build has none.
+    """
+
+    text: str = ""
+    generic: bool = False
+
+
+BUILDS = {"_avx512": "AVX-512", "_avx2": "AVX2", "": "no AVX"}
+"""Instruction sets by the end of a module's name."""
+
+
+def find_instruction_set_of_library(module: str) -> Build:
+    """Return the CPU instruction set that the loaded library `module` was compiled for."""
+    built = (text for end, text in BUILDS.items() if sys.modules.get(f"{module}{end}") is not None)
+    return Build(next(built, ""))
+
+
+UNKNOWN_FACT = "not stated", ""
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A fact about a solver's project and its source, such as a licence and the file stating it."""
+
+    value: str
+    source: str
+
+
+@dataclass(frozen=True)
+class CSettings:
+    """Name of a solver's C settings structure and of the C function that fills its defaults."""
+
+    struct: str
+    defaults: str
+    source: str
+
+
+@dataclass(frozen=True)
+class Project:
+    """Facts on embedding a solver: licence, language, C code, memory allocation, single precision.
+
+    licence, language : of the solver itself, not of its Python interface.
+    c_code : whether it generates C code for a problem, or is C code one can embed.
+    allocation_free : whether a solve after set-up allocates no memory.
+    single_precision : whether it can be built in single precision.
+    c_settings : None where the options have other names in C.
+    """
+
+    licence: Fact
+    language: Fact
+    c_code: Fact
+    allocation_free: Fact
+    single_precision: Fact
+    c_settings: CSettings | None = field(default=None, kw_only=True)
+
+
+def make_project_facts(
+    *,
+    licence: tuple[str, str] | None,
+    language: tuple[str, str] | None,
+    c_code: tuple[str, str] | None = None,
+    allocation_free: tuple[str, str] | None = None,
+    single_precision: tuple[str, str] | None = None,
+    c_settings: CSettings | None = None,
+) -> Project:
+    """Make the facts on embedding a solver from pairs (value, source), None where unknown."""
+    facts = (licence, language, c_code, allocation_free, single_precision)
+    return Project(*(Fact(*(fact or UNKNOWN_FACT)) for fact in facts), c_settings=c_settings)
+
+
+NO_PROJECT_FACTS = make_project_facts(licence=None, language=None)
+
+
+@dataclass(frozen=True)
+class RouteRecord:
+    """Abilities of a solver through one interface: ways of starting, updates, known faults.
+
+    policies : those it runs; `refused` : the reasons for missing ones, where there is one to give.
+    updates : what the library takes over without a new set-up.
+    start : what a warm start consists of.
+    keeps : what a kept workspace carries into the next solve beside factors, memory and a start;
+        "" for nothing that would change an answer by more than rounding.
+    two_sided : whether l ≤ A z ≤ u reaches the library as such.
+    gives_multipliers : whether y and y_box come back.
+    detects_infeasibility : whether an infeasible problem is reported as such, and not only as
+        "no answer".
+    faults : known faults, by the name of their conformance test, which fails without them.
+    """
+
+    policies: tuple[Policy, ...]
+    updates: Updates = "nothing"
+    start: Start = "none"
+    keeps: str = ""
+    two_sided: bool = False
+    gives_multipliers: bool = True
+    detects_infeasibility: bool = True
+    refused: Mapping[Policy, str] = field(default_factory=dict)
+    faults: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverRecord:
+    """All facts about one solver: method, package, interfaces, option presets, project.
+
+    method : the algorithm in a line.
+    distribution, module : of `pip install` and `import`; "" for dpbench's own.
+    extra : the part of dpbench's dependencies that installs it; "own", "plugin" and "qpsolvers" are
+        none.
+    form : the form of its matrices, its own fastest.
+    routes : the first is the default.
+    levels : see `make_tolerance_presets`; {} without a tolerance to set.
+    needs_strict_convexity : whether P has to be positive definite.
+    needs_modules : further libraries that it imports, which isolation must not hide.
+    build : reads how the installed library was built, where that decides its speed.
+    time_limit : its option that ends a solve after so many seconds; "" without one.
+    """
+
+    name: str
+    family: Family
+    method: str
+    distribution: str
+    module: str
+    extra: Extra
+    form: Form
+    routes: Mapping[Route, RouteRecord]
+    levels: Levels
+    project: Project
+    needs_strict_convexity: bool = False
+    needs_modules: tuple[str, ...] = ()
+    build: Callable[[], Build] = Build
+    time_limit: str = ""
+
+    @property
+    def default_route(self) -> Route:
+        """Default interface to the solver's library, native or qpsolvers: the first listed."""
+        return next(iter(self.routes))
+
+    @property
+    def policies_by_route(self) -> dict[Route, tuple[Policy, ...]]:
+        """Ways of starting each solve (fresh, reuse, warm) offered, by interface to the library."""
+        return {route: can.policies for route, can in self.routes.items()}
+
+    @property
+    def install_command(self) -> str:
+        """Shell command that installs the solver."""
+        # Not through an extra of dpbench: the package index knows another project by that name.
+        return f"pip install {self.distribution}" if self.distribution else "install it"
+
+    @property
+    def reason_not_deployable(self) -> str:
+        """Reason why the solver cannot run on a ship's controller; "" if it can.
+
+        Compiled code whose language the project documents is deployable.
+        """
+        language = self.project.language
+        if not language.source:
+            return "its language is not stated"
+        return f"written in {language.value}" if language.value.startswith("Python") else ""
+
+    def get_route_record(self, route: Route) -> RouteRecord:
+        """Return what the solver can do through an interface; KeyError if it does not have it."""
+        return self.routes[route]
+
+    def state_why_policy_is_unavailable(self, route: Route, policy: Policy) -> str:
+        """Return why an interface lacks a way of starting each solve; "" if it offers it."""
+        can = self.routes[route]
+        if policy in can.policies:
+            return ""
+        usual = REFUSED_BY_QPSOLVERS if route == "qpsolvers" else {}
+        return can.refused.get(policy) or usual.get(policy, NOT_OFFERED)

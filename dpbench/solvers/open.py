@@ -5,8 +5,15 @@ from collections.abc import Mapping
 from functools import partial
 
 from dpbench.errors import PolicyError
-from dpbench.solvers.contract import Options, Policy, Route, Settings, Workspace
-from dpbench.solvers.record import POLICIES, SolverRecord
+from dpbench.solvers.contract import (
+    POLICIES,
+    Options,
+    Policy,
+    Route,
+    Settings,
+    SolverRecord,
+    Workspace,
+)
 from dpbench.solvers.settings import resolve_settings_to_options
 from dpbench.solvers.table import (
     find_solver_record,

@@ -31,15 +31,18 @@ from typing import Any, get_args
 from dpbench.errors import InputError, warn_of_outdated_name
 from dpbench.files.writing import is_plain_file_name
 from dpbench.solvers.adapter import NativeAdapter, OpenWorkspace
-from dpbench.solvers.contract import Form, Options, Policy, Workspace
-from dpbench.solvers.record import (
+from dpbench.solvers.contract import (
     NO_PROJECT_FACTS,
     Build,
     Family,
+    Form,
     Levels,
+    Options,
+    Policy,
     Project,
     RouteRecord,
     SolverRecord,
+    Workspace,
 )
 
 GROUP = "dpbench.solvers"

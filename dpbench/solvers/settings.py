@@ -10,8 +10,7 @@ from typing import Any
 
 from dpbench.errors import SettingsError, format_allowed_names
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_public_settings_attributes
-from dpbench.solvers.contract import Options, Settings
-from dpbench.solvers.record import DEFAULT, LEVELS, MID, TOLERANCES
+from dpbench.solvers.contract import DEFAULT, LEVELS, MID, TOLERANCES, Options, Settings
 from dpbench.solvers.table import find_solver_record
 
 

@@ -21,10 +21,16 @@ from dpbench.errors import (
 from dpbench.solvers import plugins
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, read_solved_flag_as_claim
 from dpbench.solvers.calibration import CALIBRATION, open_calibration_solver
-from dpbench.solvers.contract import Policy, describe_exception_unless_interrupt
+from dpbench.solvers.contract import (
+    NO_PROJECT_FACTS,
+    Build,
+    Policy,
+    RouteRecord,
+    SolverRecord,
+    describe_exception_unless_interrupt,
+)
 from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.own.adapters import OWN
-from dpbench.solvers.record import NO_PROJECT_FACTS, Build, RouteRecord, SolverRecord
 
 _ON_NATIVE: dict[str, NativeAdapter] = {**NATIVE, **OWN}
 TABLE: dict[str, SolverRecord] = {

@@ -11,13 +11,12 @@ from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.errors import InputError, PolicyError, require_integer_at_least
 from dpbench.report.formats import join_with_and
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_public_settings_attributes
-from dpbench.solvers.contract import Options, Policy, Route
+from dpbench.solvers.contract import HIGH, Options, Policy, Route
 from dpbench.solvers.own_settings import (
     expand_option_grid,
     parse_options_of_choice,
     split_into_solver_and_options_text,
 )
-from dpbench.solvers.record import HIGH
 from dpbench.solvers.settings import (
     has_distinct_tolerance_presets,
     has_preset_or_tolerance,

@@ -25,8 +25,7 @@ from dpbench.embedded.toolchain import TARGETS, compiler_version, has_extra
 from dpbench.errors import InputError, SituationError
 from dpbench.qp.program import QPSequence
 from dpbench.qp.referee.referee import certify_all_steps
-from dpbench.solvers.contract import Settings
-from dpbench.solvers.record import HIGH
+from dpbench.solvers.contract import HIGH, Settings
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("embedded_extra")]
 STORED = {

@@ -4,7 +4,7 @@ import re
 from typing import get_args
 
 from dpbench import list_solvers
-from dpbench.solvers.record import Family
+from dpbench.solvers.contract import Family
 from dpbench.solvers.table import TABLE
 
 

@@ -16,7 +16,7 @@ import dpbench
 from dpbench.report.charts.capability import COLUMNS, draw_capability_rose
 from dpbench.report.charts.render import encode_figure, save_figure
 from dpbench.report.charts.style import FAMILY_COLOURS
-from dpbench.solvers.record import Family
+from dpbench.solvers.contract import Family
 from dpbench.solvers.table import TABLE
 from tests.conftest import MadeRecords
 

@@ -39,7 +39,7 @@ from dpbench.report.topics.study import build_study_topic
 from dpbench.report.topics.thrusters import make_wear_row
 from dpbench.report.words import format_glossary_as_markdown, term_meanings, topics
 from dpbench.scenario.scenario import load_vessel
-from dpbench.solvers.record import POLICIES
+from dpbench.solvers.contract import POLICIES
 from dpbench.solvers.settings import LEVELS
 from tests.report.conftest import of_seas
 

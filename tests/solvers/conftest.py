@@ -13,9 +13,8 @@ import pytest
 import dpbench
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
-from dpbench.solvers.contract import Workspace
+from dpbench.solvers.contract import Family, RouteRecord, Workspace
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.record import Family, RouteRecord
 from dpbench.solvers.settings import find_options_of_preset
 from dpbench.solvers.table import TABLE, find_solver_availability
 

@@ -4,14 +4,14 @@ It is quadprog under another name, which keeps nothing from step to step.
 """
 
 from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.libraries.quadprog import QuadprogWorkspace
-from dpbench.solvers.record import (
+from dpbench.solvers.contract import (
     NAN_FAULTS,
     RouteRecord,
     SolverRecord,
     make_project_facts,
     make_tolerance_presets,
 )
+from dpbench.solvers.libraries.quadprog import QuadprogWorkspace
 
 RECORD = SolverRecord(
     name="newcomer",

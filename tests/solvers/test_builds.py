@@ -8,8 +8,8 @@ from types import ModuleType
 
 import pytest
 
+from dpbench.solvers.contract import Build, find_instruction_set_of_library
 from dpbench.solvers.libraries.hpipm import read_instruction_set_of_blasfeo
-from dpbench.solvers.record import Build, find_instruction_set_of_library
 from dpbench.solvers.table import Availability, find_solver_availability
 
 AVX2, FMA = 0x2, 0x4

@@ -6,9 +6,9 @@ import pytest
 from dpbench.errors import SettingsError
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
+from dpbench.solvers.contract import LEVELS, TOLERANCES
 from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
 from dpbench.solvers.open import open_workspace
-from dpbench.solvers.record import LEVELS, TOLERANCES
 from dpbench.solvers.settings import (
     describe_option_presets,
     find_options_of_preset,

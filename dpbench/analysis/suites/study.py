@@ -39,7 +39,7 @@ from dpbench.analysis.times.machine import separate_own_switches, sum_disturbanc
 from dpbench.analysis.verdict.verdict import find_solver_record_or_none
 from dpbench.arrays import Floats
 from dpbench.bench.record.disturbance import Disturbance
-from dpbench.solvers.record import TOLERANCES
+from dpbench.solvers.contract import TOLERANCES
 from dpbench.solvers.settings import has_distinct_tolerance_presets, parse_tolerance_preset_name
 
 SMALL_M = 0.01

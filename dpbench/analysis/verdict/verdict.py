@@ -39,7 +39,7 @@ from dpbench.analysis.verdict.requirements import (
 from dpbench.bench.judge.rules import maximum_of_known
 from dpbench.bench.record.cell import Configuration, sort_key_of_settings
 from dpbench.errors import UnknownNameError
-from dpbench.solvers.record import POLICIES, SolverRecord
+from dpbench.solvers.contract import POLICIES, SolverRecord
 from dpbench.solvers.table import find_solver_record
 
 

@@ -25,12 +25,11 @@ from dpbench.bench.sequences.recording import read_sequence
 from dpbench.errors import InputError, PolicyError, require_integer_at_least
 from dpbench.scenario.problem_files import resolve_sequence_path
 from dpbench.solvers.calibration import CALIBRATION
-from dpbench.solvers.contract import Policy, Route
+from dpbench.solvers.contract import Policy, Route, SolverRecord
 from dpbench.solvers.own_settings import (
     expand_choice_over_option_grid,
     split_into_solver_and_options_text,
 )
-from dpbench.solvers.record import SolverRecord
 from dpbench.solvers.table import find_solver_record, load_plugin_solver_from_file
 
 NO_P99 = "no replay has steps enough for a p99"

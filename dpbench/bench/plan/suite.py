@@ -25,8 +25,7 @@ from dpbench.scenario.tables.key_types import (
     require_distinct_horizon_texts,
 )
 from dpbench.ship.capability.loads import DYNAMIC_FACTOR
-from dpbench.solvers.contract import Policy
-from dpbench.solvers.record import LEVELS
+from dpbench.solvers.contract import LEVELS, Policy
 
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]

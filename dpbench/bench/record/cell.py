@@ -19,9 +19,8 @@ from dpbench.bench.record.schema import SCHEMA_VERSION
 from dpbench.errors import InputError
 from dpbench.qp.random_sequence import RandomRecipe
 from dpbench.scenario.problem_files import ScenarioDocuments
-from dpbench.solvers.contract import Policy, Route, Settings
+from dpbench.solvers.contract import LEVELS, Policy, Route, Settings
 from dpbench.solvers.own_settings import decode_options_from_json, format_options_as_toml
-from dpbench.solvers.record import LEVELS
 
 
 @dataclass(frozen=True)

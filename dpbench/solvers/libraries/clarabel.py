@@ -8,14 +8,14 @@ import scipy
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, QpsolversAdapter
-from dpbench.solvers.contract import Options
-from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import (
+from dpbench.solvers.contract import (
+    Options,
     RouteRecord,
     SolverRecord,
     make_project_facts,
     make_tolerance_presets,
 )
+from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
 
 RECORD = SolverRecord(
     name="clarabel",

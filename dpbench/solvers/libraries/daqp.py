@@ -16,16 +16,17 @@ from dpbench.solvers.adapter import (
     list_keyword_parameters,
     read_solved_flag_as_claim,
 )
-from dpbench.solvers.contract import Options, Policy
-from dpbench.solvers.libraries.native_workspace import SOLVED, NativeWorkspace, Point
-from dpbench.solvers.record import (
+from dpbench.solvers.contract import (
     NAN_FAULTS,
     CSettings,
+    Options,
+    Policy,
     RouteRecord,
     SolverRecord,
     make_project_facts,
     make_tolerance_presets,
 )
+from dpbench.solvers.libraries.native_workspace import SOLVED, NativeWorkspace, Point
 
 RECORD = SolverRecord(
     name="daqp",

@@ -10,14 +10,14 @@ from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, QpsolversAdapter, read_solved_flag_as_claim
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
-from dpbench.solvers.record import (
+from dpbench.solvers.contract import (
     NAN_IGNORED,
     RouteRecord,
     SolverRecord,
     make_project_facts,
     make_tolerance_presets,
 )
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
 
 TIME_LIMIT = "time_limit"
 

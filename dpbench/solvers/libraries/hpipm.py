@@ -16,20 +16,21 @@ from numpy.typing import NDArray
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
-from dpbench.solvers.contract import Options, Policy
+from dpbench.solvers.contract import (
+    Build,
+    Options,
+    Policy,
+    RouteRecord,
+    SolverRecord,
+    make_project_facts,
+    make_tolerance_presets,
+)
 from dpbench.solvers.libraries.native_workspace import (
     NativeWorkspace,
     Point,
     append_identity_rows_for_bounds,
 )
 from dpbench.solvers.one_sided import LimitSides
-from dpbench.solvers.record import (
-    Build,
-    RouteRecord,
-    SolverRecord,
-    make_project_facts,
-    make_tolerance_presets,
-)
 
 MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
 TOLERANCE_NAMES = ("tol_stat", "tol_eq", "tol_ineq", "tol_comp")

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.solvers.adapter import NativeAdapter
+from dpbench.solvers.contract import make_tolerance_presets
 from dpbench.solvers.libraries import hpipm
 from dpbench.solvers.libraries.hpipm import HpipmStructures, HpipmWorkspace, make_c_pointer_to_array
 from dpbench.solvers.libraries.native_workspace import Point
 from dpbench.solvers.one_sided import LimitSides
-from dpbench.solvers.record import make_tolerance_presets
 
 RECORD = replace(
     hpipm.RECORD,

@@ -22,6 +22,7 @@ from dpbench.solvers.adapter import Claim
 from dpbench.solvers.contract import (
     Options,
     Policy,
+    SolverRecord,
     Workspace,
     check_step,
     describe_exception_unless_interrupt,
@@ -29,7 +30,6 @@ from dpbench.solvers.contract import (
     shift_into,
 )
 from dpbench.solvers.one_sided import OneSidedForm
-from dpbench.solvers.record import SolverRecord
 
 Point = tuple[Vector, Vector, Vector]
 NOT_SOLVED = "read before solve"

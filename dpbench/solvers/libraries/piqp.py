@@ -16,8 +16,7 @@ from dpbench.solvers.adapter import (
     make_reader_of_library_info,
     make_reader_of_qpsolvers_status,
 )
-from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
-from dpbench.solvers.record import (
+from dpbench.solvers.contract import (
     NAN_IGNORED,
     RouteRecord,
     SolverRecord,
@@ -25,6 +24,7 @@ from dpbench.solvers.record import (
     make_project_facts,
     make_tolerance_presets,
 )
+from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
 
 RECORD = SolverRecord(
     name="piqp",

@@ -31,19 +31,21 @@ from dpbench.solvers.adapter import (
     make_reader_of_library_info,
     make_reader_of_qpsolvers_status,
 )
-from dpbench.solvers.contract import Options, Policy, shift_into
-from dpbench.solvers.libraries.native_workspace import (
-    NativeWorkspace,
-    Point,
-    append_identity_rows_for_bounds,
-)
-from dpbench.solvers.record import (
+from dpbench.solvers.contract import (
     NAN_IGNORED,
+    Options,
+    Policy,
     RouteRecord,
     SolverRecord,
     find_instruction_set_of_library,
     make_project_facts,
     make_tolerance_presets,
+    shift_into,
+)
+from dpbench.solvers.libraries.native_workspace import (
+    NativeWorkspace,
+    Point,
+    append_identity_rows_for_bounds,
 )
 
 RECORD = SolverRecord(

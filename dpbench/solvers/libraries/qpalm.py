@@ -12,17 +12,17 @@ from dpbench.solvers.adapter import (
     make_reader_of_library_info,
     make_reader_of_qpsolvers_status,
 )
-from dpbench.solvers.libraries.native_workspace import (
-    NativeWorkspace,
-    Point,
-    append_identity_rows_for_bounds,
-)
-from dpbench.solvers.record import (
+from dpbench.solvers.contract import (
     CSettings,
     RouteRecord,
     SolverRecord,
     make_project_facts,
     make_tolerance_presets,
+)
+from dpbench.solvers.libraries.native_workspace import (
+    NativeWorkspace,
+    Point,
+    append_identity_rows_for_bounds,
 )
 
 RECORD = SolverRecord(

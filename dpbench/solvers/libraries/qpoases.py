@@ -16,8 +16,8 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
+from dpbench.solvers.contract import RouteRecord, SolverRecord, make_project_facts
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
-from dpbench.solvers.record import RouteRecord, SolverRecord, make_project_facts
 
 RECORD = SolverRecord(
     name="qpoases",

@@ -11,9 +11,9 @@ from dpbench.solvers.adapter import (
     list_keyword_parameters,
     list_public_settings_attributes,
 )
-from dpbench.solvers.contract import Options
-from dpbench.solvers.record import (
+from dpbench.solvers.contract import (
     NAN_FAULTS,
+    Options,
     RouteRecord,
     SolverRecord,
     make_project_facts,

@@ -7,9 +7,15 @@ import numpy as np
 
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, ClaimedStatus, QpsolversAdapter
-from dpbench.solvers.contract import Options, Policy
+from dpbench.solvers.contract import (
+    NAN_FAULTS,
+    Options,
+    Policy,
+    RouteRecord,
+    SolverRecord,
+    make_project_facts,
+)
 from dpbench.solvers.libraries.native_workspace import OneSidedWorkspace, Point
-from dpbench.solvers.record import NAN_FAULTS, RouteRecord, SolverRecord, make_project_facts
 
 RECORD = SolverRecord(
     name="quadprog",

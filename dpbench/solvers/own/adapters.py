@@ -3,10 +3,12 @@
 from dataclasses import replace
 
 from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.contract import Options, Policy, Workspace
-from dpbench.solvers.record import (
+from dpbench.solvers.contract import (
+    Options,
+    Policy,
     RouteRecord,
     SolverRecord,
+    Workspace,
     make_project_facts,
     make_tolerance_presets,
 )
