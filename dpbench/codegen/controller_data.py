@@ -16,9 +16,12 @@ from dpbench.bench.run.closed_loop import record_closed_loop
 from dpbench.errors import InputError
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.thruster_rows import ThrusterRows
-from dpbench.scenario.controllers.controller import Controller, stack_lower_and_upper_limits
+from dpbench.scenario.controllers.controller import (
+    FIXED_MODEL,
+    Controller,
+    stack_lower_and_upper_limits,
+)
 from dpbench.scenario.controllers.kinds import ForceController, ThrusterController
-from dpbench.scenario.controllers.specification import FIXED_MODEL
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.plant import Sensors
 from dpbench.ship.thrusters import Thruster

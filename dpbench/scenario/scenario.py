@@ -19,13 +19,12 @@ from dpbench.errors import (
 from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.reference import ReferenceFilter, build_smoothed_reference_table
-from dpbench.scenario.controllers.controller import Controller
+from dpbench.scenario.controllers.controller import Controller, ControllerSpec
 from dpbench.scenario.controllers.kinds import (
     CascadeController,
     ForceController,
     ThrusterController,
 )
-from dpbench.scenario.controllers.specification import ControllerSpec
 from dpbench.scenario.problem_files import (
     ScenarioDocuments,
     VesselDocuments,

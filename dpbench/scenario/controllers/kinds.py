@@ -17,14 +17,12 @@ from dpbench.mpc.thrusters.attainable_set import build_attainable_force_polytope
 from dpbench.scenario.controllers.controller import (
     Changes,
     Controller,
+    ControllerSpec,
     MetricGroup,
     ThrusterControl,
     TurningThrusterControl,
     build_commanded_thrusters,
     list_force_limits_by_sample,
-)
-from dpbench.scenario.controllers.specification import (
-    ControllerSpec,
     make_factory_of_turning_limited_qps,
 )
 

@@ -18,7 +18,7 @@ from dpbench.bench.judge.control_metrics import (
 from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_loop_exactly
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.qp.referee.optimum import Optimum
-from dpbench.scenario.controllers.specification import FIXED_MODEL
+from dpbench.scenario.controllers.controller import FIXED_MODEL
 from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.scenario.problem_files import list_shipped_problem_names
 from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
