@@ -20,9 +20,8 @@ from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS
 from dpbench.report.charts.steps import draw_step_pairs, draw_step_strips
 from dpbench.report.charts.study import draw_point_errors, draw_point_seas, draw_study_points
 from dpbench.report.embedded_text import make_calculator_rows, name_sequence_and_core
-from dpbench.report.page.data import PageData
+from dpbench.report.page.data import PageData, make_table_of_runs, select_tiles
 from dpbench.report.page.section import Section
-from dpbench.report.page.tables import make_table_of_runs, select_tiles
 
 Charts = dict[str, Any]
 

@@ -9,10 +9,8 @@ from dpbench.analysis.times.solver_tables import tabulate_experiment_verdicts
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.page import data as page_data
-from dpbench.report.page import tables
-from dpbench.report.page.data import PageData, convert_to_json_number
+from dpbench.report.page.data import PageData, convert_to_json_number, select_tiles
 from dpbench.report.page.live import _explain_verdict_grid
-from dpbench.report.page.tables import select_tiles
 from dpbench.report.page.terms import describe_experiments
 from dpbench.report.report import Report
 from dpbench.scenario.scenario import build_scenario_from_documents
@@ -97,7 +95,7 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
     facts = _facts(records)
     tiles = tabulate_experiment_verdicts(facts)
     assert select_tiles(tiles).equals(tiles)
-    monkeypatch.setattr(tables, "MOST_TILES", 5)
+    monkeypatch.setattr(page_data, "MOST_TILES", 5)
     drawn = select_tiles(tiles)
     assert drawn["experiment"].unique().tolist() == ["rough", "turn"] and len(drawn) == 4
     output = _explain_verdict_grid(facts)
