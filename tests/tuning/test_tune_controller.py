@@ -11,7 +11,9 @@ from dpbench.bench.run.exact_loop import compute_station_metrics, solve_loop_exa
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_scenario
-from dpbench.tuning.controllers import (
+from dpbench.tuning.search import Trial
+from dpbench.tuning.tune_controller import (
+    NO_PROMISE,
     LoopScore,
     change_controller,
     choose_controller,
@@ -19,9 +21,8 @@ from dpbench.tuning.controllers import (
     find_pareto_front,
     make_unchanged_options,
     rate_controller,
+    tune_controller,
 )
-from dpbench.tuning.search import Trial
-from dpbench.tuning.tune_controller import NO_PROMISE, tune_controller
 
 SMALL = ["--trials", "6", "--steps", "60", "--realisations", "1"]
 
