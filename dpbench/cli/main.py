@@ -349,7 +349,7 @@ def _tune_solver(arguments: argparse.Namespace) -> int:
     from dpbench.cli.terminal import ProgressBar, make_console, make_report_table, print_wrapped
 
     if arguments.dry_run:
-        from dpbench.tuning.forecast import estimate_tuning
+        from dpbench.tuning.request import estimate_tuning
 
         print_wrapped(estimate_tuning(**_collect_options(arguments, "dry_run", "wait_s")).lines)
         return 0

@@ -18,8 +18,7 @@ from dpbench.solvers.contract import Options
 from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.tuning import tune
 from dpbench.tuning.campaigns import TunedProblem
-from dpbench.tuning.forecast import estimate_tuning
-from dpbench.tuning.request import make_request
+from dpbench.tuning.request import estimate_tuning, make_request
 from dpbench.tuning.tune import tune_solver
 
 
