@@ -15,7 +15,10 @@ from typing import Any
 from dpbench.bench.sequences.recording import load_named_sequence, record_scenario, thin_sequence
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.cli.terminal import make_console, make_report_table, print_wrapped
-from dpbench.embedded.count import count_instructions_along_sequence
+from dpbench.embedded.count import (
+    compare_counts_with_second_tool,
+    count_instructions_along_sequence,
+)
 from dpbench.embedded.fit import (
     KILOBYTE,
     Fit,
@@ -24,7 +27,6 @@ from dpbench.embedded.fit import (
     summarise_fit_as_dict,
 )
 from dpbench.embedded.recipe import Recipe, Setting, select_recipes
-from dpbench.embedded.second_opinion import compare_counts_with_second_tool
 from dpbench.embedded.table import (
     SIZES,
     StepCounts,

@@ -7,9 +7,9 @@ import pytest
 
 from dpbench.bench.sequences.recording import thin_sequence
 from dpbench.bench.sequences.sequence_file import load_sequence
-from dpbench.embedded import second_opinion
+from dpbench.embedded import count
+from dpbench.embedded.count import TOOLS, SecondOpinion, compare_counts_with_second_tool
 from dpbench.embedded.recipe import select_recipes
-from dpbench.embedded.second_opinion import TOOLS, SecondOpinion, compare_counts_with_second_tool
 from dpbench.embedded.toolchain import TARGETS
 from dpbench.errors import SituationError
 
@@ -41,6 +41,6 @@ def test_a_tool_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     sequence = thin_sequence(load_sequence("paper-30-5"), 1)
     with pytest.raises(SituationError, match="RISC-V RV64GC: there is no other tool"):
         compare_counts_with_second_tool(recipe, sequence, TARGETS["riscv"])
-    monkeypatch.setattr(second_opinion, "TOOLS", {"m7": "no-such-tool"})
+    monkeypatch.setattr(count, "TOOLS", {"m7": "no-such-tool"})
     with pytest.raises(SituationError, match="Cortex-M7: no-such-tool is not installed"):
         compare_counts_with_second_tool(recipe, sequence, TARGETS["m7"])
