@@ -54,7 +54,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("dpbench_compare"):
         if config.getoption("numprocesses", None):
             raise pytest.UsageError(f"--dpbench-compare: {NOT_UNDER_XDIST}")
-        from dpbench.ci.session import SessionComparison
+        from dpbench.ci.gate import SessionComparison
 
         comparison = SessionComparison(config, failures.reasons)
         config.pluginmanager.register(comparison, "dpbench-comparison")
