@@ -13,7 +13,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import build_problem_at_rest
 from dpbench.bench.run.formulation import BoxFormulation, QPBuilder
-from dpbench.bench.sequences.recording import with_horizons
+from dpbench.bench.sequences.source import with_horizons
 from dpbench.mpc.condense import ControlProblem, build_affine_map, condense_mpc_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.kernels import write_condensed_hessian

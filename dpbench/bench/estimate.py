@@ -37,7 +37,7 @@ from dpbench.bench.record.cell import (
 from dpbench.bench.record.cell_store import read_finished_outcomes
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.sequences.recording import read_sequence
+from dpbench.bench.sequences.source import read_sequence
 from dpbench.bench.workers.child import has_compiled_kernels
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
 from dpbench.bench.workers.jobs import CELL_S

@@ -12,8 +12,8 @@ import pytest
 
 from dpbench.analysis.records.run_record import build_run_records
 from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
-from dpbench.bench.sequences.recording import thin_sequence
 from dpbench.bench.sequences.sequence_file import as_sequence
+from dpbench.bench.sequences.source import thin_sequence
 from dpbench.ci.benchmarks import WRONG_ANSWERS
 from dpbench.ci.machine_state import HasInfo, watch_machine
 from dpbench.errors import InputError, SituationError

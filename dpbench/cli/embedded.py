@@ -12,8 +12,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from dpbench.bench.sequences.recording import load_named_sequence, record_scenario, thin_sequence
 from dpbench.bench.sequences.sequence_file import Recorded
+from dpbench.bench.sequences.source import load_named_sequence, record_scenario, thin_sequence
 from dpbench.cli.terminal import make_console, make_report_table, print_wrapped
 from dpbench.embedded.count import (
     compare_counts_with_second_tool,

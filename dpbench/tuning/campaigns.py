@@ -21,7 +21,7 @@ from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import SuiteFile
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.result_folder import load_results
-from dpbench.bench.sequences.recording import read_sequence
+from dpbench.bench.sequences.source import read_sequence
 from dpbench.bench.workers.jobs import count_steps
 from dpbench.errors import SituationError, UnknownNameError
 from dpbench.files.writing import write_text_atomically

@@ -11,8 +11,8 @@ import pytest
 import scipy
 
 from dpbench import open_workspace
-from dpbench.bench.sequences.recording import thin_sequence
 from dpbench.bench.sequences.sequence_file import load_sequence
+from dpbench.bench.sequences.source import thin_sequence
 from dpbench.embedded.count import count_instructions_along_sequence
 from dpbench.embedded.recipe import select_recipes
 from dpbench.embedded.table import (

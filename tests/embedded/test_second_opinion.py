@@ -5,8 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
-from dpbench.bench.sequences.recording import thin_sequence
 from dpbench.bench.sequences.sequence_file import load_sequence
+from dpbench.bench.sequences.source import thin_sequence
 from dpbench.embedded import count
 from dpbench.embedded.count import TOOLS, SecondOpinion, compare_counts_with_second_tool
 from dpbench.embedded.recipe import select_recipes

@@ -19,8 +19,8 @@ from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.recorded_steps import ALL_COLUMNS
 from dpbench.bench.record.result_folder import load_results, read_lost_count_and_remarks
 from dpbench.bench.record.step_table import make_batch_part, make_step_record_batch
-from dpbench.bench.sequences.recording import read_sequence
 from dpbench.bench.sequences.shipped import load_rules
+from dpbench.bench.sequences.source import read_sequence
 from dpbench.embedded.table import (
     EMBEDDED_FILE,
     load_counted_steps_of_folder,

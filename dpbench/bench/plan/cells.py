@@ -31,7 +31,7 @@ from dpbench.bench.record.cell import (
     RandomSource,
     RecordedSource,
 )
-from dpbench.bench.sequences.recording import hash_sequence_files, read_sequence
+from dpbench.bench.sequences.source import hash_sequence_files, read_sequence
 from dpbench.errors import InputError
 from dpbench.qp.random_sequence import FAMILIES
 from dpbench.qp.referee.kkt import is_proven_positive_definite

@@ -21,7 +21,7 @@ from dpbench.bench.plan.suite import (
     load_path_and_suite,
     name_file_in_errors,
 )
-from dpbench.bench.sequences.recording import read_sequence
+from dpbench.bench.sequences.source import read_sequence
 from dpbench.errors import InputError, PolicyError, require_integer_at_least
 from dpbench.scenario.problem_files import resolve_sequence_path
 from dpbench.solvers.calibration import CALIBRATION

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from dpbench.arrays import Vector
 from dpbench.bench.run.exact_loop import Part
-from dpbench.bench.sequences import recording
+from dpbench.bench.sequences import source
 from dpbench.bench.sequences.qpsolvers_files import KEYS
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.errors import InputError, SituationError
@@ -123,7 +123,7 @@ def export_sequence(
     left_out = len(recorded.optima or []) - len(list_steps_with_optimum(recorded))
     some = left_out and format == "qpbenchmark"
     without = f"; {left_out} without an optimum left out" if some else ""
-    about = recording.describe_sequence(recorded.sequence, recorded.optima or [])
+    about = source.describe_sequence(recorded.sequence, recorded.optima or [])
     return f"{written}: {about}{without}"
 
 
@@ -151,7 +151,7 @@ def _record_requested(
     """Return a stored sequence, or one recorded from a scenario, cut to the requested steps."""
     if _is_scenario(what):
         scenario = resolve_to_scenario(what)
-        record = partial(recording.record_scenario, horizons=horizons, part=part)
+        record = partial(source.record_scenario, horizons=horizons, part=part)
         if at is None:
             return record(scenario, steps=steps, every=every)
         # The loop up to there is what leads to the step; what follows is not needed.
@@ -166,7 +166,7 @@ def _record_requested(
     stored = _load_recorded(what)
     if at is not None:
         return _record_step(stored, at)
-    sequence = recording.thin_sequence(stored.sequence, steps, every)
+    sequence = source.thin_sequence(stored.sequence, steps, every)
     # The optima of a file are certified again.
     return replace(stored, sequence=sequence, optima=certify_all_steps(sequence))
 
@@ -189,12 +189,12 @@ def _load_recorded(what: str | Path | Scenario | QPSequence) -> Recorded:
     """Return a sequence by name or file as recorded; one given as an object, without optima."""
     if isinstance(what, QPSequence):
         return Recorded(what.scaled or what, None, what.units)
-    return recording.load_named_sequence(str(what))
+    return source.load_named_sequence(str(what))
 
 
 def _record_step(recorded: Recorded, k: int) -> Recorded:
     """Return step k of a recording as a recording, its optimum certified again."""
-    sequence = recording.select_step(recorded.sequence, k)
+    sequence = source.select_step(recorded.sequence, k)
     return replace(recorded, sequence=sequence, optima=certify_all_steps(sequence))
 
 

@@ -9,8 +9,8 @@ from pydantic import Field
 
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.run.exact_loop import Part
-from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import Recorded
+from dpbench.bench.sequences.source import record_scenario
 from dpbench.errors import InputError
 from dpbench.scenario.problem_files import (
     SEQUENCES,

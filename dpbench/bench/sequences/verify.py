@@ -6,8 +6,8 @@ import numpy as np
 
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.npz import read_arrays_and_pickles
-from dpbench.bench.sequences.recording import describe_sequence, read_sequence
 from dpbench.bench.sequences.sequence_file import WHAT, active_set
+from dpbench.bench.sequences.source import describe_sequence, read_sequence
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.farkas import is_farkas_vector_proof

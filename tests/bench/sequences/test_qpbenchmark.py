@@ -11,8 +11,8 @@ import pytest
 
 from dpbench import InputError, Solution, Status, load_scenario, residuals
 from dpbench.bench.sequences.export import export_sequence, save_qpbenchmark
-from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import Recorded, load_recorded
+from dpbench.bench.sequences.source import record_scenario
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.random_sequence import RandomRecipe, generate_random_sequence
 from dpbench.qp.referee.referee import certify_all_steps

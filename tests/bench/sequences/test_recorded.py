@@ -16,7 +16,7 @@ from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import RecordedTable, SuiteFile, build_sequence_suite
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.sequences.qpsolvers_files import read_problems
-from dpbench.bench.sequences.recording import record_scenario
+from dpbench.bench.sequences.source import record_scenario
 from dpbench.cli.main import main
 from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.report.write import write_report

@@ -20,8 +20,8 @@ from dpbench import (
     record_sequence,
 )
 from dpbench.bench.record.npz import write_npz
-from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
+from dpbench.bench.sequences.source import record_scenario
 from dpbench.bench.sequences.verify import _check_step
 from dpbench.errors import ShapeError
 from dpbench.qp.program import Units, convert_sequence_to_units

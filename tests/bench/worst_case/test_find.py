@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from dpbench import InputError, load_results, load_scenario, load_sequence, open_workspace, replay
 from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.plan.suite import build_sequence_suite
-from dpbench.bench.sequences.recording import record_scenario
 from dpbench.bench.sequences.sequence_file import load_recorded
+from dpbench.bench.sequences.source import record_scenario
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.worst_case import search as case_search
 from dpbench.bench.worst_case.find import find_worst_case
