@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
@@ -27,7 +28,7 @@ from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.study_effects_table import build_effects_table
-from dpbench.report.table import encode_csv, escape_markdown
+from dpbench.report.table import Table, escape_markdown
 from dpbench.report.words import read_words, render_document
 
 LEGEND = "README.md"
@@ -36,6 +37,8 @@ COLUMNS: dict[str, str] = read_words(__file__)["columns"]
 _TEXT_COLUMNS = [name for name, (kind, _) in RUN_COLUMNS.items() if kind == "str"]
 _ARMED = r"^'(?=[-=+@])"
 """The apostrophe that keeps a spreadsheet from reading a text as a formula."""
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+"""First characters of a formula in a spreadsheet."""
 RUN_MEANINGS = {name: meaning for name, (_, meaning) in RUN_COLUMNS.items()}
 
 
@@ -65,7 +68,7 @@ def build_tables(
     for topic in (topic for topic in topics if topic.id != "study"):
         for i, small in enumerate(topic.tables):
             name = topic.id if i == 0 else f"{topic.id}_{i + 1}"
-            tables[name] = small.frame
+            tables[name] = convert_to_frame(small)
     return tables
 
 
@@ -103,3 +106,29 @@ def read_table(path: Path) -> pd.DataFrame:
         if not (is_numeric_dtype(dtype) or is_bool_dtype(dtype)):
             table[name] = table[name].fillna("").str.replace(_ARMED, "", regex=True)
     return table
+
+
+def convert_to_frame(table: Table) -> pd.DataFrame:
+    """Return all rows of a table as a DataFrame of text."""
+    return pd.DataFrame(table.rows, columns=list(table.heads))
+
+
+def encode_csv(table: pd.DataFrame) -> bytes:
+    """Encode a table as CSV; an apostrophe precedes texts that a spreadsheet takes for formulas."""
+    named = table.rename(columns={name: _disarm_formula(name) for name in table.columns})
+    texts = [i for i, dtype in enumerate(named.dtypes) if not is_numeric_dtype(dtype)]
+    for i in texts:
+        plain = named.iloc[:, i].map(_disarm_formula, na_action="ignore")
+        named.isetitem(i, plain.to_numpy(dtype=object))
+    return bytes(named.to_csv(index=False).encode())
+
+
+def _disarm_formula(value: Any) -> Any:
+    """Put an apostrophe before a text that a spreadsheet would take for a formula."""
+    if not isinstance(value, str) or not value.startswith(_FORMULA):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value

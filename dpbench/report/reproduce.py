@@ -20,9 +20,10 @@ from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, load_results, read_lost_count_and_remarks
 from dpbench.files.writing import write_bytes_atomically, write_text_atomically
 from dpbench.report.charts.render import encode_figure
+from dpbench.report.csv_tables import convert_to_frame, encode_csv
 from dpbench.report.formats import plural, strip_markdown
 from dpbench.report.page.section import Topic
-from dpbench.report.table import encode_csv, make_markdown_table
+from dpbench.report.table import make_markdown_table
 from dpbench.report.topics.paper import (
     Claim,
     build_paper_topic,
@@ -89,7 +90,7 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
         nothing = f"nothing is reproduced: no loop of the paper's case was finished; see {runs}"
         return Reproduction((nothing,), tuple(remarks), complete=False)
     _write_paper_figures(folder, topic, read_laws_in_paper_scenario(records), scenario)
-    write_bytes_atomically(folder / "claims.csv", encode_csv(topic.tables[0].frame))
+    write_bytes_atomically(folder / "claims.csv", encode_csv(convert_to_frame(topic.tables[0])))
     write_text_atomically(folder / "claims.md", _make_claims_document(topic, results))
     judged = judge_claims(records)
     radius = compute_linear_record(scenario).spectral_radius

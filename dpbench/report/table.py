@@ -1,12 +1,10 @@
-"""Tables of text in Markdown and CSV, with words of others made harmless there."""
+"""Tables of text in Markdown, with words of others made harmless there."""
 
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
-
-import pandas as pd
 
 from dpbench.display import make_html_table
 from dpbench.report.formats import strip_markdown
@@ -17,8 +15,6 @@ _PIPE = re.compile(r"(\\*)\|")
 _BLOCK = re.compile(r"^(?=#{1,6}(\s|$)|>|```|~~~|[-+*]\s|[-_*=]{3})")
 _NOT_SHOWN = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 """Categories of characters that end a line, turn its direction or cannot be written."""
-_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
-"""First characters of a formula in a spreadsheet."""
 
 
 def one_line(text: str) -> str:
@@ -39,27 +35,6 @@ def escape_markdown_paragraph(text: str) -> str:
 def escape_markdown_cell(text: str) -> str:
     """Escape a text for a cell of a Markdown table."""
     return _PIPE.sub(r"\1\1\\|", escape_markdown(text))
-
-
-def encode_csv(table: pd.DataFrame) -> bytes:
-    """Encode a table as CSV; an apostrophe precedes texts that a spreadsheet takes for formulas."""
-    named = table.rename(columns={name: _disarm_formula(name) for name in table.columns})
-    texts = [i for i, dtype in enumerate(named.dtypes) if not pd.api.types.is_numeric_dtype(dtype)]
-    for i in texts:
-        plain = named.iloc[:, i].map(_disarm_formula, na_action="ignore")
-        named.isetitem(i, plain.to_numpy(dtype=object))
-    return bytes(named.to_csv(index=False).encode())
-
-
-def _disarm_formula(value: Any) -> Any:
-    """Put an apostrophe before a text that a spreadsheet would take for a formula."""
-    if not isinstance(value, str) or not value.startswith(_FORMULA):
-        return value
-    try:
-        float(value)
-    except ValueError:
-        return f"'{value}"
-    return value
 
 
 @dataclass(frozen=True)
@@ -87,11 +62,6 @@ class Table:
     def page_rows(self) -> list[list[str]]:
         """Rows of the table that the page shows, without Markdown marks."""
         return [[strip_markdown(cell) for cell in row] for row in self.rows[: self.shown]]
-
-    @property
-    def frame(self) -> pd.DataFrame:
-        """All rows of the table as a DataFrame of text."""
-        return pd.DataFrame(self.rows, columns=list(self.heads))
 
     @property
     def cut(self) -> int:
