@@ -27,8 +27,7 @@ from dpbench.analysis.compare.evidence import (
 from dpbench.analysis.statistics import Interval
 from dpbench.ci import MARGIN
 from dpbench.ci.benchmarks import WRONG_ANSWERS, Benchmark, BenchmarkRun
-from dpbench.report.formats import plural
-from dpbench.report.table import Table, escape_markdown_paragraph, make_markdown_table
+from dpbench.report.formats import Table, escape_markdown_paragraph, make_markdown_table, plural
 
 NOT_TIMED, SLOWER, WORSE, GONE = "failed, not timed", "slower", "worse", "gone"
 DISTURBED, NO_KERNEL, NOT_VERIFIED = "disturbed", "no reference kernel", "faster, not verified"

@@ -42,8 +42,7 @@ from dpbench.embedded.toolchain import (
     require_extra,
 )
 from dpbench.errors import DpbenchError, InputError
-from dpbench.report.formats import MISSING, format_count, format_error
-from dpbench.report.table import Table
+from dpbench.report.formats import MISSING, Table, format_count, format_error
 from dpbench.scenario.scenario import Scenario, load_scenario
 
 REMARK = (

@@ -32,7 +32,7 @@ from dpbench.errors import (
 from dpbench.files.writing import write_bytes_to_file_or_pipe
 
 if TYPE_CHECKING:
-    from dpbench.report.table import Table
+    from dpbench.report.formats import Table
 
 INTERRUPTED = 130  # The exit code after Ctrl-C; after another signal 128 and its number
 OLD_COMMANDS = {"hunt": "worst-case"}

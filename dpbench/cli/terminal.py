@@ -20,7 +20,7 @@ from rich.text import Text
 from dpbench.bench.progress import ProgressLines
 
 if TYPE_CHECKING:
-    from dpbench.report.table import Table as ReportTable
+    from dpbench.report.formats import Table as ReportTable
 
 WIDTH = 80  # Columns of a file or a pipe, and the most of prose on a terminal
 STYLES = {"slower": "bold red", "worse": "bold red", "faster": "green", "better": "green"}

@@ -24,11 +24,11 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.errors import ResultsError
 from dpbench.files.writing import write_file_set_into_folder
+from dpbench.report.formats import Table, escape_markdown
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.study_effects_table import build_effects_table
-from dpbench.report.table import Table, escape_markdown
 from dpbench.report.words import read_words, render_document
 
 LEGEND = "README.md"

@@ -13,8 +13,7 @@ from dpbench.analysis.suites.study_effects import (
     Measure,
     compute_study_effects,
 )
-from dpbench.report.formats import MISSING, significant
-from dpbench.report.table import Table
+from dpbench.report.formats import MISSING, Table, significant
 
 MOST_ROWS = 24
 """The page shows so many rows; `tables/study_effects.csv` has all."""

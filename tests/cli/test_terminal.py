@@ -20,7 +20,7 @@ from dpbench.cli.terminal import (
     make_report_table,
     print_wrapped,
 )
-from dpbench.report.table import Table
+from dpbench.report.formats import Table
 from tests.cli.conftest import Say
 
 CODES = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")

@@ -12,7 +12,7 @@ from jinja2.defaults import DEFAULT_FILTERS
 
 import dpbench.report
 from dpbench.report import formats
-from dpbench.report.table import make_markdown_table
+from dpbench.report.formats import make_markdown_table
 from dpbench.report.words import FILTERS, fill_template
 
 REPORT = Path(dpbench.report.__file__).parent

@@ -31,9 +31,9 @@ from dpbench.report.compare.comparison import (
     make_solvers_table,
     make_times_table,
 )
+from dpbench.report.formats import Table
 from dpbench.report.page.terms import PHRASES, Terms
 from dpbench.report.report import BESIDE, TERMINAL_NOTES
-from dpbench.report.table import Table
 from dpbench.report.topics.capability import make_consequence_row
 from dpbench.report.topics.study import build_study_topic
 from dpbench.report.topics.thrusters import make_wear_row

@@ -36,17 +36,19 @@ from dpbench.display import make_html_table
 from dpbench.errors import InputError
 from dpbench.report.formats import (
     MISSING,
+    Table,
     format_count,
     format_error,
     format_interval,
     format_microseconds,
     format_share,
+    format_table_as_html,
     join_with_and,
+    make_markdown_document,
     plural,
     significant,
 )
 from dpbench.report.ship_text import summarise_ships
-from dpbench.report.table import Table, format_table_as_html, make_markdown_document
 from dpbench.report.verdict_text import describe_disturbance
 
 TIMES = ("slower", "faster", "no difference shown", "equivalent")

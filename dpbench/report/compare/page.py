@@ -22,7 +22,7 @@ from dpbench.report.compare.comparison import (
     describe_shared_factor,
     make_times_table,
 )
-from dpbench.report.formats import format_interval, plural, strip_markdown
+from dpbench.report.formats import Table, format_interval, plural, strip_markdown
 from dpbench.report.page.data import convert_rows_to_columns
 from dpbench.report.page.pack import Block
 from dpbench.report.page.write import (
@@ -31,7 +31,6 @@ from dpbench.report.page.write import (
     render_figure_markup,
     render_page,
 )
-from dpbench.report.table import Table
 
 SHOWN = 12
 """Number of the slowest and of the fastest in the figure; the table has all."""

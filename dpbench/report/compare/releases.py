@@ -28,17 +28,18 @@ from dpbench.files.writing import write_bytes_to_file_or_pipe
 from dpbench.report.charts import style
 from dpbench.report.formats import (
     MISSING,
+    Table,
     format_count,
     format_error,
     format_time,
     join_with_and,
+    make_markdown_document,
     plural,
     significant,
     strip_markdown,
 )
 from dpbench.report.page.write import render_figure_markup, render_page
 from dpbench.report.ship_text import summarise_ships
-from dpbench.report.table import Table, make_markdown_document
 
 BUSY = 0.05
 """Relative change of the load kernel that shows a busier machine."""

@@ -24,23 +24,21 @@ from dpbench.errors import UnknownNameError, format_allowed_names
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import (
     MISSING,
+    escape_markdown,
+    escape_markdown_paragraph,
     format_count,
     format_error,
     format_rounded_down,
     format_time,
     join_with_and,
+    make_markdown_table,
+    one_line,
     strip_markdown,
 )
 from dpbench.report.page.data import PageData
 from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
 from dpbench.report.ship_text import ShipSummary
-from dpbench.report.table import (
-    escape_markdown,
-    escape_markdown_paragraph,
-    make_markdown_table,
-    one_line,
-)
 from dpbench.report.verdict_text import (
     describe_answer,
     describe_best_of_grids,

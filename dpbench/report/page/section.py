@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from dpbench.bench.record.result_folder import Results
+from dpbench.report.formats import Table
 from dpbench.report.page.data import PageData
-from dpbench.report.table import Table
 
 
 @dataclass(frozen=True)

@@ -30,9 +30,8 @@ from dpbench.report.charts.capability import (
     draw_loss_spans,
     draw_sample_shares,
 )
-from dpbench.report.formats import format_sample_share, join_with_counts, plural
+from dpbench.report.formats import Table, format_sample_share, join_with_counts, plural
 from dpbench.report.page.section import Figure, Topic
-from dpbench.report.table import Table
 
 
 def build_capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:

@@ -12,9 +12,8 @@ from dpbench.report.embedded_text import (
     yield_ranking_sentences,
     yield_uncounted_sentences,
 )
-from dpbench.report.formats import MISSING, format_count, format_error, format_time
+from dpbench.report.formats import MISSING, Table, format_count, format_error, format_time
 from dpbench.report.page.section import Topic
-from dpbench.report.table import Table
 
 WORST = "The worst step is the worst of its sequence."
 TITLE = "On the ship's computer"

@@ -16,9 +16,14 @@ from dpbench.analysis.suites.paper import (
 )
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
 from dpbench.report.charts.ship import draw_forces, draw_increments, draw_path, draw_pose_errors
-from dpbench.report.formats import MISSING, format_rounded_down, format_rounded_up, strip_markdown
+from dpbench.report.formats import (
+    MISSING,
+    Table,
+    format_rounded_down,
+    format_rounded_up,
+    strip_markdown,
+)
 from dpbench.report.page.section import Figure, Topic
-from dpbench.report.table import Table
 from dpbench.report.words import fill_template, read_words
 
 CITATION = """@misc{xia_dp_mpc,

@@ -5,9 +5,8 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.random_claims import RandomClaims
 from dpbench.report.charts.lines import draw_count_tiles
-from dpbench.report.formats import join_with_and
+from dpbench.report.formats import Table, join_with_and
 from dpbench.report.page.section import Figure, Topic
-from dpbench.report.table import Table
 
 
 def build_random_topic(records: Records) -> Topic | None:

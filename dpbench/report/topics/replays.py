@@ -26,6 +26,7 @@ from dpbench.bench.judge.rules import median_of_known, percentile_or_nan
 from dpbench.bench.record.cell import sort_key_of_settings
 from dpbench.report.formats import (
     MISSING,
+    Table,
     format_count,
     format_error,
     format_time,
@@ -34,7 +35,6 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.page.section import Topic
-from dpbench.report.table import Table
 from dpbench.report.verdict_text import describe_answer
 
 

@@ -31,14 +31,13 @@ from dpbench.report.charts.study import (
     draw_within_lines,
     draw_within_maps,
 )
-from dpbench.report.formats import MISSING, join_with_and, plural, significant
+from dpbench.report.formats import MISSING, Table, join_with_and, plural, significant
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.study_effects_table import (
     convert_effect_and_interval,
     make_head_of_measure,
     tabulate_effects,
 )
-from dpbench.report.table import Table
 from dpbench.report.verdict_text import name_counts
 
 MOST_DRAWN = 6

@@ -15,9 +15,8 @@ from dpbench.analysis.times.contrasts import (
 )
 from dpbench.analysis.verdict.requirements import MARGIN, Requirements, compute_cost_ratio
 from dpbench.report.charts.lines import draw_lines
-from dpbench.report.formats import MISSING, format_time, join_with_and, significant
+from dpbench.report.formats import MISSING, Table, format_time, join_with_and, significant
 from dpbench.report.page.section import Figure, Topic
-from dpbench.report.table import Table
 
 
 def build_horizon_topic(records: Records, requirements: Requirements) -> Topic | None:

@@ -29,6 +29,7 @@ from dpbench.analysis.verdict.thruster_verdicts import (
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, choose_solver
 from dpbench.report.formats import (
     MISSING,
+    Table,
     format_rounded_up,
     format_sample_share,
     join_with_and,
@@ -36,7 +37,6 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.page.section import Topic
-from dpbench.report.table import Table
 
 MOST_ROWS = 8
 """Rows on the page, the most often right first; the file has all."""

@@ -18,9 +18,15 @@ from dpbench.analysis.times.machine import (
 from dpbench.bench.judge.calibration import compute_excess_over_wait_ns, is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.charts.lines import draw_dots
-from dpbench.report.formats import format_count, format_share, join_with_and, plural, significant
+from dpbench.report.formats import (
+    Table,
+    format_count,
+    format_share,
+    join_with_and,
+    plural,
+    significant,
+)
 from dpbench.report.page.section import Figure, Topic
-from dpbench.report.table import Table
 from dpbench.report.verdict_text import (
     list_disturbance_facts,
     list_machine_facts,

@@ -6,8 +6,7 @@ from dpbench.analysis.times.contrasts import compare_routes
 from dpbench.analysis.times.machine import compute_repetition_spread
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
-from dpbench.report.formats import significant
-from dpbench.report.table import Table
+from dpbench.report.formats import Table, significant
 from dpbench.report.topics.replays import build_formulations_topic
 from dpbench.report.topics.trust import build_trust_topic
 
