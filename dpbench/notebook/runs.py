@@ -15,8 +15,7 @@ import pandas as pd
 from dpbench.analysis.records.run_record import build_run_records
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.judge.answer_caching import is_answer_cached
-from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_loop_log
-from dpbench.bench.judge.replay import evaluate_replay_log
+from dpbench.bench.judge.evaluation import EvaluatedCell, evaluate_loop_log, evaluate_replay_log
 from dpbench.bench.judge.rows import make_run_row, make_step_columns, make_step_rows
 from dpbench.bench.record.cell import DEFAULT_FALLBACK, FORMULATIONS, Cell, Formulation, Outcome
 from dpbench.bench.record.raw_log import RawLog

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Ints
 from dpbench.bench.judge import rules, timing
-from dpbench.bench.judge.closed_loop import (
+from dpbench.bench.judge.control_metrics import shift_forces_by_one_step
+from dpbench.bench.judge.evaluation import (
     BACKUP_PREFIX,
     CERTIFICATES,
     EVALUATION,
@@ -21,7 +22,6 @@ from dpbench.bench.judge.closed_loop import (
     Columns,
     EvaluatedCell,
 )
-from dpbench.bench.judge.control_metrics import shift_forces_by_one_step
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.judge.timing import find_disturbed_rounds, make_deadline_columns
 from dpbench.bench.record.cell import CONFIGURATION_COLUMNS, Cell, Outcome

@@ -8,7 +8,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Floats, Ints
-from dpbench.bench.judge.closed_loop import SECOND_QP_PREFIX, Columns, EvaluatedCell
+from dpbench.bench.judge.evaluation import SECOND_QP_PREFIX, Columns, EvaluatedCell
 from dpbench.bench.judge.rules import (
     WARM_UP,
     mask_disturbed_rounds,

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_loop_log
-from dpbench.bench.judge.replay import evaluate_replay_log
+from dpbench.bench.judge.evaluation import EvaluatedCell, evaluate_loop_log, evaluate_replay_log
 from dpbench.bench.judge.rows import make_run_row, make_step_columns
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.disturbance import read_disturbance_counters

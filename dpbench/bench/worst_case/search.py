@@ -15,8 +15,12 @@ from scipy.optimize import Bounds, differential_evolution
 from scipy.stats import qmc
 
 from dpbench.arrays import Floats
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
-from dpbench.bench.judge.replay import evaluate_replay_log
+from dpbench.bench.judge.evaluation import (
+    CERTIFICATES,
+    EVALUATION,
+    EvaluatedCell,
+    evaluate_replay_log,
+)
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, WARM_UP
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import Cell, Outcome

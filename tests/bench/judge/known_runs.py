@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from dpbench import open_workspace
-from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_loop_log
 from dpbench.bench.judge.control_metrics import (
     compute_axis_limit_metrics,
     compute_control_metrics,
     compute_joint_limit_metrics,
 )
+from dpbench.bench.judge.evaluation import EvaluatedCell, evaluate_loop_log
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.assemble import NO_LIMIT_NS, build_closed_loop_setup

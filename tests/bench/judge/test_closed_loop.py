@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dpbench import load_scenario
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell, StepEvaluator
+from dpbench.bench.judge.evaluation import CERTIFICATES, EVALUATION, EvaluatedCell, StepEvaluator
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.qp.program import QPStep, QuadraticProgram, Units
 from dpbench.qp.solution import Solution, Status
@@ -254,6 +254,6 @@ def test_many_answers_are_judged_as_each_by_itself(monkeypatch: pytest.MonkeyPat
         cases.append((problem(rng.normal(size=2).tolist()), answer))
     one_by_one = [[*evaluations([case])[0].values()] for case in cases]
     for most in (7, 128):
-        monkeypatch.setattr("dpbench.bench.judge.closed_loop.BATCH_SIZE", most)
+        monkeypatch.setattr("dpbench.bench.judge.evaluation.BATCH_SIZE", most)
         found = [[*figures.values()] for figures in evaluations(cases)]
         np.testing.assert_array_equal(found, one_by_one)

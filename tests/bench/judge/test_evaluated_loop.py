@@ -3,7 +3,7 @@
 import pytest
 
 from dpbench import load_scenario
-from dpbench.bench.judge.closed_loop import EvaluatedCell, evaluate_loop_log
+from dpbench.bench.judge.evaluation import EvaluatedCell, evaluate_loop_log
 from dpbench.bench.judge.rows import make_step_columns
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.record.cell import Cell

@@ -10,8 +10,7 @@ import pandas as pd
 import pytest
 
 from dpbench import load_scenario, open_workspace, record_sequence, replay
-from dpbench.bench.judge.closed_loop import EVALUATION
-from dpbench.bench.judge.replay import evaluate_replay_log
+from dpbench.bench.judge.evaluation import EVALUATION, evaluate_replay_log
 from dpbench.bench.judge.timing import window_p99_ns
 from dpbench.bench.record.cell import CONTROLLER, Formulation, HardestSource
 from dpbench.bench.record.raw_log import RawLog, make_replay_layout

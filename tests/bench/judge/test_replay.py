@@ -5,8 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
-from dpbench.bench.judge.replay import evaluate_replay_log, measure_repeatability
+from dpbench.bench.judge.evaluation import (
+    CERTIFICATES,
+    EVALUATION,
+    EvaluatedCell,
+    evaluate_replay_log,
+    measure_repeatability,
+)
 from dpbench.bench.record.raw_log import RawLog, make_replay_layout
 from dpbench.qp.program import QPSequence, QuadraticProgram, Units
 from dpbench.qp.referee.referee import certify

@@ -9,8 +9,12 @@ import pytest
 
 from dpbench.analysis.records.run_steps import yield_step_times_by_run
 from dpbench.bench.judge import rules
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
-from dpbench.bench.judge.replay import evaluate_replay_log
+from dpbench.bench.judge.evaluation import (
+    CERTIFICATES,
+    EVALUATION,
+    EvaluatedCell,
+    evaluate_replay_log,
+)
 from dpbench.bench.judge.rows import make_run_row, make_step_columns, make_step_rows
 from dpbench.bench.record.cell import Cell, Outcome
 from dpbench.bench.record.raw_log import PHASES, RawLog, make_replay_layout

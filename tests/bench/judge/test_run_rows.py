@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from dpbench.bench.judge import timing
-from dpbench.bench.judge.closed_loop import EvaluatedCell
+from dpbench.bench.judge.evaluation import EvaluatedCell
 from dpbench.bench.judge.rows import make_run_row, make_step_rows
 from dpbench.bench.judge.rules import has_comparable_times
 from dpbench.bench.record.cell import Cell, Outcome, RecordedSource

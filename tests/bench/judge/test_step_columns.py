@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
+from dpbench.bench.judge.evaluation import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.judge.rows import make_step_columns
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import PHASES

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.bench.judge.closed_loop import EvaluatedCell
+from dpbench.bench.judge.evaluation import EvaluatedCell
 from dpbench.bench.judge.rules import mask_counted_rows, select_step_rows
 from dpbench.bench.judge.timing import (
     average_load_test_ns,

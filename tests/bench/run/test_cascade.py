@@ -13,7 +13,7 @@ import pytest
 import quadprog
 
 from dpbench import open_workspace, run_closed_loop
-from dpbench.bench.judge.replay import evaluate_replay_log
+from dpbench.bench.judge.evaluation import evaluate_replay_log
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.raw_log import RawLog, compute_log_bytes, make_loop_layout
 from dpbench.bench.run.assemble import (

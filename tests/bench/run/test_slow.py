@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
-from dpbench.bench.judge.closed_loop import EVALUATION, evaluate_loop_log
+from dpbench.bench.judge.evaluation import EVALUATION, evaluate_loop_log
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import ClosedLoopTable, SuiteFile
 from dpbench.bench.record.cell import SLOWEST, Cell

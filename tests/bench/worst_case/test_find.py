@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpbench import InputError, load_results, load_scenario, load_sequence, open_workspace, replay
-from dpbench.bench.judge.closed_loop import CERTIFICATES, EVALUATION, EvaluatedCell
+from dpbench.bench.judge.evaluation import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.plan.suite import build_sequence_suite
 from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.bench.sequences.source import record_scenario

@@ -5,7 +5,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from dpbench.bench.judge.closed_loop import METRICS
+from dpbench.bench.judge.evaluation import METRICS
 from dpbench.bench.run.exact_loop import solve_loop_exactly
 from dpbench.mpc.move_limits import AxisLimit, MoveLimit
 from dpbench.mpc.thruster_rows import Limits
