@@ -82,7 +82,7 @@ def _check_folder(folder: Path, progress: Progress | None) -> str:
 
 def _check_sequence(path: Path, progress: Progress | None) -> str:
     """Certify every step of a sequence file anew; return the result as text."""
-    from dpbench.bench.sequences.verify import verify_sequence
+    from dpbench.bench.sequences.source import verify_sequence
 
     return verify_sequence(path, progress)
 

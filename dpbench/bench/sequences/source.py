@@ -1,4 +1,4 @@
-"""Record sequences along an exactly solved loop or from files; keep the QPs of cells in files.
+"""Record sequences along an exactly solved loop or from files, verify them, keep QPs of cells.
 
 A cell's file is made once a source, then read by workers and evaluators. It has the exactly solved
 loop, or a sequence with its certified optima.
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import (
     CapabilitySource,
     Cell,
@@ -25,7 +26,7 @@ from dpbench.bench.record.cell import (
     RandomSource,
     RecordedSource,
 )
-from dpbench.bench.record.npz import open_arrays
+from dpbench.bench.record.npz import open_arrays, read_arrays_and_pickles
 from dpbench.bench.record.raw_log import compute_log_bytes, make_loop_layout, make_replay_layout
 from dpbench.bench.run.exact_loop import (
     ExactLoop,
@@ -43,23 +44,32 @@ from dpbench.bench.sequences.loop_sequences import (
     find_hardest_window,
     select_thruster_rows,
 )
-from dpbench.bench.sequences.sequence_file import Recorded, load_recorded, save_sequence
+from dpbench.bench.sequences.sequence_file import (
+    WHAT,
+    Recorded,
+    active_set,
+    load_recorded,
+    save_sequence,
+)
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.opening import open_regular_file
-from dpbench.qp.program import CONSTANT, QPSequence
+from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram
 from dpbench.qp.random_mpc import (
     RandomMPC,
     generate_qps_and_optima_of_random_mpc,
     is_random_mpc_sequence_name,
 )
 from dpbench.qp.random_sequence import generate_random_sequence
+from dpbench.qp.referee.farkas import is_farkas_vector_proof
 from dpbench.qp.referee.optimum import Optimum
-from dpbench.qp.referee.referee import certify_all_steps
+from dpbench.qp.referee.referee import certify_all_steps, yield_certified_optima
+from dpbench.qp.residuals import residuals
+from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.problem_files import resolve_sequence_path
 from dpbench.scenario.scenario import Scenario, build_or_reuse_scenario, build_vessel_from_documents
 from dpbench.ship.layout import AXES
 
-WHAT = "a sequence by `dpbench export` (.npz), or a problem (.npz) or folder of them by qpsolvers"
+_FILES = "a sequence by `dpbench export` (.npz), or a problem (.npz) or folder of them by qpsolvers"
 
 
 def record_scenario(
@@ -155,7 +165,7 @@ def read_sequence(path: Path) -> Recorded:
     if path.is_dir() or problem_files.is_problem_file(path):
         return Recorded(problem_files.read_problems(path), None)
     if not path.is_file():
-        raise InputError(str(path), "", "no such file or folder", WHAT)
+        raise InputError(str(path), "", "no such file or folder", _FILES)
     return load_recorded(path)
 
 
@@ -164,14 +174,14 @@ def hash_sequence_files(path: Path) -> str:
     total = hashlib.sha256()
     try:
         for file in problem_files.list_problem_files(path) if path.is_dir() else [path]:
-            with open_regular_file(file, WHAT) as stream:
+            with open_regular_file(file, _FILES) as stream:
                 size = os.fstat(stream.fileno()).st_size
                 total.update(f"{file.name if path.is_dir() else ''}:{size}:".encode())
                 while block := stream.read(2**20):
                     total.update(block)
     except OSError as error:
         found = error.strerror or "unreadable"
-        raise InputError(str(error.filename or path), "", found, WHAT) from error
+        raise InputError(str(error.filename or path), "", found, _FILES) from error
     return total.hexdigest()
 
 
@@ -375,3 +385,79 @@ def choose_source_file(cell: Cell) -> SourceFile:
             return _RecordedFile(source)
         case QPSource() as source:
             raise TypeError(f"no file is made of {source}")
+
+
+STATIONARY = 1e-9
+"""Largest residual of stored multipliers, relative to the largest term of Pz + q + Aᵀy + y_box."""
+ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
+WITHOUT_OPTIMUM = ("infeasible", "undecided")
+"""Kinds that a file may swap: the difference is rounding only."""
+
+
+def verify_sequence(path: Path, progress: Progress | None = None) -> str:
+    """Certify every step of a sequence and compare the stored optima; return one line on it.
+
+    InputError : for a damaged file, or the first step whose stored optimum, multipliers, active
+        set or proof of infeasibility are false.
+    """
+    where, shown = str(path), progress or Silent()
+    recorded = read_sequence(path)
+    sequence, claims = recorded.sequence, recorded.optima
+    if claims is not None:
+        _check_active_sets(path, claims)
+    shown.start(len(sequence))
+    optima = []
+    for k, optimum in enumerate(yield_certified_optima(sequence)):
+        if claims is not None:
+            _check_step(where, k, sequence, claims[k], optimum)
+        optima.append(optimum)
+        shown.advance(1, path.stem)
+    return f"{where}: {describe_sequence(sequence, optima if claims is None else claims)}"
+
+
+def _check_active_sets(path: Path, claims: list[Optimum]) -> None:
+    """Raise InputError where stored active sets differ from those of the stored multipliers."""
+    stored = read_arrays_and_pickles(path, WHAT)[0].get("active")
+    wanted = np.array([active_set(optimum) for optimum in claims])
+    if stored is None or stored.shape != wanted.shape or stored.dtype != np.int8:
+        found = "nothing" if stored is None else f"{stored.dtype}, shape {stored.shape}"
+        raise InputError(str(path), "active", found, f"int8, shape {wanted.shape}")
+    if (stored != wanted).any():
+        k, i = (int(index) for index in np.argwhere(stored != wanted)[0])
+        allowed = f"{wanted[k, i]}, the sign of its multiplier"
+        raise InputError(str(path), f"active[{k}, {i}]", stored[k, i], allowed)
+
+
+def _check_step(where: str, k: int, sequence: QPSequence, claim: Optimum, optimum: Optimum) -> None:
+    """Raise InputError where the stored optimum of step k differs from the certified one."""
+    without = optimum.kind in WITHOUT_OPTIMUM
+    if (claim.kind in WITHOUT_OPTIMUM) != without:
+        raise InputError(where, f"certificate[{k}]", repr(claim.kind), repr(optimum.kind))
+    if optimum.kind == "undecided":
+        # Whether a point is feasible is a matter of rounding, and no proof is asked for.
+        return
+    if without:
+        if not is_farkas_vector_proof(sequence.problem(k), claim.y, claim.y_box):
+            allowed = "a Farkas vector: the step is infeasible"
+            raise InputError(where, f"y, y_box[{k}]", "no proof of infeasibility", allowed)
+        return
+    if not np.isfinite(claim.bound):
+        return
+    apart = float(np.abs(claim.z - optimum.z).max())
+    rounding = ROUNDING * float(np.abs(claim.z).max())
+    most = claim.bound + optimum.bound + rounding
+    if not apart <= most:
+        found = f"an optimum {apart:.1e} from the certified one"
+        raise InputError(where, f"z[{k}]", found, f"{most:.1e}, by its bound and the new one")
+    _check_multipliers(where, k, sequence.problem(k), claim)
+
+
+def _check_multipliers(where: str, k: int, qp: QuadraticProgram, claim: Optimum) -> None:
+    """Raise InputError where the stored multipliers of step k do not prove its optimum."""
+    measured = residuals(qp, Solution(Status.SOLVED, claim.z, claim.y, claim.y_box))
+    terms = (qp.P @ claim.z, qp.q, claim.y, claim.y_box)
+    size = max(1.0, *(float(np.abs(term).max(initial=0.0)) for term in terms))
+    worst = max(measured.primal, measured.dual, measured.complementarity)
+    if not worst <= STATIONARY * size:
+        what = f"a residual of {worst:.1e}"
+        raise InputError(where, f"y, y_box[{k}]", what, f"at most {STATIONARY * size:.1e}")

@@ -21,8 +21,7 @@ from dpbench import (
 )
 from dpbench.bench.record.npz import write_npz
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
-from dpbench.bench.sequences.source import record_scenario
-from dpbench.bench.sequences.verify import _check_step
+from dpbench.bench.sequences.source import _check_step, record_scenario
 from dpbench.errors import ShapeError
 from dpbench.qp.program import Units, convert_sequence_to_units
 from dpbench.qp.random_sequence import RandomRecipe, generate_random_sequence
