@@ -93,7 +93,7 @@ TIMES = (
     *("replay_p99_ms", "raw_p99_ms", "margin", "share"),
 )
 """`longest_ms`: largest single timing of everything that was judged, loops too. `margin`: speed
-margin, see `speed_margin.py`. `share`: part of the median that calling the library costs, by the
+margin, see `time_findings.py`. `share`: part of the median that calling the library costs, by the
 calibration configuration that only copies; 0 where it was not run."""
 
 

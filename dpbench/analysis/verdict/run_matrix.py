@@ -14,7 +14,7 @@ from typing import Self
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, map_first_by_key
 from dpbench.analysis.verdict.requirements import Requirements, has_survived
-from dpbench.analysis.verdict.speed_margin import SpeedMargin, compute_speed_margins
+from dpbench.analysis.verdict.time_findings import SpeedMargin, compute_speed_margins
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, judge_configuration
 from dpbench.bench.record.cell import Configuration, sort_key_of_settings
 from dpbench.scenario.scenario import Scenario, build_scenario_from_documents

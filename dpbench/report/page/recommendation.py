@@ -8,7 +8,7 @@ from typing import Any
 
 from dpbench.analysis.times.contrasts import compare_paired_times, find_faster_inconclusive
 from dpbench.analysis.times.machine import find_shortest_wait_ns
-from dpbench.analysis.verdict.speed_margin import SlowStep, find_largest_stall_ns
+from dpbench.analysis.verdict.time_findings import SlowStep, find_largest_stall_ns
 from dpbench.analysis.verdict.verdict import (
     SolverChoice,
     Verdict,

@@ -17,7 +17,6 @@ from dpbench.analysis.suites.capability import (
     select_configurations_in_all_analyses,
 )
 from dpbench.analysis.verdict.requirements import MISSED, Requirements, is_right_to_the_end
-from dpbench.analysis.verdict.speed_margin import SpeedMargin, compute_speed_margins
 from dpbench.analysis.verdict.thruster_verdicts import (
     ThrusterVerdicts,
     compare_thrusters_with_forces,
@@ -26,6 +25,7 @@ from dpbench.analysis.verdict.thruster_verdicts import (
     list_late_losses,
     select_thruster_control_loops,
 )
+from dpbench.analysis.verdict.time_findings import SpeedMargin, compute_speed_margins
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, choose_solver
 from dpbench.report.formats import (
     MISSING,

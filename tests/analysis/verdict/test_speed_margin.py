@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.verdict.requirements import Requirements
-from dpbench.analysis.verdict.speed_margin import (
+from dpbench.analysis.verdict.time_findings import (
     SpeedMargin,
     compute_speed_margins,
     find_largest_stall_ns,
