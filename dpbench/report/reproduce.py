@@ -20,9 +20,9 @@ from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, load_results, read_lost_count_and_remarks
 from dpbench.files.writing import write_bytes_atomically, write_text_atomically
 from dpbench.report.charts.render import encode_figure
-from dpbench.report.csv_tables import convert_to_frame, encode_csv
 from dpbench.report.formats import make_markdown_table, plural, strip_markdown
 from dpbench.report.page.section import Topic
+from dpbench.report.report import convert_to_frame, encode_csv
 from dpbench.report.topics.paper import (
     Claim,
     build_paper_topic,

@@ -15,7 +15,6 @@ from dpbench.files.writing import (
     write_text_atomically,
 )
 from dpbench.report.charts.render import FORMATS, can_draw, encode_figure
-from dpbench.report.csv_tables import write_tables
 from dpbench.report.documents.markdown import (
     compare_solver,
     format_worst_steps,
@@ -24,7 +23,7 @@ from dpbench.report.documents.markdown import (
 from dpbench.report.documents.sent import PAGE, prepare_sent_folder
 from dpbench.report.documents.statement import write_statement
 from dpbench.report.page.write import make_page_html
-from dpbench.report.report import Report
+from dpbench.report.report import Report, write_tables
 
 
 def write_report(out: str | Path, *, baseline: str | None = None) -> Path:

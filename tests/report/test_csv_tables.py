@@ -10,11 +10,10 @@ import pytest
 
 from dpbench.analysis.records.run_steps import extract_counting_rows, yield_merged_steps_by_run
 from dpbench.files.writing import write_file_set_into_folder
-from dpbench.report.csv_tables import TABLES, build_tables
 from dpbench.report.formats import Table
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
-from dpbench.report.report import Report
+from dpbench.report.report import TABLES, Report, build_tables
 from dpbench.report.write import write_report
 
 

@@ -15,7 +15,7 @@ from dpbench.analysis.suites.study_tables import (
     tabulate_study_points,
 )
 from dpbench.report.charts.render import compile_vega
-from dpbench.report.csv_tables import encode_csv
+from dpbench.report.report import encode_csv
 from dpbench.report.study_effects_table import build_effects_table, tabulate_effects
 from dpbench.report.topics import study as topic
 
