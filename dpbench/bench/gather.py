@@ -30,8 +30,8 @@ from dpbench.bench.record.step_table import DAMAGE
 from dpbench.bench.tabulate import refuse_other_selection
 from dpbench.bench.workers.jobs import CellJob
 from dpbench.errors import InputError
+from dpbench.files.regular_files import write_bytes_atomically
 from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
-from dpbench.files.writing import write_bytes_atomically
 from dpbench.solvers.contract import Build
 from dpbench.solvers.table import Availability
 

@@ -25,7 +25,7 @@ from dpbench.ci import MARGIN
 from dpbench.ci.benchmarks import BenchmarkRun, is_in_site_packages, load_run
 from dpbench.ci.comparison import DISTURBED, NOT_TIMED, Row, RunComparison, compare_runs
 from dpbench.errors import InputError, SituationError
-from dpbench.files.writing import write_bytes_to_file_or_pipe
+from dpbench.files.regular_files import write_bytes_to_file_or_pipe
 from dpbench.report.formats import plural
 
 REMEDY = 'give each tree a .venv, or pytest `pythonpath = ["src"]`'

@@ -29,7 +29,7 @@ from dpbench.errors import (
     SituationError,
     warn_of_outdated_name,
 )
-from dpbench.files.writing import write_bytes_to_file_or_pipe
+from dpbench.files.regular_files import write_bytes_to_file_or_pipe
 
 if TYPE_CHECKING:
     from dpbench.report.formats import Table

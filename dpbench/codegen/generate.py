@@ -19,7 +19,7 @@ from dpbench.codegen.fmu import SYSTEMS, build_fmu_bytes
 from dpbench.codegen.solver_sources import SOLVERS, SolverSources, round_up_to_multiple_of_8
 from dpbench.embedded.toolchain import has_extra
 from dpbench.errors import InputError
-from dpbench.files.writing import write_bytes_to_file_or_pipe, write_file_set_into_folder
+from dpbench.files.regular_files import write_bytes_to_file_or_pipe, write_file_set_into_folder
 from dpbench.scenario.scenario import Scenario, resolve_to_scenario
 
 MOST_REPLAYED = 1000

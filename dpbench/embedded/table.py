@@ -13,8 +13,8 @@ from dpbench.arrays import Ints, Matrix, Vector
 from dpbench.embedded.recipe import Settings
 from dpbench.embedded.toolchain import compiler_version
 from dpbench.errors import ResultsError
+from dpbench.files.regular_files import make_folder_if_missing, write_file_atomically
 from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
-from dpbench.files.writing import make_folder_if_missing, write_file_atomically
 
 COUNTED = ("instructions", "loads", "stores", "stack", "iterations", "active", "status")
 """Columns of each step: executed, bytes of stack, then what the solver reports."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.errors import InputError
-from dpbench.files.opening import open_regular_file
+from dpbench.files.regular_files import open_regular_file
 
 MOST_MAT_BYTES = 2**25  # The largest vessel of the MSS toolbox has 2 MB
 WAIT_S = 30.0  # For the process, which ends itself after `mat_child.TIME_S` of a processor

@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from dpbench.errors import InputError
-from dpbench.files.opening import open_regular_file, refuse_implausible_unpacked_size
+from dpbench.files.regular_files import open_regular_file, refuse_implausible_unpacked_size
 
 WHAT = "a table written by `dpbench run`"
 MOST_ENTRIES = 100_000

@@ -18,7 +18,7 @@ from dpbench.bench.record import result_folder
 from dpbench.display import make_html_table
 from dpbench.embedded.table import load_counted_steps_of_folder
 from dpbench.errors import InputError, ResultsError, format_allowed_names, require_lists_of_names
-from dpbench.files.writing import make_folder_if_missing
+from dpbench.files.regular_files import make_folder_if_missing
 from dpbench.notebook.latex import make_tabular
 from dpbench.notebook.plots import ResultPlots
 from dpbench.report.formats import plural

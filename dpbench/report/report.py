@@ -41,7 +41,7 @@ from dpbench.bench.design import Designs
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.errors import ResultsError
-from dpbench.files.writing import write_file_set_into_folder
+from dpbench.files.regular_files import write_file_set_into_folder
 from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import Table, escape_markdown, strip_markdown

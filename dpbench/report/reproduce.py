@@ -18,7 +18,7 @@ from dpbench.bench.design import Designs, compute_linear_record
 from dpbench.bench.progress import Progress
 from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, load_results, read_lost_count_and_remarks
-from dpbench.files.writing import write_bytes_atomically, write_text_atomically
+from dpbench.files.regular_files import write_bytes_atomically, write_text_atomically
 from dpbench.report.charts.render import encode_figure
 from dpbench.report.formats import make_markdown_table, plural, strip_markdown
 from dpbench.report.page.section import Topic

@@ -9,7 +9,7 @@ from dpbench.bench.design import load_stability_records
 from dpbench.bench.record.result_folder import load_results, lock_for_writing
 from dpbench.embedded.table import load_counted_steps_of_folder
 from dpbench.errors import InputError
-from dpbench.files.writing import (
+from dpbench.files.regular_files import (
     make_folder_if_missing,
     write_file_set_into_folder,
     write_text_atomically,

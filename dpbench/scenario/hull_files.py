@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from dpbench.arrays import Matrix
 from dpbench.errors import InputError, format_allowed_names
 from dpbench.files.mat import read_mat_structure_in_child
-from dpbench.files.opening import read_csv_rows
+from dpbench.files.regular_files import read_csv_rows
 
 _Fields = Mapping[str, NDArray[Any]]
 _NOTHING = np.zeros(0)

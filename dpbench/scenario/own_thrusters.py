@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from dpbench.errors import InputError, format_allowed_names
-from dpbench.files.opening import read_csv_rows
+from dpbench.files.regular_files import read_csv_rows
 from dpbench.scenario.problem_files import validate_settings_as_model
 from dpbench.scenario.tables.vessel_file import ThrusterTable
 from dpbench.ship.thrusters import ThrusterSet

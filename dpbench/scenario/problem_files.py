@@ -15,7 +15,7 @@ from pydantic import (
 )
 
 from dpbench.errors import InputError, UnknownNameError, format_allowed_names, warn_of_outdated_name
-from dpbench.files.opening import (
+from dpbench.files.regular_files import (
     MOST_DEPTH,
     MOST_TEXT_BYTES,
     read_bytes,

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from dpbench.files.writing import write_text_atomically
+from dpbench.files.regular_files import write_text_atomically
 from dpbench.scenario.problem_files import ScenarioDocuments, list_shipped_problem_names
 from dpbench.scenario.scenario import read_validated_vessel_documents
 

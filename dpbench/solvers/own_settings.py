@@ -14,7 +14,7 @@ from itertools import product
 from math import isfinite
 
 from dpbench.errors import InputError, ResultsError
-from dpbench.files.opening import parse_json
+from dpbench.files.regular_files import parse_json
 from dpbench.solvers.contract import Options
 
 MOST_POINTS = 1000

@@ -29,7 +29,7 @@ from types import MappingProxyType, ModuleType
 from typing import Any, get_args
 
 from dpbench.errors import InputError, warn_of_outdated_name
-from dpbench.files.writing import is_plain_file_name
+from dpbench.files.regular_files import is_plain_file_name
 from dpbench.solvers.adapter import NativeAdapter, OpenWorkspace
 from dpbench.solvers.contract import (
     NO_PROJECT_FACTS,

@@ -24,7 +24,7 @@ from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.source import read_sequence
 from dpbench.bench.workers.jobs import count_steps
 from dpbench.errors import SituationError, UnknownNameError
-from dpbench.files.writing import write_text_atomically
+from dpbench.files.regular_files import write_text_atomically
 from dpbench.qp.program import CONSTANT, QPSequence
 from dpbench.scenario.problem_files import (
     SEQUENCES,

@@ -13,7 +13,7 @@ from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
 from dpbench.bench.plan.run_request import NO_P99
 from dpbench.bench.progress import Progress, Silent
-from dpbench.files.writing import write_text_atomically
+from dpbench.files.regular_files import write_text_atomically
 from dpbench.report.formats import Table, format_error, format_time, join_with_and, significant
 from dpbench.solvers.contract import Options, Policy, Route
 from dpbench.solvers.own_settings import format_options_as_toml

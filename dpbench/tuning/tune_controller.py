@@ -23,8 +23,7 @@ from dpbench.bench.run.assemble import NO_LIMIT_NS, build_closed_loop_setup
 from dpbench.bench.run.closed_loop import record_closed_loop
 from dpbench.bench.run.exact_loop import compute_largest_offset_share
 from dpbench.errors import InputError, SituationError, require_integer_at_least
-from dpbench.files.opening import read_bytes
-from dpbench.files.writing import write_text_atomically
+from dpbench.files.regular_files import read_bytes, write_text_atomically
 from dpbench.report.charts.render import save_figure
 from dpbench.report.charts.study import draw_tuning_front
 from dpbench.report.formats import plural, significant

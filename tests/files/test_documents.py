@@ -7,7 +7,7 @@ import pytest
 
 from dpbench.bench.record.result_folder import read_json
 from dpbench.errors import ResultsError
-from dpbench.files.opening import MOST_DEPTH, MOST_JSON_BYTES, parse_json
+from dpbench.files.regular_files import MOST_DEPTH, MOST_JSON_BYTES, parse_json
 
 
 def test_deep_large_and_half_documents_are_refused(tmp_path: Path) -> None:

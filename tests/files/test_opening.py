@@ -20,7 +20,7 @@ from dpbench.bench.sequences.sequence_file import load_recorded
 from dpbench.bench.sequences.source import hash_sequence_files
 from dpbench.embedded.table import EMBEDDED_FILE, load_counted_steps_of_folder
 from dpbench.errors import InputError
-from dpbench.files.opening import open_regular_file, read_bytes
+from dpbench.files.regular_files import open_regular_file, read_bytes
 from dpbench.scenario.hull_files import read_hull_from_csv_table, read_hull_from_mss_file
 from dpbench.scenario.problem_files import read_toml_as_dict
 

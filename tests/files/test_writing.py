@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dpbench.errors import InputError
-from dpbench.files.writing import (
+from dpbench.files.regular_files import (
     build_path_of_written_file_list,
     create_empty_file,
     is_plain_file_name,

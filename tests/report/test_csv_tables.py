@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.records.run_steps import extract_counting_rows, yield_merged_steps_by_run
-from dpbench.files.writing import write_file_set_into_folder
+from dpbench.files.regular_files import write_file_set_into_folder
 from dpbench.report.formats import Table
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic

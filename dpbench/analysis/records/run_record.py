@@ -27,7 +27,7 @@ from dpbench.bench.record.cell import (
 )
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.errors import InputError, ResultsError
-from dpbench.files.opening import parse_json
+from dpbench.files.regular_files import parse_json
 from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.tables.key_types import Horizons
 from dpbench.solvers.contract import Policy, Route

@@ -25,8 +25,8 @@ from dpbench.bench.capability.frontier import (
     WindLimit,
 )
 from dpbench.errors import ResultsError
+from dpbench.files.regular_files import write_file_atomically
 from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
-from dpbench.files.writing import write_file_atomically
 from dpbench.mpc.thrusters.allocation_qp import StaticAllocation
 from dpbench.qp.program import QPSequence
 from dpbench.ship.capability.loads import DP_CONDITIONS

@@ -32,7 +32,7 @@ from dpbench.bench.record.cell import Cell, Outcome, RecordedSource
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.sequences.source import is_readable
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob, FileBatch, Result
-from dpbench.files.writing import write_bytes_atomically
+from dpbench.files.regular_files import write_bytes_atomically
 
 RETRIES = 2
 """Number of times that a task is run again after an error of the harness."""

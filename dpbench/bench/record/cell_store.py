@@ -41,15 +41,15 @@ from dpbench.bench.record.step_table import (
     write_runs,
 )
 from dpbench.errors import InputError
-from dpbench.files.opening import open_regular_file
-from dpbench.files.row_groups import Footer, RowGroupWriter, read_parquet_footer
-from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
-from dpbench.files.writing import (
+from dpbench.files.regular_files import (
     create_empty_file,
     make_folder_if_missing,
+    open_regular_file,
     rename_durably,
     write_bytes_atomically,
 )
+from dpbench.files.row_groups import Footer, RowGroupWriter, read_parquet_footer
+from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
 
 PART_CELLS = 256
 """Cells of a part that is made of others, at most."""

@@ -26,8 +26,12 @@ from numpy.typing import NDArray
 
 from dpbench.arrays import Floats
 from dpbench.errors import InputError, ResultsError
-from dpbench.files.opening import open_regular_file, refuse_implausible_unpacked_size
-from dpbench.files.writing import write_bytes_atomically, write_file_atomically
+from dpbench.files.regular_files import (
+    open_regular_file,
+    refuse_implausible_unpacked_size,
+    write_bytes_atomically,
+    write_file_atomically,
+)
 
 Arrays = dict[str, NDArray[Any]]
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)

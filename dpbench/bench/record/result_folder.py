@@ -31,9 +31,13 @@ from dpbench.bench.record.recorded_steps import (
 from dpbench.bench.record.schema import SCHEMA_VERSION, STUDY_PREFIX
 from dpbench.bench.record.step_table import add_missing_run_columns, runs_to_frame
 from dpbench.errors import InputError, ResultsError
-from dpbench.files.opening import read_json_object
+from dpbench.files.regular_files import (
+    is_plain_file_name,
+    make_folder_if_missing,
+    read_json_object,
+    write_text_atomically,
+)
 from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
-from dpbench.files.writing import is_plain_file_name, make_folder_if_missing, write_text_atomically
 from dpbench.locks import WaitLimit, describe_lock_holders, hold_folder_lock
 from dpbench.solvers.contract import Policy, Route
 

@@ -27,7 +27,7 @@ from dpbench.bench.record.schema import (
     DType,
     convert_to_run_columns,
 )
-from dpbench.files.writing import create_empty_file, rename_durably
+from dpbench.files.regular_files import create_empty_file, rename_durably
 
 _ARROW: dict[DType, pa.DataType] = {
     "str": pa.string(),

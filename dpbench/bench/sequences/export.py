@@ -18,7 +18,7 @@ from dpbench.bench.sequences import source
 from dpbench.bench.sequences.qpsolvers_files import KEYS
 from dpbench.bench.sequences.sequence_file import Recorded
 from dpbench.errors import InputError, SituationError
-from dpbench.files.writing import (
+from dpbench.files.regular_files import (
     make_folder_if_missing,
     write_file_atomically,
     write_text_atomically,

@@ -16,7 +16,7 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.bench.record.npz import DAMAGE, Arrays, read_arrays_and_pickles, read_float_array
 from dpbench.errors import InputError
-from dpbench.files.opening import open_regular_file
+from dpbench.files.regular_files import open_regular_file
 from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram, require_or_make_symmetric
 
 WHAT = "a problem written by `qpsolvers.Problem.save` (.npz)"

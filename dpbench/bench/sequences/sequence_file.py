@@ -39,7 +39,7 @@ from dpbench.bench.record.npz import (
     write_npz,
 )
 from dpbench.errors import InputError, require_name_or_file
-from dpbench.files.opening import parse_json
+from dpbench.files.regular_files import parse_json
 from dpbench.qp.program import (
     CONSTANT,
     QPSequence,

@@ -52,7 +52,7 @@ from dpbench.bench.sequences.sequence_file import (
     save_sequence,
 )
 from dpbench.errors import InputError, ResultsError
-from dpbench.files.opening import open_regular_file
+from dpbench.files.regular_files import open_regular_file
 from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram
 from dpbench.qp.random_mpc import (
     RandomMPC,

@@ -15,7 +15,7 @@ import psutil
 import vl_convert as vlc
 
 from dpbench.errors import InputError
-from dpbench.files.writing import write_bytes_to_file_or_pipe
+from dpbench.files.regular_files import write_bytes_to_file_or_pipe
 from dpbench.report.charts.style import FONT, NAMES
 
 FORMATS = ("svg", "pdf", "png")

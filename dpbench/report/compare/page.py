@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from dpbench.analysis.compare.times import ComparedTimes, Timing
-from dpbench.files.writing import write_bytes_to_file_or_pipe
+from dpbench.files.regular_files import write_bytes_to_file_or_pipe
 from dpbench.report.charts import style
 from dpbench.report.charts.steps import draw_step_pairs
 from dpbench.report.charts.style import ROW_STEP

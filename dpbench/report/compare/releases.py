@@ -24,7 +24,7 @@ from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.bench.judge.rules import maximum_of_known
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import InputError
-from dpbench.files.writing import write_bytes_to_file_or_pipe
+from dpbench.files.regular_files import write_bytes_to_file_or_pipe
 from dpbench.report.charts import style
 from dpbench.report.formats import (
     MISSING,

@@ -22,8 +22,7 @@ from dpbench.bench.record.result_folder import (
 )
 from dpbench.embedded.table import EMBEDDED_FILE, load_counted_steps_of_folder
 from dpbench.errors import InputError, ResultsError
-from dpbench.files.opening import read_bytes
-from dpbench.files.writing import write_file_atomically, write_text_atomically
+from dpbench.files.regular_files import read_bytes, write_file_atomically, write_text_atomically
 from dpbench.report.formats import join_with_and, plural
 from dpbench.report.page.write import FILES
 from dpbench.scenario.problem_files import read_toml_as_model

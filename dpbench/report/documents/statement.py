@@ -31,7 +31,7 @@ from dpbench.bench.plan.configurations import name_solvers_of_suite
 from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
-from dpbench.files.writing import write_bytes_to_file_or_pipe
+from dpbench.files.regular_files import write_bytes_to_file_or_pipe
 from dpbench.report.capability_text import (
     describe_answers_at_edge,
     describe_capability,
