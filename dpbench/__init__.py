@@ -4,8 +4,6 @@ The names below are the public interface; each is imported when it is first used
 `import dpbench` costs nothing and a worker loads no library it does not measure.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

@@ -1,7 +1,5 @@
 """Typed rows of `runs.parquet`, and their grouping."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, TypeVar
@@ -159,7 +157,7 @@ class RunRecord:
     default_route: bool = False
     own_switches_a_step: float = np.nan
 
-    def copy_without_times(self) -> RunRecord:
+    def copy_without_times(self) -> "RunRecord":
         """Return a copy of the run with all times set to NaN."""
         times = (one.name for one in fields(self) if one.name.endswith("_ns"))
         timed: dict[str, Any] = dict.fromkeys(times, np.nan)
@@ -360,12 +358,12 @@ def _make_description_error(key: str, error: ValueError) -> ResultsError:
     return ResultsError("runs.parquet", key, found, "the description of a cell")
 
 
-def _convert_column_to_floats(column: pd.Series[Any]) -> list[float]:
+def _convert_column_to_floats(column: "pd.Series[Any]") -> list[float]:
     """Convert a numeric column to a list of floats, null to NaN."""
     return column.to_numpy(dtype=np.float64, na_value=np.nan).tolist()
 
 
-_READ: Mapping[str, Callable[[pd.Series[Any]], list[Any]]] = {
+_READ: "Mapping[str, Callable[[pd.Series[Any]], list[Any]]]" = {
     "str": lambda column: [str(value) for value in column],
     "bool": lambda column: [bool(value) for value in column],
     "int64": lambda column: [int(value) for value in column],

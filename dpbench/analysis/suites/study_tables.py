@@ -1,7 +1,5 @@
 """Studies as tables: rows per configuration and point; data of the pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -124,7 +122,7 @@ def tabulate_shares_in_position(study: Study) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def _replace_by_bin_centres(values: pd.Series[float]) -> pd.Series[float]:
+def _replace_by_bin_centres(values: "pd.Series[float]") -> "pd.Series[float]":
     """Return for each value the centre of its bin, of equally wide bins over the range."""
     least, most = float(values.min()), float(values.max())
     width = (most - least) / FIELDS or 1.0
@@ -158,7 +156,7 @@ def tabulate_error_excess_by_sea(study: Study) -> tuple[pd.DataFrame, pd.DataFra
     return pd.DataFrame(rows), pd.concat(seas, ignore_index=True) if seas else pd.DataFrame(), count
 
 
-def compute_error_excess_cm(study: Study, rows: pd.DataFrame) -> pd.Series[float]:
+def compute_error_excess_cm(study: Study, rows: pd.DataFrame) -> "pd.Series[float]":
     """Return each run's position error less the reference's in the same sea [cm], or NaN."""
     reference = study.get_result_series(study.reference_name, "r_95_m")
     sea = pd.MultiIndex.from_frame(rows[["point", "replicate"]])
