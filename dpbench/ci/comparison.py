@@ -176,20 +176,15 @@ def compare_runs(
                 Row(
                     name,
                     NEW if is_timed else NO_BASELINE,
-                    remarks=(*map(_explain_missing_base_time, why),),
+                    remarks=tuple(f"failed in the base: {reason}" for reason in why),
                 )
             )
     rows.sort(key=lambda row: ORDER.index(row.verdict))
     return RunComparison(rows, allow_gone)
 
 
-def _explain_missing_base_time(reason: str) -> str:
-    """Return as text why a benchmark of the base has no time."""
-    return f"failed in the base: {reason}"
-
-
 def _judge_benchmark(name: str, pairs: Pairs, time: Assessment, complaints: Sequence[str]) -> Row:
-    """Return the row of a benchmark that both revisions timed; "disturbed" if with complaints."""
+    """Judge a benchmark that both revisions have timed; complaints take its time's verdict."""
     both = [
         (base.benchmarks[name], head.benchmarks[name])
         for base, head in pairs

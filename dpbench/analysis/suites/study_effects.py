@@ -127,7 +127,9 @@ def compute_study_effects(study: Study) -> tuple[Effect, ...]:
     factors = _group_keys_that_vary_together(study.points)
     pairings = {factor: _list_level_changes(study.points, factor) for factor in factors}
     ranged = [
-        factor for factor in factors if not pairings[factor] and _has_numeric_levels(study, factor)
+        factor
+        for factor in factors
+        if not pairings[factor] and is_numeric_dtype(study.points[factor[0]])
     ]
     effects: list[Effect] = []
     for configuration in study.results_by_cost:
@@ -165,11 +167,6 @@ def _group_keys_that_vary_together(points: pd.DataFrame) -> list[tuple[str, ...]
             together = ("range", *min(order, order[::-1]))
         groups.setdefault(together, []).append(str(key))
     return [tuple(keys) for keys in groups.values()]
-
-
-def _has_numeric_levels(study: Study, factor: tuple[str, ...]) -> bool:
-    """Return whether the values of a factor are numbers."""
-    return is_numeric_dtype(study.points[factor[0]])
 
 
 def _list_level_changes(
