@@ -11,42 +11,50 @@ if TYPE_CHECKING:
     from dpbench.bench.campaign import run_campaign as run_campaign
     from dpbench.bench.run.exact_loop import record_sequence as record_sequence
     from dpbench.bench.sequences.export import export_sequence as export_sequence
-    from dpbench.bench.sequences.sequence_file import load_sequence as load_sequence
-    from dpbench.bench.sequences.sequence_file import save_sequence as save_sequence
-    from dpbench.errors import CertificateError as CertificateError
-    from dpbench.errors import DpbenchError as DpbenchError
-    from dpbench.errors import InputError as InputError
-    from dpbench.errors import PolicyError as PolicyError
-    from dpbench.errors import ResultsError as ResultsError
-    from dpbench.errors import SettingsError as SettingsError
-    from dpbench.errors import SolverUnavailableError as SolverUnavailableError
-    from dpbench.errors import UnknownNameError as UnknownNameError
+    from dpbench.bench.sequences.sequence_file import (
+        load_sequence as load_sequence,
+        save_sequence as save_sequence,
+    )
+    from dpbench.errors import (
+        CertificateError as CertificateError,
+        DpbenchError as DpbenchError,
+        InputError as InputError,
+        PolicyError as PolicyError,
+        ResultsError as ResultsError,
+        SettingsError as SettingsError,
+        SolverUnavailableError as SolverUnavailableError,
+        UnknownNameError as UnknownNameError,
+    )
     from dpbench.mpc.condensed_qp import CondensedQP as CondensedQP
-    from dpbench.notebook.names import list_scenarios as list_scenarios
-    from dpbench.notebook.names import list_sequences as list_sequences
-    from dpbench.notebook.names import list_solvers as list_solvers
-    from dpbench.notebook.names import list_suites as list_suites
-    from dpbench.notebook.results import Results as Results
-    from dpbench.notebook.results import load_results as load_results
-    from dpbench.notebook.runs import Run as Run
-    from dpbench.notebook.runs import replay as replay
-    from dpbench.notebook.runs import run_closed_loop as run_closed_loop
-    from dpbench.qp.program import QPSequence as QPSequence
-    from dpbench.qp.program import QPStep as QPStep
-    from dpbench.qp.program import QuadraticProgram as QuadraticProgram
-    from dpbench.qp.program import Refresh as Refresh
+    from dpbench.notebook.names import (
+        list_scenarios as list_scenarios,
+        list_sequences as list_sequences,
+        list_solvers as list_solvers,
+        list_suites as list_suites,
+    )
+    from dpbench.notebook.results import Results as Results, load_results as load_results
+    from dpbench.notebook.runs import (
+        Run as Run,
+        replay as replay,
+        run_closed_loop as run_closed_loop,
+    )
+    from dpbench.qp.program import (
+        QPSequence as QPSequence,
+        QPStep as QPStep,
+        QuadraticProgram as QuadraticProgram,
+        Refresh as Refresh,
+    )
     from dpbench.qp.referee.optimum import Optimum as Optimum
     from dpbench.qp.referee.referee import certify as certify
-    from dpbench.qp.residuals import Residuals as Residuals
-    from dpbench.qp.residuals import residuals as residuals
-    from dpbench.qp.solution import Solution as Solution
-    from dpbench.qp.solution import Status as Status
-    from dpbench.report.compare.comparison import Comparison as Comparison
-    from dpbench.report.compare.comparison import compare as compare
+    from dpbench.qp.residuals import Residuals as Residuals, residuals as residuals
+    from dpbench.qp.solution import Solution as Solution, Status as Status
+    from dpbench.report.compare.comparison import Comparison as Comparison, compare as compare
     from dpbench.report.write import write_report as write_report
-    from dpbench.scenario.scenario import Scenario as Scenario
-    from dpbench.scenario.scenario import condense as condense
-    from dpbench.scenario.scenario import load_scenario as load_scenario
+    from dpbench.scenario.scenario import (
+        Scenario as Scenario,
+        condense as condense,
+        load_scenario as load_scenario,
+    )
     from dpbench.solvers.contract import Workspace as Workspace
     from dpbench.solvers.open import open_workspace as open_workspace
 

@@ -90,8 +90,7 @@ def _judge_solvers(
 
 def save_rose_figure(capability: Capability, vessel: Vessel, path: Path) -> None:
     """Draw the largest wind held by direction and failure case; the file's ending is its format."""
-    from dpbench.report.charts.capability import COLUMNS as DRAWN
-    from dpbench.report.charts.capability import draw_capability_rose
+    from dpbench.report.charts.capability import COLUMNS as DRAWN, draw_capability_rose
     from dpbench.report.charts.render import save_figure
 
     rows = [

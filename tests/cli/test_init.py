@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import load_path_and_suite

@@ -13,8 +13,7 @@ from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.cli.main import main
 from dpbench.report.documents.markdown import make_report_markdown
 from dpbench.report.report import Report
-from dpbench.report.ship_text import BANNER, NOT_RUN, ShipSummary, summarise_ships
-from dpbench.report.ship_text import LOST as NOT_HELD
+from dpbench.report.ship_text import BANNER, LOST as NOT_HELD, NOT_RUN, ShipSummary, summarise_ships
 from dpbench.scenario.scenario import load_scenario
 from dpbench.scenario.variation import copy_documents_with_values
 

@@ -16,8 +16,7 @@ from dpbench.analysis.times.solver_tables import (
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts.embedded import draw_instructions
 from dpbench.report.charts.overview import draw_accuracy, draw_deadline_chart, draw_verdict_tiles
-from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS
-from dpbench.report.charts.steps import draw_step_pairs, draw_step_strips
+from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS, draw_step_pairs, draw_step_strips
 from dpbench.report.charts.study import draw_point_errors, draw_point_seas, draw_study_points
 from dpbench.report.embedded_text import make_calculator_rows, name_sequence_and_core
 from dpbench.report.page.data import PageData, make_table_of_runs, select_tiles

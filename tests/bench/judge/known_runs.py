@@ -1,8 +1,7 @@
 """A ship with round numbers, for control metrics of trajectories worked by hand."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields as dataclass_fields
-from dataclasses import replace
+from dataclasses import fields as dataclass_fields, replace
 from typing import Any
 
 import numpy as np

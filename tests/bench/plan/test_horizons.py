@@ -6,8 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench import load_results, load_scenario, open_workspace, record_sequence, replay
-from dpbench import run_campaign as run
+from dpbench import (
+    load_results,
+    load_scenario,
+    open_workspace,
+    record_sequence,
+    replay,
+    run_campaign as run,
+)
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile, load_path_and_suite
 from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_loop_exactly

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from dpbench import load_scenario, open_workspace, run_closed_loop
 from dpbench.bench.judge.evaluation import EVALUATION, evaluate_loop_log

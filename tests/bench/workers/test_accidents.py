@@ -24,9 +24,7 @@ from dpbench.bench.record.raw_log import RawLog, is_log_full_size_and_writable, 
 from dpbench.bench.record.result_folder import read_lost_count_and_remarks
 from dpbench.bench.record.step_table import BatchPart
 from dpbench.bench.sequences.source import choose_source_file
-from dpbench.bench.workers import child as supervise
-from dpbench.bench.workers import interleaved as interleave
-from dpbench.bench.workers import scratch
+from dpbench.bench.workers import child as supervise, interleaved as interleave, scratch
 from dpbench.bench.workers.jobs import Result
 from dpbench.cli.main import main
 from tests.bench.deterministic import run_suite, suite_file, suite_toml

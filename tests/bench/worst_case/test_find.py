@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from dpbench import InputError, load_results, load_scenario, load_sequence, open_workspace, replay
 from dpbench.bench.judge.evaluation import CERTIFICATES, EVALUATION, EvaluatedCell

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_steps import MEASURES, RunSteps, find_hardest_steps
@@ -25,8 +24,7 @@ from dpbench.analysis.records.thinned_runs import (
 )
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
-from dpbench.report.page import data as page_data
-from dpbench.report.page import pack as packing
+from dpbench.report.page import data as page_data, pack as packing
 from dpbench.report.page.data import PageData
 from dpbench.report.page.pack import FLAGS, Block, Room, pack_steps
 

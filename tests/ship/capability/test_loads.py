@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.ship.capability.loads import (

@@ -9,8 +9,7 @@ from qpsolvers import Problem, solve_problem
 
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Status
-from dpbench.solvers.libraries import THROUGH_QPSOLVERS
-from dpbench.solvers.libraries import qpsolvers_workspace as qpsolvers_route
+from dpbench.solvers.libraries import THROUGH_QPSOLVERS, qpsolvers_workspace as qpsolvers_route
 from dpbench.solvers.one_sided import OneSidedForm
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import TABLE, find_solver_availability

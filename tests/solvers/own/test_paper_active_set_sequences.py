@@ -5,8 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import quadprog
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from dpbench import load_scenario, run_closed_loop
 from dpbench.bench.run.exact_loop import rebuild_sequence, solve_loop_exactly
