@@ -40,6 +40,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m dpbench.cli.compiling
 	touch $(STAMP)
 
+# Of these two a part of the modules is ever imported, so nothing is compiled in advance.
 environments: setup $(CORE)/.installed $(LOWEST)/.installed ## make those of test-core and test-lowest too
 
 bench: setup ## run the standard suite (five to twelve minutes) and write its report
@@ -61,7 +62,7 @@ test-core: $(CORE)/.installed ## run the quick tests without the extras, in an e
 
 $(CORE)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv --clear $(CORE)
-	$(CORE)/bin/python -m pip install --quiet --constraint constraints.txt --editable . $(TEST_TOOLS)
+	$(CORE)/bin/python -m pip install --quiet --no-compile --constraint constraints.txt --editable . $(TEST_TOOLS)
 	touch $@
 
 # Old libraries warn of new ones, which is not ours to mend; another Numba has another cache.
@@ -72,7 +73,7 @@ test-lowest: $(LOWEST)/.installed ## run the contract and a smoke run with the l
 
 $(LOWEST)/.installed: pyproject.toml constraints-lowest.txt
 	$(PYTHON) -m venv --clear $(LOWEST)
-	$(LOWEST)/bin/python -m pip install --quiet --only-binary :all: \
+	$(LOWEST)/bin/python -m pip install --quiet --no-compile --only-binary :all: \
 	    --requirement constraints-lowest.txt $(TEST_TOOLS)
 	$(LOWEST)/bin/python -m pip install --quiet --no-deps --editable .
 	NUMBA_CACHE_DIR=$(LOWEST)/numba $(LOWEST)/bin/python -m dpbench.cli.compiling

@@ -44,7 +44,7 @@ def draw_capability_rose(table: pd.DataFrame, title: str) -> Any:
     place = {"x": alt.X("x:Q", scale=span, axis=None), "y": alt.Y("y:Q", scale=span, axis=None)}
     colour = style.colour("case", cases, style.PALETTE[: len(cases)], columns=3)
     lines = alt.Chart(closed).mark_line(strokeWidth=2, interpolate="linear")
-    lines = lines.encode(**place, order="i:Q", color=colour)
+    lines = lines.encode(**place, order=alt.Order("i:Q"), color=colour)
     points = _draw_points(closed, place)
     turn, ends = np.linspace(0.0, 360.0, _RING_CORNERS), np.array([0.0, _OUTER])
     circles = [
@@ -56,12 +56,12 @@ def draw_capability_rose(table: pd.DataFrame, title: str) -> Any:
         {**_polar_coordinates(1.07 * _OUTER, deg), "name": f"{deg}°"} for deg in _SPOKES_DEG
     ]
     web = [
-        _draw_web_lines(circles, place).encode(detail="n:N", order="i:Q"),
-        _draw_web_lines(spokes, place).encode(detail="spoke:N"),
+        _draw_web_lines(circles, place).encode(detail=alt.Detail("n:N"), order=alt.Order("i:Q")),
+        _draw_web_lines(spokes, place).encode(detail=alt.Detail("spoke:N")),
         *_draw_ring_names(place, closed),
         alt.Chart(pd.DataFrame(bearings))
         .mark_text(color=style.INK, fontSize=12)
-        .encode(**place, text="name:N"),
+        .encode(**place, text=alt.Text("name:N")),
     ]
     about = (
         "Largest wind held from each direction, intact and after each failure; rings: the winds of "
@@ -82,12 +82,12 @@ Place = dict[str, Any]
 
 def _draw_points(closed: pd.DataFrame, place: Place) -> list[Any]:
     """Draw largest winds held by direction as points, hollow where solvers claim falsely."""
-    tooltips = [
+    tooltips = style.tooltips(
         "case:N",
         style.tooltip("from_deg:Q", "from [°]"),
         style.tooltip("wind_mps:Q", "wind held [m/s]"),
         alt.Tooltip("number:Q", title="DP capability number"),
-    ]
+    )
     untrue = closed["untrue"] if "untrue" in closed else pd.Series(0, closed.index)
     if (untrue > 0).any():
         tooltips.append(alt.Tooltip("untrue:Q", title="solvers with an untrue claim"))
@@ -97,7 +97,7 @@ def _draw_points(closed: pd.DataFrame, place: Place) -> list[Any]:
         .mark_point(
             size=size, filled=filled, opacity=1, fill=alt.Undefined if filled else style.PAPER
         )
-        .encode(**place, color="case:N", tooltip=tooltips)
+        .encode(**place, color=alt.Color("case:N"), tooltip=tooltips)
         for of_kind, size, filled in kinds
         if len(of_kind)
     ]
@@ -120,7 +120,7 @@ def _draw_ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
     winds = [DP_CONDITIONS[n][0] for n in _RINGS]
     places = zip(_RINGS, winds, _find_clear_deg(closed, np.array(winds)), strict=True)
     names = [{**_polar_coordinates(wind, from_deg), "name": f"{n}"} for n, wind, from_deg in places]
-    text = alt.Chart(pd.DataFrame(names)).encode(**place, text="name:N")
+    text = alt.Chart(pd.DataFrame(names)).encode(**place, text=alt.Text("name:N"))
     patch = text.mark_text(fontSize=12, stroke=style.PAPER, strokeWidth=4)
     return patch, text.mark_text(fontSize=12, color=style.SOFT)
 
@@ -164,9 +164,9 @@ def draw_answer_shares(table: pd.DataFrame, title: str) -> Any:
     chart = chart.encode(
         x=alt.X("share:Q", title="share of the QPs [%]", scale=scale, axis=axis),
         y=alt.Y("solver:N", title=None, sort=list(dict.fromkeys(table["solver"]))),
-        order="place:Q",
+        order=alt.Order("place:Q"),
         color=style.colour("answer", hues, hues.values(), symbolType="square", columns=2),
-        tooltip=["solver:N", "answer:N", "qps:Q"],
+        tooltip=style.tooltips("solver:N", "answer:N", "qps:Q"),
     )
     about = "For each solver, how many of the QPs at the edge it answers rightly, wrongly or not."
     return style.set_style(chart.properties(width=250, height=alt.Step(17)), title, about)
@@ -192,17 +192,17 @@ def draw_loss_spans(table: pd.DataFrame, title: str) -> Any:
     ends = style.tooltip("from_s:Q", "from [s]"), style.tooltip("to_s:Q", "to [s]")
     base = alt.Chart(table).encode(
         y=style.named_rows("group", groups, ticks=False, domain=False),
-        tooltip=[style.tooltip("group:N", "lost"), "state:N", *ends],
+        tooltip=style.tooltips(style.tooltip("group:N", "lost"), "state:N", *ends),
     )
     time = alt.Scale(domain=[float(first), float(last)], nice=False)
     colour = style.colour("state", present, present.values(), symbolType="square")
     bars = base.mark_bar().encode(
         x=alt.X("from_s:Q", title="time [s]", scale=time, axis=alt.Axis(tickCount=5)),
-        x2="to_s:Q",
+        x2=alt.X2("to_s:Q"),
         color=colour,
     )
     words = base.mark_text(color=style.PAPER, fontSize=12, fontWeight=600).encode(
-        x=alt.X("middle_s:Q", scale=time), text="text:N"
+        x=alt.X("middle_s:Q", scale=time), text=alt.Text("text:N")
     )
     chart = alt.layer(bars, words, width=250, height=alt.Step(26))
     about = "For each failure group, when the thrusters that remain could hold the ship."
@@ -229,11 +229,11 @@ def draw_sample_shares(table: pd.DataFrame, title: str) -> Any:
         y=style.named_rows("name", table["name"].tolist(), grid=True),
         color=style.colour("answers", kinds, colours),
         shape=alt.Shape("answers:N", scale=style.names_scale(kinds, shapes)),
-        tooltip=[
+        tooltip=style.tooltips(
             style.tooltip("name:N", "configuration"),
             style.tooltip("percent:Q", "share [%]", 2),
             "answers:N",
-        ],
+        ),
     )
     about = "For each solver the largest share of a sample that the QPs of all groups take."
     return style.set_style(chart.properties(width=190, height=alt.Step(18)), title, about)

@@ -38,8 +38,8 @@ def draw_instructions(table: pd.DataFrame) -> Any:
         ],
     )
     parts = (
-        base.mark_rule(strokeWidth=2).encode(x2="worst:Q").add_params(style.narrow_flag()),
-        base.mark_rule(strokeWidth=9, strokeCap="butt").encode(x2="p99:Q"),
+        base.mark_rule(strokeWidth=2).encode(x2=alt.X2("worst:Q")).add_params(style.narrow_flag()),
+        base.mark_rule(strokeWidth=9, strokeCap="butt").encode(x2=alt.X2("p99:Q")),
         base.mark_point(filled=True, size=70, opacity=1, stroke=style.PAPER),
     )
     return style.set_style(

@@ -31,7 +31,9 @@ def draw_lines(
         x=alt.X("x:Q", title=x[0], scale=close, axis=alt.Axis(format=x[1])),
         y=alt.Y("y:Q", title=y[0], scale=style.log_scale(), axis=alt.Axis(format=y[1])),
         color=style.colour("name", names, hues, symbolLimit=40, labelLimit=320, columns=1),
-        tooltip=["name:N", alt.Tooltip("x:Q", title=x[0]), style.tooltip("y:Q", y[0])],
+        tooltip=style.tooltips(
+            "name:N", alt.Tooltip("x:Q", title=x[0]), style.tooltip("y:Q", y[0])
+        ),
     )
     dash = alt.StrokeDash("name:N", scale=style.names_scale(names, dashes), legend=None)
     joined = base.mark_line(strokeWidth=1.5).encode(strokeDash=dash)
@@ -59,8 +61,10 @@ def draw_dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
         low, high, alt.X("x:Q", title=x, **looks), alt.Y("y:Q", title=y, **looks)
     )
     points = alt.Chart(table).mark_point(filled=True, size=70, color=style.PALETTE[0], opacity=1)
-    points = points.encode(x="x:Q", y="y:Q", tooltip=["name:N", "x:Q", "y:Q"])
-    names = points.mark_text(align="left", dx=8, fontSize=12).encode(text="name:N")
+    points = points.encode(
+        x=alt.X("x:Q"), y=alt.Y("y:Q"), tooltip=style.tooltips("name:N", "x:Q", "y:Q")
+    )
+    names = points.mark_text(align="left", dx=8, fontSize=12).encode(text=alt.Text("name:N"))
     return style.set_style(alt.layer(line, points, names, width=290, height=240), title, title)
 
 
@@ -71,14 +75,14 @@ def draw_count_tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
     base = alt.Chart(table).encode(
         x=alt.X("x:N", title=None, sort=columns, axis=above),
         y=alt.Y("y:N", title=None, sort=rows),
-        tooltip=[style.tooltip("y:N", y), style.tooltip("x:N", x), "count:Q"],
+        tooltip=style.tooltips(style.tooltip("y:N", y), style.tooltip("x:N", x), "count:Q"),
     )
     some = "datum.count > 0"
     squares = base.mark_rect(stroke="white").encode(
         color=style.value_if(some, style.FILLS[3], style.FILLS[0])
     )
     numbers = base.mark_text(fontSize=12).encode(
-        text="count:Q", color=style.value_if(some, style.FAIL, style.PASS)
+        text=alt.Text("count:Q"), color=style.value_if(some, style.FAIL, style.PASS)
     )
     chart = alt.layer(squares, numbers, width=alt.Step(26), height=alt.Step(20))
     return style.set_style(chart, title, title)

@@ -58,7 +58,9 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     titles = {"experiment": "in", "verdict": "verdict"}
     titles |= {"off": "largest error_move", "fails": "failed steps", "because": "why"}
     titled = (style.tooltip(f"{field}:N", title) for field, title in titles.items())
-    tips = ["solver:N", style.tooltip("call_mode:N", "call mode"), "settings:N", *titled]
+    tips = style.tooltips(
+        "solver:N", style.tooltip("call_mode:N", "call mode"), "settings:N", *titled
+    )
     base = (
         alt.Chart()
         .transform_calculate(
@@ -82,7 +84,7 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     chosen = base.transform_filter(pick).mark_rect(stroke=style.ACCENT, **frame)
     signed = base.transform_calculate(sign=f"{signs}[datum.verdict]", ink=f"{inks}[datum.verdict]")
     text = signed.mark_text(fontSize=12, fontWeight=600)
-    text = text.encode(text="sign:N", color=alt.Color("ink:N", scale=None))
+    text = text.encode(text=alt.Text("sign:N"), color=alt.Color("ink:N", scale=None))
     size: dict[str, Any] = {"width": alt.Step(TILE), "height": alt.Step(15 if tall else 22)}
     placed = alt.layer(tiles.add_params(pick), text, chosen, data=table, **size)
     heads: dict[str, Any] = {
@@ -150,8 +152,8 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
             x=alt.X("time:Q", title="step time [µs], log scale", scale=apart),
             y=alt.Y("shown:Q", title="largest error_move", scale=apart, axis=decades),
             color=colour,
-            detail="solver:N",
-            tooltip=["solver:N", "settings:N", "route:N", "policy:N", *_FIGURES],
+            detail=alt.Detail("solver:N"),
+            tooltip=style.tooltips("solver:N", "settings:N", "route:N", "policy:N", *_FIGURES),
         )
     )
     lines = base.mark_line(strokeWidth=1, opacity=0.45).add_params(
@@ -178,7 +180,7 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
         .properties(name=style.NAMES)
     )
     if with_names:
-        named = named.mark_text(align="left", dx=8, dy=-6).encode(text="solver:N")
+        named = named.mark_text(align="left", dx=8, dy=-6).encode(text=alt.Text("solver:N"))
     else:
         named = named.mark_point(filled=True, opacity=0, size=110)
     return style.set_style(
@@ -298,15 +300,17 @@ def _draw_time_bars(base: alt.Chart, x: alt.X) -> Iterator[Any]:
     looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
     colour = style.colour("now", STATES, style.STATE_COLOURS, title="verdict", **looks)
     yield base.mark_rule(strokeWidth=9, color=style.LINE).encode(
-        x=alt.X("left:Q"), x2="called:Q", opacity=alt.value(0.7)
+        x=alt.X("left:Q"), x2=alt.X2("called:Q"), opacity=alt.value(0.7)
     )
     yield (
         base.transform_filter("datum.longest_ms > datum.m")
         .mark_rule(strokeWidth=1, color=style.SOFT, strokeDash=[2, 2])
-        .encode(x=alt.X("m:Q"), x2="longest_ms:Q")
+        .encode(x=alt.X("m:Q"), x2=alt.X2("longest_ms:Q"))
     )
-    yield base.mark_rule(strokeWidth=2).encode(x=x, x2="m:Q", color=colour)
-    yield base.mark_rule(strokeWidth=9, strokeCap="butt").encode(x=x, x2="c:Q", color=colour)
+    yield base.mark_rule(strokeWidth=2).encode(x=x, x2=alt.X2("m:Q"), color=colour)
+    yield base.mark_rule(strokeWidth=9, strokeCap="butt").encode(
+        x=x, x2=alt.X2("c:Q"), color=colour
+    )
     shape = alt.Shape("now:N", scale=style.names_scale(STATES, style.STATE_SHAPES))
     yield base.mark_point(filled=True, size=70, opacity=1).encode(x=x, color=colour, shape=shape)
 
@@ -331,8 +335,8 @@ def _draw_limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
             aside["align"] = alt.ExprRef(f"{near} ? 'center' : 'left'")
             aside["dx"] = alt.ExprRef(f"{near} ? 0 : 5")
         yield chart.mark_text(dy=4, color=colour, **aside, **words).encode(
-            x=f"{name}:Q", y=alt.value("height"), text="text:N"
+            x=f"{name}:Q", y=alt.value("height"), text=alt.Text("text:N")
         )
     whiskers = style.inline_chart({}).mark_text(align="left", dy=20, color=style.SOFT, **words)
     place: dict[str, Any] = {"x": alt.value(0), "y": alt.value("height")}
-    yield whiskers.encode(**place, text="said:N").transform_calculate(said=_JITTER)
+    yield whiskers.encode(**place, text=alt.Text("said:N")).transform_calculate(said=_JITTER)

@@ -31,11 +31,13 @@ def draw_path(laws: Sequence[Law], scenario: Scenario) -> Any:
         alt.Y("n:Q", title="north [m]", scale=alt.Scale(domain=tables.ranges["n"], nice=False)),
     )
     lines = alt.Chart(tables.lines).mark_line(strokeWidth=1.8)
-    lines = lines.encode(x=x, y=y, order="i:Q", color=_law_colour(laws), strokeDash=_law_dash(laws))
+    lines = lines.encode(
+        x=x, y=y, order=alt.Order("i:Q"), color=_law_colour(laws), strokeDash=_law_dash(laws)
+    )
     ring = (
         alt.Chart(tables.circle)
         .mark_line(strokeDash=[3, 3], color=style.SOFT)
-        .encode(x=x, y=y, order="i:Q")
+        .encode(x=x, y=y, order=alt.Order("i:Q"))
     )
     look = style.names_scale(tables.marks["what"], ("circle", "cross"))
     shape = alt.Shape("what:N", title=None, scale=look, legend=style.legend_below(columns=1))
@@ -113,7 +115,7 @@ def _draw_law_lines(panel: Panel, laws: Sequence[Law], over: str) -> Any:
 def _draw_limits(values: Sequence[float]) -> Any:
     """Draw horizontal dashed rules at the given limits in a chart of forces over time."""
     chart = alt.Chart(pd.DataFrame({"limit": list(values)}))
-    return chart.mark_rule(strokeDash=[5, 3], color=style.SOFT).encode(y="limit:Q")
+    return chart.mark_rule(strokeDash=[5, 3], color=style.SOFT).encode(y=alt.Y("limit:Q"))
 
 
 def _law_colour(laws: Sequence[Law]) -> alt.Color:

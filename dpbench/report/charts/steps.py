@@ -24,7 +24,9 @@ def draw_step_strips(table: pd.DataFrame, forces: pd.DataFrame | None, error_lim
     at = alt.param(name="at", value=-1)
     steps = _named_chart("steps", table)
     rule = style.inline_chart({}).mark_rule(color=style.ACCENT, strokeWidth=1.5).add_params(at)
-    rule = rule.transform_calculate(at="at").transform_filter("datum.at >= 0").encode(x="at:Q")
+    rule = (
+        rule.transform_calculate(at="at").transform_filter("datum.at >= 0").encode(x=alt.X("at:Q"))
+    )
     panels = [
         (110, _draw_step_times(steps.encode(x=_step_axis()))),
         (90, _draw_step_errors(steps.encode(x=_step_axis()), error_limit)),
@@ -60,11 +62,11 @@ def _draw_step_times(steps: alt.Chart) -> list[Any]:
     # Of a closed loop there is one timing a step.
     raw = "isValid(datum.raw_us) ? format(datum.raw_us, '.3~g') : 'the same'"
     largest = style.tooltip("raw:N", "largest timing [µs]")
-    tips = ["k:Q", style.tooltip("time_us:Q", "step time [µs]"), largest]
+    tips = style.tooltips("k:Q", style.tooltip("time_us:Q", "step time [µs]"), largest)
     apart = style.log_scale(nice=False, padding=5)
     y = alt.Y("time_us:Q", title="time [µs]", scale=apart)
     base = steps.transform_calculate(raw=raw).encode(y=y, tooltip=tips)
-    span = base.mark_rule(color=style.LINE, strokeWidth=1).encode(y2="raw_us:Q")
+    span = base.mark_rule(color=style.LINE, strokeWidth=1).encode(y2=alt.Y2("raw_us:Q"))
     return [span, base.mark_circle(size=9, opacity=0.9, color=style.ACCENT)]
 
 
@@ -75,7 +77,7 @@ def _draw_step_errors(steps: alt.Chart, error_limit: float) -> list[Any]:
     shown = f"datum.error === null ? null : max(datum.error, {style.FLOOR})"
     dots = steps.transform_calculate(shown=shown).mark_circle(size=9, opacity=0.9)
     dots = dots.encode(
-        tooltip=["k:Q", style.tooltip("error:Q", "error of the first move", 2)],
+        tooltip=style.tooltips("k:Q", style.tooltip("error:Q", "error of the first move", 2)),
         y=alt.Y("shown:Q", title="error_move", scale=scale, axis=axis),
         color=style.value_if("datum.failed", style.FAIL, style.SOFT),
         size=style.value_if("datum.failed", 40, 9),
@@ -85,10 +87,13 @@ def _draw_step_errors(steps: alt.Chart, error_limit: float) -> list[Any]:
 
 def _draw_iterations(steps: alt.Chart) -> list[Any]:
     """Draw each step's iterations over the number of active limits."""
-    base = steps.encode(tooltip=["k:Q", "iterations:Q", "active:Q"])
+    base = steps.encode(tooltip=style.tooltips("k:Q", "iterations:Q", "active:Q"))
     area = base.mark_area(color=style.LINE, opacity=0.8, interpolate="step")
     area = area.encode(y=alt.Y("active:Q", title="iterations, active"))
-    return [area, base.mark_circle(size=9, color=style.INK, opacity=0.9).encode(y="iterations:Q")]
+    return [
+        area,
+        base.mark_circle(size=9, color=style.INK, opacity=0.9).encode(y=alt.Y("iterations:Q")),
+    ]
 
 
 def _draw_force_shares(forces: alt.Chart) -> Any:
@@ -112,7 +117,9 @@ def draw_step_pairs(first: str, second: str) -> Any:
     dots = data.mark_circle(size=14, opacity=0.5, color=style.ACCENT).encode(
         x=alt.X("a_us:Q", scale=scale, title=f"{first} [µs]"),
         y=alt.Y("b_us:Q", scale=scale, title=f"{second} [µs]"),
-        tooltip=["sequence:N", "k:Q", style.tooltip("a_us:Q"), style.tooltip("b_us:Q")],
+        tooltip=style.tooltips(
+            "sequence:N", "k:Q", style.tooltip("a_us:Q"), style.tooltip("b_us:Q")
+        ),
     )
     ends = (
         data.transform_calculate(
@@ -121,7 +128,7 @@ def draw_step_pairs(first: str, second: str) -> Any:
         .transform_aggregate(low="min(low)", high="max(high)")
         .transform_fold(["low", "high"], as_=["end", "at"])
         .mark_line(color=style.SOFT, strokeDash=[4, 3])
-        .encode(x="at:Q", y="at:Q")
+        .encode(x=alt.X("at:Q"), y=alt.Y("at:Q"))
     )
     return style.set_style(
         alt.layer(dots, ends, width=330, height=330),

@@ -38,7 +38,9 @@ def draw_within_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: 
         legend=style.legend_below(format=".0%", gradientLength=160),
     )
     within = alt.Tooltip("within:Q", title="within", format=".0%")
-    tips = ["configuration:N", style.tooltip("x:N", x), style.tooltip("y:N", y), within, "runs:Q"]
+    tips = style.tooltips(
+        "configuration:N", style.tooltip("x:N", x), style.tooltip("y:N", y), within, "runs:Q"
+    )
     base = alt.Chart(table).encode(x=across, y=up, color=shade, tooltip=tips)
     marks = base.mark_point(filled=True, size=60, opacity=1) if drawn else base.mark_rect()
     size: Any = _SIDE if drawn else alt.Step(24)
@@ -56,7 +58,9 @@ def draw_within_lines(table: pd.DataFrame, title: str, x: str) -> Any:
         x=alt.X("x:Q", title=x, scale=alt.Scale(zero=False)),
         y=alt.Y("within:Q", title=_WITHIN, **share),
         color=alt.Color("configuration:N", title=None, legend=style.legend_below()),
-        tooltip=["configuration:N", style.tooltip("x:Q", x), style.tooltip("within:Q", "within")],
+        tooltip=style.tooltips(
+            "configuration:N", style.tooltip("x:Q", x), style.tooltip("within:Q", "within")
+        ),
     )
     return style.set_style(chart.properties(width=290, height=180), title, title)
 
@@ -73,14 +77,16 @@ def draw_excess_errors(table: pd.DataFrame, seas: pd.DataFrame, title: str, smal
     dots = alt.Chart(seas).mark_point(filled=True, size=14, opacity=0.35, color=style.SOFT)
     behind_it = style.tooltip("error_excess_cm:Q", "behind [cm]")
     dots = dots.encode(
-        x="error_excess_cm:Q", y=rows, tooltip=["name:N", "point:Q", "replicate:Q", behind_it]
+        x=alt.X("error_excess_cm:Q"),
+        y=rows,
+        tooltip=style.tooltips("name:N", "point:Q", "replicate:Q", behind_it),
     )
     bars, means = _draw_mean_errors(alt.Chart(table))
     parts = (
         _draw_small_error_band(small_cm, alt.X("low:Q", title=across)),
         dots,
         bars.encode(y=rows),
-        means.encode(y=rows, tooltip=["name:N", *_MEAN_TIPS]),
+        means.encode(y=rows, tooltip=style.tooltips("name:N", *_MEAN_TIPS)),
     )
     return style.set_style(alt.layer(*parts, width=290, height=alt.Step(20)), title, title)
 
@@ -96,16 +102,18 @@ def draw_effects(table: pd.DataFrame, title: str, names: Sequence[str]) -> Any:
         y=rows,
         yOffset=alt.YOffset("configuration:N", sort=list(names)),
         color=style.colour("configuration", names, hues, columns=1, labelLimit=320),
-        tooltip=[
+        tooltip=style.tooltips(
             *("configuration:N", "effect:N", style.tooltip("value:Q", "change")),
             *(style.tooltip("low:Q", "from"), style.tooltip("high:Q", "to")),
-        ],
+        ),
     )
     zero = alt.Chart(table).mark_rule(color=style.SOFT, strokeDash=[4, 3])
     parts = (
         zero.encode(x=alt.datum(0)),
-        base.mark_rule(strokeWidth=2.5).encode(x=alt.X("low:Q", title="change"), x2="high:Q"),
-        base.mark_point(filled=True, size=45, opacity=1).encode(x="value:Q"),
+        base.mark_rule(strokeWidth=2.5).encode(
+            x=alt.X("low:Q", title="change"), x2=alt.X2("high:Q")
+        ),
+        base.mark_point(filled=True, size=45, opacity=1).encode(x=alt.X("value:Q")),
     )
     step: Any = {"step": max(16, 9 * len(names)), "for": "position"}
     chart = alt.layer(*parts, width=290, height=step)
@@ -126,9 +134,11 @@ _MEAN_TIPS = (
 
 def _draw_mean_errors(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
     """Return intervals and points of the mean position errors over the reference solver's."""
-    bars = base.mark_rule(strokeWidth=3, color=style.ACCENT).encode(x="low_cm:Q", x2="high_cm:Q")
+    bars = base.mark_rule(strokeWidth=3, color=style.ACCENT).encode(
+        x=alt.X("low_cm:Q"), x2=alt.X2("high_cm:Q")
+    )
     means = base.mark_point(filled=True, size=60, color=style.ACCENT, opacity=1).encode(
-        x="mean_cm:Q"
+        x=alt.X("mean_cm:Q")
     )
     return bars, means
 
@@ -136,7 +146,7 @@ def _draw_mean_errors(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
 def _draw_small_error_band(small_cm: float, low: alt.X | str = "low:Q", **look: Any) -> Any:
     """Draw a vertical band over the error differences that are too small to matter."""
     ends = style.inline_chart({"low": -small_cm, "high": small_cm})
-    return ends.mark_rect(color=style.GRID, **look).encode(x=low, x2="high:Q")
+    return ends.mark_rect(color=style.GRID, **look).encode(x=low, x2=alt.X2("high:Q"))
 
 
 def draw_study_points(*, tiles: bool) -> Any:
@@ -158,7 +168,7 @@ def draw_study_points(*, tiles: bool) -> Any:
     if tiles:
         fills = [style.FILLS[i] for i in _LOOKS]
         look = style.colour("state", WITHIN, fills, title=title, symbolType="square")
-        counts = base.mark_text(fontSize=12, color=style.INK).encode(text="said:N")
+        counts = base.mark_text(fontSize=12, color=style.INK).encode(text=alt.Text("said:N"))
         parts = [base.mark_rect().encode(color=look, **ring), counts]
     else:
         look = style.colour("state", WITHIN, [style.STATE_COLOURS[i] for i in _LOOKS], title=title)
@@ -212,7 +222,7 @@ def draw_point_seas() -> Any:
     radius = (
         style.inline_chart(name="radius")
         .mark_rule(color=style.FAIL, strokeDash=[4, 3])
-        .encode(y="limit:Q")
+        .encode(y=alt.Y("limit:Q"))
     )
     who = ("chosen", "reference")
     apart = alt.Scale(zero=False, padding=10)
@@ -248,7 +258,9 @@ def draw_tuning_front(table: pd.DataFrame, title: str, margin: float) -> Any:
     shapes = alt.Shape(
         "kind:N", scale=style.names_scale(TRIED, ("circle", "circle", "square", "diamond"))
     )
-    tips = ["options:N", style.tooltip("share:Q", "offset"), style.tooltip("wear_per_h:Q", "wear")]
+    tips = style.tooltips(
+        "options:N", style.tooltip("share:Q", "offset"), style.tooltip("wear_per_h:Q", "wear")
+    )
     points = alt.Chart(table).mark_point(filled=True, size=70, opacity=1)
     points = points.encode(
         x=x, y=y, color=style.colour("kind", TRIED, looks), shape=shapes, tooltip=tips

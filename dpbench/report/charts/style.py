@@ -95,6 +95,12 @@ def tooltip(field: str, title: Any = alt.Undefined, digits: int = 4) -> Any:
     return alt.Tooltip(field, title=title, format=form)
 
 
+def tooltips(*entries: Any) -> list[Any]:
+    """Return a chart's tooltip of entries and of fields, which are titled by their names."""
+    # Altair takes 2 ms for each plain string: it hashes all classes of its schema.
+    return [alt.Tooltip(entry) if isinstance(entry, str) else entry for entry in entries]
+
+
 def value_if(test: Any, yes: object, no: object) -> Any:
     """Return a chart encoding with one value where a test holds, and another elsewhere."""
     return alt.condition(test, alt.value(yes), alt.value(no))

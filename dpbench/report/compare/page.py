@@ -217,10 +217,10 @@ def draw_ratios(table: pd.DataFrame, margin: float) -> Any:
     axis = alt.Axis(orient="top", format="~g", labelOverlap="greedy")
     title = "B / A, machine factor taken out"
     x = alt.X("ratio:Q", title=title, scale=style.log_scale(), axis=axis)
-    spans = base.mark_rule(strokeWidth=1.5).encode(x=alt.X("low:Q"), x2="high:Q")
+    spans = base.mark_rule(strokeWidth=1.5).encode(x=alt.X("low:Q"), x2=alt.X2("high:Q"))
     points = base.mark_point(filled=True, size=60, opacity=1).encode(x=x, shape=_SHAPE)
     edges = pd.DataFrame({"edge": [1.0 / (1.0 + margin), 1.0, 1.0 + margin]})
-    rules = alt.Chart(edges).mark_rule(color=style.INK, strokeDash=[2, 3]).encode(x="edge:Q")
+    rules = alt.Chart(edges).mark_rule(color=style.INK, strokeDash=[2, 3]).encode(x=alt.X("edge:Q"))
     chart = alt.layer(rows, rules, spans, points, width=430, height=alt.Step(17))
     return style.set_style(
         chart, "What became slower", "Ratio of step times of each configuration."

@@ -312,9 +312,9 @@ def draw_release_times(table: pd.DataFrame, unit: str) -> Any:
     x = alt.X(
         "p50:Q", title=f"step time [{unit}]", scale=style.log_scale(), axis=_make_value_axis("~g")
     )
-    line = base.mark_rule(strokeWidth=2).encode(x=x, x2="largest:Q")
+    line = base.mark_rule(strokeWidth=2).encode(x=x, x2=alt.X2("largest:Q"))
     known = base.transform_filter("isValid(datum.p99)")
-    bar = known.mark_rule(strokeWidth=8).encode(x=x, x2="p99:Q")
+    bar = known.mark_rule(strokeWidth=8).encode(x=x, x2=alt.X2("p99:Q"))
     layers = (line, bar, base.mark_point(filled=True, size=60, opacity=1).encode(x=x))
     return _arrange_panels(layers, "Step time", "Step times of each solver, version by version.")
 
@@ -330,7 +330,7 @@ def draw_release_errors(table: pd.DataFrame, allowed: float) -> Any:
         "isFinite(datum.error) && datum.error > 0"
     )
     limit = alt.Chart(table).transform_calculate(limit=f"{allowed}")
-    rule = limit.mark_rule(strokeDash=[4, 3], color=style.FAIL).encode(x="limit:Q")
+    rule = limit.mark_rule(strokeDash=[4, 3], color=style.FAIL).encode(x=alt.X("limit:Q"))
     layers = (rule, drawn.mark_point(filled=True, size=60, opacity=1).encode(x=x))
     return _arrange_panels(layers, "Error", "Largest error of each solver, version by version.")
 
@@ -346,7 +346,7 @@ def _make_version_rows_chart(table: pd.DataFrame) -> Any:
         y=style.named_rows("label", list(dict.fromkeys(table["label"])), labelLimit=170),
         color=style.colour("age", AGES.values(), (style.ACCENT, style.NOT_RUN)),
         shape=alt.Shape("age:N", scale=style.names_scale(AGES.values(), ("circle", "diamond"))),
-        tooltip=["label:N", *(style.tooltip(f"{name}:Q") for name in FIGURES)],
+        tooltip=style.tooltips("label:N", *(style.tooltip(f"{name}:Q") for name in FIGURES)),
     )
 
 
