@@ -35,6 +35,44 @@ def test_the_state_of_a_ship(records: Any, columns: dict[str, float], state: str
     assert tabulate_ship_results([ship])["ship"].tolist() == [state]
 
 
+@pytest.mark.parametrize(
+    ("largest_m", "largest_s", "end_m", "after_loss_m", "moves", "is_unsettled"),
+    [
+        (0.5, 27.0, 0.45, 0.5, True, True),
+        (0.5, 26.9, 0.45, 0.5, False, False),
+        (0.5, 27.0, 0.449, 0.5, False, False),
+        (0.499, 30.0, 0.499, 0.499, False, True),
+        (0.5, 9.0, 0.225, 0.25, False, True),
+        (0.5, 9.0, 0.224, 0.25, False, False),
+        (0.5, 30.0, 0.5, 0.0, True, False),
+        (0.5, 30.0, 0.5, math.nan, True, False),
+    ],
+)
+def test_a_ship_that_moves_when_its_run_ends(
+    records: Any,
+    largest_m: float,
+    largest_s: float,
+    end_m: float,
+    after_loss_m: float,
+    moves: bool,
+    is_unsettled: bool,
+) -> None:
+    """Its largest offset is at 27 s or later of 30 s, of which nine tenths are left at the end.
+
+    It moves away from 0.5 m on, of 5 m; after a loss of thrusters any offset counts.
+    """
+    columns = {
+        "exact_steps": 100,
+        "exact_offset_max_m": largest_m,
+        "exact_offset_max_s": largest_s,
+        "exact_offset_end_m": end_m,
+        "exact_loss_offset_max_m": after_loss_m,
+    }
+    records.loop("daqp", "rough", **EDGE | columns)
+    (ship,) = find_ship_results(records.view())
+    assert (ship.is_moving_away, ship.is_unsettled_after_loss) == (moves, is_unsettled)
+
+
 def test_a_scenario_names_its_horizons_where_it_has_several(records: Any) -> None:
     records.loop("daqp", "rough", N_p=30.0, N_c=5.0)
     records.loop("daqp", "rough", N_p=60.0, N_c=10.0)
