@@ -15,6 +15,8 @@ from dpbench.analysis.verdict.verdict import (
     find_solver_family,
     find_solver_record_or_none,
     list_best_verdict_of_each_solver,
+    list_best_verdict_of_own_settings,
+    list_main_verdicts,
     rank_configurations,
     rank_solvers,
     sort_fastest_first,
@@ -33,12 +35,13 @@ def _verdict(
     route: Any = "qpsolvers",
     policy: Any = "fresh",
     state: Any = "pass",
+    options: str = "",
     **figures: Any,
 ) -> Verdict:
     """A verdict on a configuration that was timed in one loop and one replay."""
     rounds = p99_ns, p99_ns
     usual = {"timed_on": "paper", "loops": 1, "replays": 1, "rounds_ns": rounds}
-    configuration = Configuration(solver, route, policy, settings)
+    configuration = Configuration(solver, route, policy, settings, options=options)
     return Verdict(configuration, state, p99_ns=p99_ns, **(usual | figures))
 
 
@@ -224,3 +227,32 @@ def test_the_verdict_that_shows_each_solver() -> None:
         )
     )
     assert found == [shown[name] for name in "afecbd"]
+
+
+@pytest.mark.parametrize(
+    ("faster", "slower", "shown"),
+    [
+        ((1, 1, 3), (1, 3, 1), "faster"),
+        ((1, 3, 1), (2, 1, 1), "faster"),
+        ((1, 2, 2), (2, 3, 1), "slower"),
+        ((2, 1, 1), (1, 2, 2), "slower"),
+        ((2, 2, 1), (1, 3, 2), "slower"),
+        ((0, 5, 3), (1, 1, 0), "slower"),
+    ],
+)
+def test_own_settings_are_shown_by_the_call_mode_that_was_judged_most(
+    faster: tuple[int, int, int], slower: tuple[int, int, int], shown: str
+) -> None:
+    """In how many loops, replays and windows: a call mode of no loop or fewer runs hides none."""
+    verdicts = []
+    for policy, p99_ns, judged in (("warm", 10.0, faster), ("fresh", 20.0, slower)):
+        counts = dict(zip(("loops", "replays", "windows"), judged, strict=True))
+        verdicts.append(_verdict("daqp", p99_ns, policy=policy, options="{}", **counts))
+    (found,) = list_best_verdict_of_own_settings(_verdicts(*verdicts))
+    assert found is verdicts[["faster", "slower"].index(shown)]
+
+
+def test_the_best_twelve_own_settings_are_listed_beside_each_solver() -> None:
+    preset = _verdict("daqp", 30.0)
+    own = [_verdict("daqp", 40.0 + i, options=str(i), replays=2, state="late") for i in range(13)]
+    assert list_main_verdicts(_verdicts(preset, *reversed(own))) == [preset, *own[:12]]
