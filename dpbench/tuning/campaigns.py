@@ -43,6 +43,8 @@ FAILED = 12.0
 """Excess of a run without an answer, in decades of the error."""
 CELL_LIMIT_S = 20.0
 ROUNDS, WARMUP_STEPS = 5, 20
+Settings = Sequence[Options] | Mapping[str, Options]
+"""Options to measure, by name where they have one in the results."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +157,7 @@ class TunedSolver:
 def plan_settings(
     solver: TunedSolver,
     problems: Sequence[TunedProblem],
-    settings: Sequence[Options],
+    settings: Settings,
     presets: Sequence[str] = (DEFAULT,),
 ) -> list[PlannedCell]:
     """Return the planned runs that time settings and presets of a solver on some sequences."""
@@ -171,7 +173,7 @@ def count_steps_of_settings(solver: TunedSolver, problems: Sequence[TunedProblem
 def measure_settings(
     solver: TunedSolver,
     problems: Sequence[TunedProblem],
-    settings: Sequence[Options],
+    settings: Settings,
     folder: Path,
     progress: Progress,
     presets: Sequence[str] = (DEFAULT,),
@@ -199,11 +201,13 @@ def measure_settings(
 def format_suite_as_toml(
     solver: TunedSolver,
     problems: Sequence[TunedProblem],
-    settings: Sequence[Options],
+    settings: Settings,
     presets: Sequence[str],
 ) -> str:
     """Return a suite as TOML: the solver with presets and other settings on some sequences."""
-    choices = [solver.name, *(f"{solver.name}[{format_options_as_toml(own)}]" for own in settings)]
+    named = settings if isinstance(settings, Mapping) else {}
+    unnamed = [] if isinstance(settings, Mapping) else settings
+    choices = [solver.name, *(f"{solver.name}[{format_options_as_toml(own)}]" for own in unnamed)]
     lines = [
         f"title = {json.dumps(f'Settings of {solver.name}')}",
         f"solvers = {json.dumps(choices, ensure_ascii=False)}",
@@ -214,10 +218,16 @@ def format_suite_as_toml(
     ]
     for problem in problems:
         kind, *values = problem.table.items()
-        calls = {"routes": [solver.route], "policies": [solver.policy], "settings": [*presets]}
+        calls = {
+            "routes": [solver.route],
+            "policies": [solver.policy],
+            "settings": [*presets, *named],
+        }
         lines += ["", f"[[{kind[1]}]]"]
         pairs = [*values, *calls.items()]
         lines += [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in pairs]
+    for name, own in named.items():
+        lines += ["", f"[settings.{name}]", f"{solver.name} = {{ {format_options_as_toml(own)} }}"]
     return "\n".join(lines) + "\n"
 
 

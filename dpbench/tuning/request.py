@@ -345,7 +345,7 @@ def _estimate_final_seconds(request: SearchRequest) -> float:
         plan_settings(
             request.solver,
             [*request.training, *request.test],
-            list(request.name_settings(middle).values()),
+            request.name_settings(middle),
             request.presets,
         ),
         count_slots(None),
@@ -357,7 +357,7 @@ def _is_final_finished(request: SearchRequest, search: SettingsSearch) -> bool:
     """Return whether a search's best settings are measured, or need not be: none is accurate."""
     if not search.best.score.is_right:
         return True
-    named = list(request.name_settings(search.best.options).values())
+    named = request.name_settings(search.best.options)
     problems = [*request.training, *request.test]
     cells = plan_settings(request.solver, problems, named, request.presets)
     return len(find_finished_cells(cells, request.folder / "final")) == len(cells)

@@ -106,13 +106,19 @@ class Tuning:
             for runs in zip(*role.runs.values(), strict=True)
             for name, run in zip(role.runs, runs, strict=True)
         ]
+        title = f"Settings of {self._call}"
         heads = ("", "sequence", "settings", "time", "error", "accurate")
         note = (
             "Time: p99 of the steps, each the fastest of its rounds; where a sequence is too short "
             "for it the p95 or p50, named beside it. Error: of the first move, at most "
             f"{limit.error_move:g} of a rate-limit step."
         )
-        return Table(heads, tuple(rows), f"Settings of {self.solver.name}", note, text_columns=3)
+        return Table(heads, tuple(rows), title, note, text_columns=3)
+
+    @property
+    def _call(self) -> str:
+        """The solver with the call mode in which all its settings are measured."""
+        return f"{self.solver.name} ({self.solver.route} {self.solver.policy})"
 
     @property
     def lines(self) -> list[str]:
@@ -123,14 +129,16 @@ class Tuning:
         ]
         if self.path is None:
             return [
-                f"none of {self.trials} settings is accurate on every training sequence; the "
-                f"nearest, {self.best.name}, misses the requirement on {self.best.score.wrong}",
+                f"none of {self.trials} settings of {self._call} is accurate on every training "
+                f"sequence; the nearest, {self.best.name}, misses the requirement on "
+                f"{self.best.score.wrong}",
                 *edges,
                 *self.request.searched,
                 *self._not_done,
             ]
         found = "best so far, of" if self.is_interrupted else "best of"
-        lines = [f"{found} {self.trials} settings: {self.best.name}", *edges]
+        lines = [f"{found} {self.trials} settings of {self._call}: {self.best.name}", *edges]
+        lines.append("no other call mode was measured: --route, --policy")
         lines += [*self.request.searched, *self._measured, *self._cautions, *self._not_done]
         runs = f"; runs: {self.request.folder / 'final'}" if self.roles else ""
         return [*lines, f"settings: {self.path}{runs}"]
@@ -350,7 +358,7 @@ def _measure_roles(
     runs = measure_settings(
         request.solver,
         [*request.training, *request.test],
-        list(named.values()),
+        named,
         request.folder / "final",
         progress,
         presets,
@@ -359,6 +367,10 @@ def _measure_roles(
     roles = []
     for title, problems in (("training", request.training), ("test", request.test)):
         found = group_runs_by_settings(runs, problems)
-        own = {name: found[format_options_as_toml(options)] for name, options in named.items()}
+        # Of two names with equal options the results have one.
+        measured = {
+            format_options_as_toml(named[name]): found[name] for name in named.keys() & found
+        }
+        own = {name: measured[format_options_as_toml(options)] for name, options in named.items()}
         roles.append(TunedRole(title, {name: found[name] for name in presets} | own))
     return tuple(roles)

@@ -18,6 +18,7 @@ from dpbench.tuning.campaigns import (
     TunedProblem,
     TunedSolver,
     format_suite_as_toml,
+    plan_settings,
     score_runs,
     score_settings,
 )
@@ -90,3 +91,10 @@ def test_the_suite_has_all_settings_on_all_sequences() -> None:
     assert suite.recorded[0].sequence == 'C:\\"a"é.npz'
     assert (suite.replay[0].steps, suite.replay[0].policies) == (9, ["warm"])
     assert suite.replay[0].settings == ["default", "high"]
+
+
+def test_named_settings_have_their_names_in_the_results() -> None:
+    """The table of a search and the page of its last comparison name the same settings alike."""
+    named = {"yours": {"mu0": 1e-5}, "best": {"mode": "ROBUST"}}
+    planned = plan_settings(SOLVER, PROBLEMS[1:], named)
+    assert {one.cell.settings for one in planned} == {"default", "yours", "best"}

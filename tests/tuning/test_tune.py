@@ -71,7 +71,8 @@ class _Campaigns:
         folder.mkdir(parents=True)
         done = {"mode": "replay", "outcome": "finished", "steps_planned": 75, "steps_done": 75}
         rows = []
-        for name in [*presets, *map(format_options_as_toml, settings)]:
+        named = isinstance(settings, dict)
+        for name in [*presets, *(settings if named else map(format_options_as_toml, settings))]:
             self._runs += 1
             run = {"settings": name, "run_id": name, "algo_p50_ns": 1e6 / self._runs}
             accurate = {"failed_steps": 0, "error_move_max": self._error}
@@ -94,7 +95,7 @@ def test_an_interrupted_search_writes_the_best_so_far(
     assert main(["tune-solver", "osqp", *words.split(), "--out", str(tmp_path)]) == 130
     said = capsys.readouterr()
     shown, text = " ".join(said.out.split()), (tmp_path / "tuned.toml").read_text()
-    assert f"best so far, of {tried} settings: " in shown
+    assert f"best so far, of {tried} settings of osqp (native fresh): " in shown
     for written in (shown, text):
         assert "accurate; 0.111 times the step time of default" in written
         assert f"interrupted, not done: {left}" in written
@@ -215,7 +216,7 @@ def test_settings_are_found_measured_and_written(
     assert "test sequences (move-60-10[:300:8]): " in " ".join(said.split())
     runs = load_results(Path("out/final")).runs
     assert set(runs["sequence"]) == {"calm-60-10[:300:8]", "move-60-10[:300:8]"}
-    assert set(runs["settings"]) > {"default", "high"} and len(runs) == 6
+    assert set(runs["settings"]) == {"default", "high", "best"} and len(runs) == 6
     searched = [load_results(folder).runs for folder in sorted(Path("out").glob("batch-??"))]
     assert {name for batch in searched for name in batch["sequence"]} == {"calm-60-10[:300:8]"}
     wrong = {name for batch in searched for name in batch["settings"][batch["failed_steps"] > 0]}
@@ -245,6 +246,8 @@ def test_own_settings_are_measured_beside_the_best(
     first = load_results(tmp_path / "batch-01").runs["settings"]
     assert first.iloc[1] == "max_iter=3000,rho=100"
     assert all("max_iter=3000" in name for name in first if name != "default")
+    final = load_results(tmp_path / "final").runs
+    assert set(final["settings"]) == {"default", "high", "yours", "best"}
     tables = [row for row in said.out.splitlines() if "│ yours" in row]
     assert [row.split("│")[1].strip() for row in tables] == [
         "calm-60-10[:300:8]",
@@ -260,7 +263,6 @@ def test_a_search_without_accurate_settings_says_so(
     words = "--train calm-60-10 --test move-60-10 --trials 16 --range max_iter=[1,2]"
     command = ["tune-solver", "osqp", *words.split(), "--out", str(tmp_path)]
     assert main(command) == 1
-    assert "settings is accurate on every training sequence" in " ".join(
-        capsys.readouterr().out.split()
-    )
+    said = " ".join(capsys.readouterr().out.split())
+    assert "settings of osqp (native fresh) is accurate on every training sequence" in said
     assert not (tmp_path / "tuned.toml").exists()
