@@ -260,6 +260,9 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
 
     if arguments.any_machine:
         print("dpbench: --any-machine is no longer needed", file=sys.stderr)
+    for file in map(Path, filter(None, (arguments.html, arguments.markdown))):
+        if file.is_file():
+            file.unlink()  # of an earlier comparison, not to be taken for this one's if it fails
     if arguments.releases:
         _compare_releases(arguments)
         return 0

@@ -54,18 +54,14 @@ MEASURES = (STEP_TIME, ERROR, LARGEST, OUTSIDE, UNTRUE)
 
 @dataclass(frozen=True)
 class Change:
-    """Two values of the first key of a factor; with `is_slope`, the ends of its range."""
+    """Two values of the first key of a factor, or the ends of its range.
+
+    shown_text : the change of all keys of the factor, as the page shows it.
+    """
 
     start: Any
     end: Any
-    is_slope: bool = False
-
-    @property
-    def shown_text(self) -> str:
-        """The change as the page shows it."""
-        if self.is_slope:
-            return f"{self.start:.3g} → {self.end:.3g}, slope"
-        return f"{_format_level(self.start)} → {_format_level(self.end)}"
+    shown_text: str
 
 
 @dataclass(frozen=True)
@@ -124,7 +120,7 @@ def compute_study_effects(study: Study) -> tuple[Effect, ...]:
     A factor that no two comparable runs vary in has none, and no step time without an interval: one
     timing of each step of one loop shows the load of the machine.
     """
-    factors = _group_keys_that_vary_together(study.points)
+    factors = group_keys_that_vary_together(study.points)
     pairings = {factor: _list_level_changes(study.points, factor) for factor in factors}
     ranged = [
         factor
@@ -152,7 +148,7 @@ def _is_told_from_noise(measure: Measure, difference: PairedDifference) -> bool:
     return measure != STEP_TIME or math.isfinite(difference.mean_interval.low)
 
 
-def _group_keys_that_vary_together(points: pd.DataFrame) -> list[tuple[str, ...]]:
+def group_keys_that_vary_together(points: pd.DataFrame) -> list[tuple[str, ...]]:
     """Return the keys that vary, those together that change together."""
     groups: dict[tuple[object, ...], list[str]] = {}
     for key, values in points.items():
@@ -185,17 +181,19 @@ def _list_level_changes(
     names = [repr(row) for row in others.to_numpy(dtype=object).tolist()]
     group = pd.Series(names, index=points.index)
     least = group[first == levels[0]]
+    labels = [_format_levels(points, factor, (first == level).idxmax()) for level in levels]
     pairs = [(level, group[first == level]) for level in levels[1:]]
     return [
-        (Change(levels[0], level), least, other)
-        for level, other in pairs
+        (Change(levels[0], level, f"{labels[0]} → {label}"), least, other)
+        for (level, other), label in zip(pairs, labels[1:], strict=True)
         if other.isin(least).any()
     ]
 
 
-def _format_level(value: object) -> str:
-    """Format a level of a factor."""
-    return f"{value:g}" if isinstance(value, int | float) else str(value)
+def _format_levels(points: pd.DataFrame, factor: tuple[str, ...], at: Any, digits: int = 6) -> str:
+    """Format the values of all keys of a factor at a point."""
+    values = [points.at[at, key] for key in factor]
+    return ", ".join(f"{v:.{digits}g}" if isinstance(v, float) else str(v) for v in values)
 
 
 def _collect_values_by_measure(study: Study, configuration: str) -> Mapping[Measure, pd.Series]:
@@ -259,7 +257,9 @@ def _fit_range_effects(
         same = np.ptp(units or results[np.isfinite(results)]) <= NOTHING
         slope = _estimate_mean_slope(fits, i + 1)
         difference = PairedDifference(slope, count, len(table), math.nan, is_constant=bool(same))
-        change = Change(float(low.iloc[i]), float(high.iloc[i]), is_slope=True)
+        key = keys.iloc[:, i]
+        ends = [_format_levels(points, factor, at, 3) for at in (key.idxmin(), key.idxmax())]
+        change = Change(key.min(), key.max(), f"{' → '.join(ends)}, slope")
         found[factor] = [MeasuredChange(change, difference, units)]
     return found
 

@@ -4,8 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_numeric_dtype
 
 from dpbench.analysis.suites.study import SMALL_M, PairedDifference, StudiedConfiguration, Study
+from dpbench.analysis.suites.study_effects import group_keys_that_vary_together
 
 BEHIND_COLUMNS = (
     *("study", "configuration", "reference", "runs", "finished", "stopped", "within_share"),
@@ -95,16 +97,26 @@ def has_few_enough_points_for_tiles(study: Study) -> bool:
     return len(study.points) <= MOST_POINTS
 
 
+def label_numeric_factors(study: Study) -> dict[str, str]:
+    """Return a numeric key of each factor of a study, and the label of an axis with its values."""
+    found = {}
+    for factor in group_keys_that_vary_together(study.points):
+        numeric = [key for key in factor if is_numeric_dtype(study.points[key])]
+        for key in numeric[:1]:
+            others = [other for other in factor if other != key]
+            found[key] = f"{key} (with {', '.join(others)})" if others else key
+    return found
+
+
 def tabulate_shares_in_position(study: Study) -> pd.DataFrame:
     """Tabulate shares of seas in position over two parameters, for reference and worst solvers.
 
-    Columns: configuration, x and y (the first numeric keys), within (a share) and judged runs.
+    Columns: configuration, x and y (the first numeric factors), within (a share) and judged runs.
     """
     ordered = sorted(study.results_by_cost[1:], key=lambda c: c.share_within_radius)[
         : MOST_MAPS - 1
     ]
-    numeric = study.points.select_dtypes("number").columns.tolist()
-    columns = dict(zip(numeric, ("x", "y"), strict=False))
+    columns = dict(zip(label_numeric_factors(study), ("x", "y"), strict=False))
     names = list(columns.values())
     tables = []
     for configuration in [study.results_by_cost[0], *ordered]:

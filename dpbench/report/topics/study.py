@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pandas as pd
-from pandas.api.types import is_numeric_dtype
 
 from dpbench.analysis.statistics import bound_probability_after_no_event
 from dpbench.analysis.suites import study_tables
@@ -64,9 +63,15 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
     """Yield sentences on a study: larger errors, unfinished runs, runs within the radius."""
     runs, points = study.runs, len(study.points)
     seas = plural(study.seas_per_point, "realisation")
+    reference = study.results_by_cost[0]
+    stays = (
+        f"with {reference.name} the ship stays within {study.radius_m:g} m in the second half of a "
+        f"run in {_format_share_with_bound(reference.within, study)} of them"
+    )
+    is_alone = len(study.results_by_cost) == 1
     yield (
         f"{study.name}: {plural(len(runs), 'run')} at {plural(points, 'point')} in {seas}; "
-        f"{_describe_larger_errors(study)}"
+        f"{f'{stays}.' if is_alone else _describe_larger_errors(study)}"
     )
     if left_out := study.points_left_out:
         named = join_with_and([str(point) for point in left_out[:MOST_NAMED]])
@@ -79,18 +84,14 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
     yield from _yield_unfinished_sentences(study)
     yield from _yield_disturbance_sentences(study)
     yield from _yield_failed_steps_sentences(study)
-    within = study.results_by_cost[0].within
     worst = min(study.results_by_cost, key=lambda c: c.share_within_radius)
-    radius = f"within {study.radius_m:g} m in the second half of a run"
-    yield (
-        f"With {study.reference_name} the ship stays {radius} in "
-        f"{_format_share_with_bound(within, study)} of them"
-        + (
-            f", with {worst.name} in {_format_share_with_bound(worst.within, study)}."
-            if worst.within < within
-            else ", as with all."
+    if not is_alone:
+        others = (
+            f"with {worst.name} in {_format_share_with_bound(worst.within, study)}"
+            if worst.within < reference.within
+            else "as with all"
         )
-    )
+        yield f"{stays[0].upper()}{stays[1:]}, {others}."
     if study.loosest_cheap_by_solver:
         yield _describe_loosest_tolerances(study)
 
@@ -197,19 +198,20 @@ def _draw_study_figures(study: Study) -> Iterator[Figure]:
         study_tables.tabulate_shares_in_position(study),
         study_tables.has_few_enough_points_for_tiles(study),
     )
-    keys = [str(key) for key in study.points if is_numeric_dtype(study.points[key])]
+    labels = study_tables.label_numeric_factors(study)
+    keys = list(labels)
     title = f"Within {study.radius_m:g} m, {study.name}"
     if len(keys) > 1:
         own = study.points[keys[0]].nunique() > max(8, len(study.points) // 2)
         drawn = bool(own) or not whole
-        chart = draw_within_maps(maps, title, keys[0], keys[1], drawn=drawn)
+        chart = draw_within_maps(maps, title, labels[keys[0]], labels[keys[1]], drawn=drawn)
         where = (
             "at each point" if whole else f"in {study_tables.FIELDS} × {study_tables.FIELDS} fields"
         )
         caption = f"Share of seas {where}; a run that did not end is not within."
         yield Figure(f"study-within-{name}", chart, caption)
     elif keys:
-        chart = draw_within_lines(maps, title, keys[0])
+        chart = draw_within_lines(maps, title, labels[keys[0]])
         yield Figure(f"study-within-{name}", chart, "Share of seas at each value.")
     yield from draw_effect_figures(study, name)
     table, seas, seas_all = study_tables.tabulate_error_excess_by_sea(study)

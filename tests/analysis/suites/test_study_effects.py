@@ -82,7 +82,7 @@ def test_keys_that_change_together_are_one_factor() -> None:
     points = [{HEIGHT: h, PERIOD: t, EAST: e} for e in (0.0, 3.0) for h, t in seas]
     effects = _effects(_study(points, np.random.default_rng(1).normal(size=(6, 8))))
     both = f"{HEIGHT}, {PERIOD}"
-    assert set(effects) == {(both, "1 → 2.1"), (both, "1 → 3.5"), (EAST, "0 → 3")}
+    assert set(effects) == {(both, "1, 6 → 2.1, 7.5"), (both, "1, 6 → 3.5, 9"), (EAST, "0 → 3")}
 
 
 def test_a_design_has_slopes_that_are_found_again() -> None:

@@ -453,6 +453,16 @@ def test_exit_codes_and_markdown(make: Make, tmp_path: Path, capsys: Any) -> Non
     assert capsys.readouterr().out == text
 
 
+def test_a_comparison_that_fails_leaves_no_earlier_one(tmp_path: Path) -> None:
+    """Or a script would publish the regressions of the pull request before."""
+    page, figures = tmp_path / "compare.md", tmp_path / "compare.html"
+    for file in (page, figures):
+        file.write_text("of yesterday")
+    words = ["--markdown", str(page), "--html", str(figures)]
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b"), *words]) == 2
+    assert not page.exists() and not figures.exists()
+
+
 @pytest.mark.slow
 def test_settings_without_effect_are_one_piece_of_evidence(make: Make) -> None:
     folders = []

@@ -275,3 +275,31 @@ def test_points_left_out_are_named(records: Any) -> None:
         "seas: 1 point left out of every difference from daqp, as the exactly solved loop leaves "
         "its station there: 0."
     )
+
+
+def test_of_one_configuration_the_answer_is_what_it_does(records: Any) -> None:
+    """There is nothing to be behind of, and no other to stay within the radius as well."""
+    for point, hs in enumerate((1.0, 2.0)):
+        for replicate in (1, 2):
+            records.sea("daqp", point, replicate, {"waves.hs_m": hs}, tail_m=0.1 if hs < 2 else 2.0)
+    found = topic.build_study_topic(find_studies(records.view()))
+    assert found is not None
+    assert found.lines == (
+        "seas: 4 runs at 2 points in 2 realisations; with daqp the ship stays within 1 m in the "
+        "second half of a run in 50 % of them.",
+    )
+
+
+def test_keys_that_change_together_are_one_axis(records: Any) -> None:
+    """A map over both would be a diagonal; the label names the key that goes with the other."""
+    points = [(1.0, 6.0, 0.0), (1.0, 6.0, 3.0), (2.0, 7.5, 0.0), (2.0, 7.5, 3.0)]
+    for point, values in enumerate(points):
+        x = dict(zip(("waves.hs_m", "waves.tp_s", "start.east_m"), values, strict=True))
+        for replicate in (1, 2):
+            records.sea("daqp", point, replicate, x, tail_m=0.1)
+    (study,) = find_studies(records.view())
+    assert study_tables.label_numeric_factors(study) == {
+        "waves.hs_m": "waves.hs_m (with waves.tp_s)",
+        "start.east_m": "start.east_m",
+    }
+    assert len(study_tables.tabulate_shares_in_position(study)) == 4
