@@ -314,7 +314,8 @@ class MadeRecords:
     ) -> None:
         """A replay with lognormal step times of a given median and spread.
 
-        Steps of `wrong` have an answer that is not true, those of `lost` none at all, those of
+        Steps of `wrong` have an answer that is not true, those of `lost` none at
+        all, by the iteration limit, those of
         `slow` take so many times as long, and with `setup` each step holds a set-up. Only `done`
         steps are recorded; all by default.
         """
@@ -351,6 +352,7 @@ class MadeRecords:
         frame["true"] = (error <= 1e-2) & ~frame["k"].isin(wrong)
         frame["iterations"] = iterations + frame["k"] % 4
         frame["error_move"], frame["fallback"] = error, frame["k"].isin(lost)
+        frame["status"] = np.where(frame["fallback"], "MAX_ITERATIONS", "")
         if setup:
             frame["setup_ns"], frame["update_ns"] = frame["update_ns"], pd.NA
         self._steps.append(convert_to_step_columns(frame))

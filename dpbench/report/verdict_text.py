@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from math import isnan
 
 from dpbench.analysis.records.records import Records
@@ -68,30 +69,53 @@ def describe_requirements(requirements: Requirements) -> str:
     )
 
 
-_OTHERS: tuple[State, ...] = ("borderline", "late", "fail", "inconclusive", "not run")
+_VERBS: dict[State, tuple[str, str]] = {
+    "borderline": ("is borderline", "are borderline"),
+    "late": ("is late", "are late"),
+    "fail": ("fails", "fail"),
+    "inconclusive": ("is inconclusive", "are inconclusive"),
+    "not run": ("is not run", "are not run"),
+}
+"""Predicates of one solver and of several with a verdict, in the order they are named."""
 
 
 def describe_which_solvers_pass(verdicts: Verdicts) -> str:
-    """State how many solvers pass, and name those that are late, fail or are inconclusive."""
+    """Name the solvers that pass, and those that do not with the reason; three of each verdict."""
     if not verdicts.verdicts_on_references:
         return NOBODY
-    best = {
-        verdict.configuration.solver: verdict
-        for verdict in list_best_verdict_of_each_solver(verdicts)
+    by_state = group_by_key(list_best_verdict_of_each_solver(verdicts), lambda v: v.state)
+    good, run = by_state.get("pass", []), len(verdicts.of) - len(by_state.get("not run", []))
+    passing = [verdict.configuration.solver for verdict in good]
+    named = [*passing[:MOST_NAMED], *_count_others(len(passing), "")]
+    wording = [f"{len(good)} of {run} {'passes' if run == 1 else 'pass'}"]
+    wording[0] += f": {join_with_and(named)}" * bool(good)
+    by_default = {
+        v.configuration.solver for v in verdicts.verdicts_on_references if v.state == "pass"
     }
-    groups: dict[State, list[str]] = {name: [] for name in ("pass", *_OTHERS)}
-    otherwise = []
-    for reference in verdicts.verdicts_on_references:
-        solver = reference.configuration.solver
-        groups[best[solver].state].append(solver)
-        if best[solver].state == "pass" and reference.state != "pass":
-            otherwise.append(best[solver].configuration.label)
-    run, good = len(best) - len(groups["not run"]), len(groups["pass"])
-    wording = [f"{good} of {run} pass"] if good or not groups["inconclusive"] else []
-    if otherwise:
-        wording[0] += f", {len(otherwise)} of them not by default: {', '.join(otherwise)}"
-    wording += [f"{name}: {', '.join(groups[name])}" for name in _OTHERS if groups[name]]
+    if otherwise := [v.configuration for v in good if v.configuration.solver not in by_default]:
+        labels = ", ".join(configuration.label for configuration in otherwise)
+        wording.append(f"not by default: {labels}")
+    for state, (verb, verbs) in _VERBS.items():
+        alike = by_state.get(state, [])
+        wording += [
+            f"{verdict.configuration.solver} {verb}: {describe_main_reason(verdict)}"
+            for verdict in alike[:MOST_NAMED]
+        ]
+        wording += _count_others(len(alike), f" {verbs}")
     return "; ".join(wording)
+
+
+def _count_others(count: int, verbs: str) -> list[str]:
+    """State how many more there are than are named; none where all are."""
+    return [f"{count - MOST_NAMED} more{verbs}"] if count > MOST_NAMED else []
+
+
+def describe_main_reason(verdict: Verdict) -> str:
+    """State the first reason why a configuration does not pass, in the run where it is worst."""
+    if verdict.refusal:
+        return verdict.refusal
+    first, *_ = verdict.causes or verdict.findings_that_bar_pass
+    return strip_markdown(describe_finding(replace(first, runs=first.runs[:1])))
 
 
 def describe_own_settings(verdicts: Verdicts) -> list[str]:
@@ -125,7 +149,7 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) ->
     why = f": {strip_markdown(describe_finding(findings[0]))}" if findings else ""
     return (
         f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
-        f"{verdict.failed_steps} failed, p99 {format_time(verdict.p99_ns)}{why}."
+        f"{plural(verdict.failed_steps, 'failed answer')}, p99 {format_time(verdict.p99_ns)}{why}."
         f"{_describe_failing_modes(verdict, modes)}"
     )
 
@@ -285,6 +309,7 @@ def describe_findings(findings: Sequence[Finding]) -> str:
 
 
 _WORDS: dict[str, str] = read_words(__file__)["findings"]
+_ENDINGS: dict[str, str] = read_words(__file__)["endings"]
 
 
 def describe_finding(finding: Finding) -> str:
@@ -294,13 +319,19 @@ def describe_finding(finding: Finding) -> str:
         return _WORDS[finding.kind].format(**words)
     first, *others = finding.runs
     also = _name_experiments(others)
-    # Failures in replays are counted in the warm-up, too: their number may exceed that of steps.
-    in_rounds = finding.kind == "failed" and first.mode == "replay"
-    return _WORDS["failed answers" if in_rounds else finding.kind].format(
+    kind: str = finding.kind
+    if kind == "failed" and finding.steps:
+        kind = "failed steps"
+    elif kind == "failed" and first.mode == "replay":
+        # Failures in all rounds and the warm-up: their number may exceed that of steps.
+        kind = "failed answers"
+    return _WORDS[kind].format(
         **words,
         where=name_experiment(first),
         experiments=_name_experiments(finding.runs),
         detail=explain_outcome(first),
+        number=format_count(finding.steps),
+        ending=_ENDINGS.get(finding.status, f"status {finding.status}"),
         outcome=first.outcome,
         planned=format_count(first.steps_planned),
         done=plural(first.steps_done, "step"),

@@ -19,13 +19,15 @@ from dpbench.analysis.records.run_steps import (
     yield_merged_steps_by_run,
     yield_step_times_by_run,
 )
-from dpbench.bench.judge.rules import has_comparable_times
+from dpbench.bench.judge.rules import has_comparable_times, mask_failed_steps
 from dpbench.bench.record.cell import COMMON_FORMULATION
 from dpbench.bench.record.recorded_steps import ALL_COLUMNS, find_row_ranges_by_label
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import STEP_COLUMNS, convert_to_columns
 from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 from dpbench.solvers.calibration import CALIBRATION
+
+FAILURE_COLUMNS = ("run_id", "k", "certificate", "status", "fallback", "unconverged")
 
 
 class Records:
@@ -112,6 +114,17 @@ class Records:
             for run_id, steps in yield_merged_steps_by_run(extract_counting_rows(table)):
                 first, end = places[run_id]
                 yield run_id, steps, rows.iloc[first:end]
+
+    @cached_property
+    def failed_steps_by_run(self) -> dict[str, tuple[int, str]]:
+        """Number of steps that fail in any round of a run, and the status of most, by run id."""
+        found: dict[str, tuple[int, str]] = {}
+        failing = [run for run in self.runs if run.failed_steps > 0]
+        for table in self.yield_step_tables(failing, FAILURE_COLUMNS):
+            failed = table[mask_failed_steps(table)]
+            for run_id, steps in failed.groupby("run_id", observed=True):
+                found[str(run_id)] = steps["k"].nunique(), str(steps["status"].mode()[0])
+        return found
 
     def select_runs(self, **wanted: object) -> list[RunRecord]:
         """Return the runs of this folder whose columns equal given values, or one of a tuple."""

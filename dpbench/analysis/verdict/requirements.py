@@ -125,7 +125,7 @@ class Finding:
 
     runs : the runs it was found in, the worst first.
     value : an error, a time [ns], a share of timings, or steps, by kind.
-    steps : the steps or timings of the figure.
+    steps : the steps or timings of the figure; status : that of most failed steps.
     machine : of a share of late timings, the share that the machine explains; of a time with waits
         for the processor core, the time without them [ns].
     """
@@ -135,6 +135,7 @@ class Finding:
     value: float = math.nan
     steps: int = 0
     machine: float = math.nan
+    status: str = ""
 
 
 def make_finding_on_worst_runs(

@@ -16,7 +16,7 @@ The fastest of all may exist only as this benchmark's own Python code; it is nam
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -194,7 +194,7 @@ def judge_configuration(
     late, unsure, near = ([f for f in times if f.kind in kinds] for kinds in (LATE, DOUBTS, NEAR))
     own_doing = {kind: tuple(run for run in ran if run.outcome == kind) for kind in OWN_DOING}
     ended = [Finding(kind, of_kind) for kind, of_kind in own_doing.items() if of_kind]
-    causes = [*_find_wrong_answers(ran, requirements), *ended, *late]
+    causes = [*_find_wrong_answers(records, ran, requirements), *ended, *late]
     doubts, gaps = [*_find_unfinished(ran), *unsure], _find_missing_runs(runs, asked)
     return Verdict(
         configuration,
@@ -257,17 +257,24 @@ def _find_missing_runs(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) ->
     return [Finding("absent", tuple(absent)), *gaps] if absent else gaps
 
 
-def _find_wrong_answers(runs: Sequence[RunRecord], requirements: Requirements) -> list[Finding]:
+def _find_wrong_answers(
+    records: Records, runs: Sequence[RunRecord], requirements: Requirements
+) -> list[Finding]:
     """List findings on answers missing, inaccurate or failed by more than requirements allow."""
     off = [run for run in runs if run.error_move_max > requirements.error_move]
     silent = tuple(run for run in off if math.isinf(run.error_move_max))
     wrong = [run for run in off if math.isfinite(run.error_move_max)]
     no_answer = [Finding("no answer", silent)] if silent else []
     failing = [run for run in runs if run.failed_steps > requirements.failed_steps]
+    failed = make_finding_on_worst_runs("failed", failing, lambda run: run.failed_steps)
+    counts = [records.failed_steps_by_run.get(f.runs[0].run_id, (0, "")) for f in failed]
     return [
         *no_answer,
         *make_finding_on_worst_runs("inaccurate", wrong, lambda run: run.error_move_max),
-        *make_finding_on_worst_runs("failed", failing, lambda run: run.failed_steps),
+        *(
+            replace(f, steps=n, status=status)
+            for f, (n, status) in zip(failed, counts, strict=True)
+        ),
     ]
 
 

@@ -55,7 +55,7 @@ MOST_ROWS = 24
 """Configurations up to which the report lists all of them, not only the best of each solver."""
 HEAD = (
     *("solver", "call mode", "verdict", "p50", "p99", "p99 of timings", "worst p99"),
-    *("hardest step", "speed margin", "largest error", "failed"),
+    *("hardest step", "speed margin", "largest error", "failed answers"),
 )
 
 
@@ -78,10 +78,10 @@ def make_report_markdown(report: Report) -> str:
         *map(escape_markdown_paragraph, [*lead, *wording]),
         make_solver_table(data, listed := _list_verdicts(data.verdicts)),
         _unlisted_text(data.verdicts, len(listed)),
-        *_make_counts_tables(topics),
         escape_markdown_paragraph(
             f"Solvers: {describe_which_solvers_pass(data.verdicts)}." if data.verdicts.of else ""
         ),
+        *_make_counts_tables(topics),
         *map(
             escape_markdown_paragraph,
             [*describe_best_of_grids(list_best_verdict_of_own_settings(data.verdicts)), *after],

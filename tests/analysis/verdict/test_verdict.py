@@ -54,6 +54,11 @@ CAUSES = [
         {"failed": 2},
         "2 answers fail in the replay of `paper` over all rounds with warm-up (1\u202f000 steps)",
     ),
+    (
+        {},
+        {"failed": 8, "lost": (3, 5)},
+        "2 of 1\u202f000 steps fail in the replay of `paper`, ended by the iteration limit",
+    ),
     ({}, {"error": 0.2}, "off the optimum in the replay of `paper`"),
 ]
 
@@ -201,7 +206,10 @@ def test_borderline_is_counted_as_such(records: Any) -> None:
         records.loop(solver)
         records.replay(solver, median_us=median_us, spread=0.0)
     verdicts = judge_solvers(records.view(), REQUIREMENTS)
-    assert describe_which_solvers_pass(verdicts) == "1 of 2 pass; borderline: osqp"
+    assert describe_which_solvers_pass(verdicts) == (
+        "1 of 2 pass: daqp; osqp is borderline: its p99 of 2.90 ms in the replay of paper is as "
+        "near to the limit as rounds differ"
+    )
 
 
 def test_high_settings_rescue(records: Any) -> None:
@@ -212,7 +220,7 @@ def test_high_settings_rescue(records: Any) -> None:
     verdicts = judge_solvers(records.view(), REQUIREMENTS)
     assert [v.state for v in verdicts.all_verdicts] == ["fail", "pass"]
     assert describe_which_solvers_pass(verdicts) == (
-        "1 of 1 pass, 1 of them not by default: osqp (qpsolvers fresh, high)"
+        "1 of 1 passes: osqp; not by default: osqp (qpsolvers fresh, high)"
     )
 
 
@@ -249,7 +257,7 @@ def test_a_level_passes_where_it_was_run(
     if clause:
         assert (
             describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
-            == "inconclusive: osqp"
+            == f"0 of 1 passes; osqp is inconclusive: {clause.replace('`', '')}"
         )
 
 
@@ -261,7 +269,23 @@ def test_summary_counts_everybody_once(records: Any) -> None:
     records.loop("scs", outcome="timed_out", done=10)
     records.refused("qpax", "not installed")
     said = describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
-    assert said == "1 of 3 pass; fail: osqp; inconclusive: scs; not run: qpax"
+    assert said == (
+        "1 of 3 pass: daqp; osqp fails: its first move is up to 0.40 of a rate-limit step off the "
+        "optimum in paper; scs is inconclusive: paper was stopped at its time limit (10 of 120 "
+        "steps); qpax is not run: not installed"
+    )
+
+
+def test_summary_names_three_of_each_verdict(records: Any) -> None:
+    """The fastest that pass; of those that fail each has its reason."""
+    for i, solver in enumerate(("a", "b", "c", "d", "e")):
+        records.loop(solver)
+        records.replay(solver, median_us=10.0 + i, spread=0.0)
+        records.loop(f"bad_{solver}", error=0.4)
+        records.replay(f"bad_{solver}", median_us=10.0 + i, spread=0.0)
+    said = describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
+    assert said.startswith("5 of 10 pass: a, b, c and 2 more; bad_a fails: its first move")
+    assert said.count(" fails: ") == 3 and said.endswith("; 2 more fail")
 
 
 def _duel(records: Any, median_us: float) -> Any:

@@ -114,7 +114,9 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
         records.replay("osqp", **columns)
     report = Report.from_results(records.results())
     lines = [text for about, text in report.summary_rows() if about == "options"]
-    assert lines[0].startswith("osqp[rho=0.16] (native warm): fail, largest error 0.55, 2 failed, ")
+    assert lines[0].startswith(
+        "osqp[rho=0.16] (native warm): fail, largest error 0.55, 2 failed answers, "
+    )
     assert "its first move is up to 0.55 of a rate-limit step off the optimum in paper" in lines[0]
     best = "Best of 3 settings of osqp: rho=16.0, at the edge of the grid in rho: widen it."
     assert lines[3:] == [best]
