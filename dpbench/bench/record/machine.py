@@ -127,10 +127,10 @@ def find_running_revision() -> Revision | None:
 
 def read_git_revision(package: Path) -> Revision | None:
     """Return a package's git commit and whether its files are unchanged; None if unknown."""
-    commit = _run_git(package, "rev-parse", "HEAD")
+    commit = run_git(package, "rev-parse", "HEAD")
     # An environment may lie in the checkout of another project, which ignores it.
-    part = _run_git(package, "ls-files", "--error-unmatch", "__init__.py")
-    changes = _run_git(package, "status", "--porcelain", "--", ".")
+    part = run_git(package, "ls-files", "--error-unmatch", "__init__.py")
+    changes = run_git(package, "status", "--porcelain", "--", ".")
     if commit is None or part is None or changes is None:
         return None
     return Revision(commit=commit, clean=changes == "")
@@ -166,7 +166,7 @@ def describe_version(suite: SuiteDescription) -> str:
     return ", ".join(filter(None, (version, describe_revisions(suite))))
 
 
-def _run_git(folder: Path, *words: str) -> str | None:
+def run_git(folder: Path, *words: str) -> str | None:
     """Return the output of a git command in a folder; None where git is missing or fails."""
     try:
         answer = subprocess.run(
