@@ -1,4 +1,23 @@
 """Continuous integration of a solver: replays under pytest-benchmark, compared with a baseline."""
 
+import argparse
+from typing import Any
+
 MARGIN = 0.15
 """Largest slow-down of a benchmark that is no verdict, as a share of its time."""
+
+
+def parse_exit_code(text: str) -> int:
+    """Read an exit code of a command line; ArgumentTypeError outside 0 to 255."""
+    if not (text.isdecimal() and int(text) <= 255):
+        raise argparse.ArgumentTypeError(f"found {text}; allowed: 0 to 255")
+    return int(text)
+
+
+DISTURBED_EXIT: dict[str, Any] = {
+    "metavar": "CODE",
+    "type": parse_exit_code,
+    "default": 0,
+    "help": "exit code where other load took a verdict and no regression is shown (0)",
+}
+"""Option that gate, revisions and pytest have in common."""

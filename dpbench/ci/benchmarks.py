@@ -5,6 +5,7 @@ import sys
 import sysconfig
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +123,14 @@ def list_imported_files() -> list[str]:
         elif not any(file.is_relative_to(folder) for folder in standard):
             found.add(file)
     return sorted(map(str, found))
+
+
+def find_source_files(folder: Path) -> list[str]:
+    """Return the files that Python would import for the modules and packages in a folder."""
+    sources = (*folder.glob("*.py"), *folder.glob("*/__init__.py"))
+    names = {one.parent.name if one.stem == "__init__" else one.stem for one in sources}
+    specs = [find_spec(name) for name in sorted(names) if name.isidentifier()]
+    return [str(Path(one.origin).resolve()) for one in specs if one is not None and one.origin]
 
 
 def is_in_site_packages(file: Path) -> bool:

@@ -10,7 +10,7 @@ grow.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,20 +32,32 @@ from dpbench.report.formats import Table, escape_markdown_paragraph, make_markdo
 NOT_TIMED, SLOWER, WORSE, GONE = "failed, not timed", "slower", "worse", "gone"
 DISTURBED, NO_KERNEL, NOT_VERIFIED = "disturbed", "no reference kernel", "faster, not verified"
 FASTER, NO_CHANGE, NEW, NO_BASELINE = "faster", "no change shown", "new", "no baseline"
+NOT_RUN = "not run"
 REGRESSIONS = (WRONG_ANSWERS, NOT_TIMED, SLOWER, WORSE, GONE)
 """Verdicts that are a regression, the gravest first."""
-ORDER = (*REGRESSIONS, DISTURBED, NO_KERNEL, FASTER, NOT_VERIFIED, NO_CHANGE, NEW, NO_BASELINE)
+ORDER = (
+    *REGRESSIONS,
+    DISTURBED,
+    NO_KERNEL,
+    FASTER,
+    NOT_VERIFIED,
+    NO_CHANGE,
+    NEW,
+    NO_BASELINE,
+    NOT_RUN,
+)
 """All verdicts, in the order in which they head a comparison."""
 MEANINGS = {
     WRONG_ANSWERS: "answers beyond the requirements of the test",
     NOT_TIMED: "a test failed before it was timed",
     WORSE: "an exact measure grew",
-    GONE: "a benchmark of the base was not run",
+    GONE: "a benchmark of the base is missing or skipped",
     DISTURBED: "other load disturbed the machine, no verdict on times",
     NO_KERNEL: "too few other solvers, no verdict on times",
     NOT_VERIFIED: "a smaller time, but not every answer is verified",
     NEW: "the base has no such benchmark",
     NO_BASELINE: "the base has no benchmark, nothing compared",
+    NOT_RUN: "left out by the arguments of pytest",
 }
 ALPHA = 0.05
 NOISE = Prior(sd=0.05, df=6.0)
@@ -87,9 +99,15 @@ class Row:
 
 @dataclass(frozen=True)
 class RunComparison:
-    """Verdicts on all benchmarks of two revisions."""
+    """Verdicts on all benchmarks of two revisions.
+
+    timed : number of benchmarks whose times were compared.
+    counts : number of benchmarks of base and head, those that failed included.
+    """
 
     rows: list[Row]
+    timed: int
+    counts: tuple[int, int]
     allow_gone: bool = False
 
     @property
@@ -104,6 +122,17 @@ class RunComparison:
     def worse(self) -> bool:
         """True if a regression is shown."""
         return self.verdict in REGRESSIONS and not (self.allow_gone and self.verdict == GONE)
+
+    def exit_code(self, disturbed: int) -> int:
+        """Return 1 for a regression, else `disturbed` where load took a verdict, else 0."""
+        if self.worse:
+            return 1
+        return disturbed if any(row.verdict == DISTURBED for row in self.rows) else 0
+
+    def describe_scope(self, base: str, head: str) -> str:
+        """State in one line how many benchmarks the named base and head have in common."""
+        has = [f"{name} has {count}" for name, count in zip((base, head), self.counts, strict=True)]
+        return f"{plural(self.timed, 'benchmark')} compared: {', '.join(has)}"
 
     @property
     def headline(self) -> str:
@@ -123,11 +152,12 @@ class RunComparison:
         )
 
     def markdown(self, lines: Iterable[str] = ()) -> str:
-        """Return the comparison as a Markdown document that begins with the verdict."""
+        """Return the comparison as Markdown: verdict, lines on what was compared, table."""
         parts = [f"**dpbench: {escape_markdown_paragraph(self.headline)}**"]
+        parts += map(escape_markdown_paragraph, lines)
         if self.table is not None:
             parts.append(make_markdown_table(self.table.heads, self.table.rows, 4))
-        return "\n\n".join([*parts, *map(escape_markdown_paragraph, lines)]) + "\n"
+        return "\n\n".join(parts) + "\n"
 
     def print(self, console: Console, lines: Iterable[str] = ()) -> None:
         """Print the verdict, a row for each benchmark, and lines below them."""
@@ -153,9 +183,16 @@ def describe_end(found: RunComparison, against: str) -> str:
 
 
 def compare_runs(
-    pairs: Pairs, *, margin: float = MARGIN, allow_gone: bool = False
+    pairs: Pairs,
+    *,
+    margin: float = MARGIN,
+    allow_gone: bool = False,
+    left_out: Collection[str] = (),
 ) -> RunComparison:
-    """Return a comparison of two revisions' runs, from (base, head) pairs taken by turns."""
+    """Return a comparison of two revisions' runs, from (base, head) pairs taken by turns.
+
+    left_out : benchmarks that the head was not to run.
+    """
     times = _assess_times(pairs, margin)
     was = {name for base, _ in pairs for name in base.names}
     is_timed = any(base.benchmarks for base, _ in pairs)
@@ -167,7 +204,7 @@ def compare_runs(
             verdict = WRONG_ANSWERS if failed[name].startswith(WRONG_ANSWERS) else NOT_TIMED
             rows.append(Row(name, verdict, remarks=(failed[name],)))
         elif name not in now:
-            rows.append(Row(name, GONE))
+            rows.append(Row(name, NOT_RUN if name in left_out else GONE))
         elif name in times:
             rows.append(_judge_benchmark(name, pairs, *times[name]))
         else:
@@ -180,7 +217,7 @@ def compare_runs(
                 )
             )
     rows.sort(key=lambda row: ORDER.index(row.verdict))
-    return RunComparison(rows, allow_gone)
+    return RunComparison(rows, len(times), (len(was), len(now)), allow_gone)
 
 
 def _judge_benchmark(name: str, pairs: Pairs, time: Assessment, complaints: Sequence[str]) -> Row:

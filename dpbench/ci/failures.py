@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.ci.benchmarks import FAILED, IMPORTED, list_imported_files
+from dpbench.ci.benchmarks import FAILED, IMPORTED, find_source_files, list_imported_files
 
 
 class FailedBenchmarks:
@@ -40,7 +40,8 @@ class FailedBenchmarks:
         target = self._config.getoption("benchmark_json", None)
         # No public hook has the benchmarks of a session.
         measured = self._config._benchmarksession.benchmarks  # type: ignore[attr-defined] # a private attribute
-        if not (target and self.reasons) or measured:
+        is_noted = self.reasons or self._config.option.collectonly
+        if not (target and is_noted) or measured:
             return
         # Older releases of pytest-benchmark have opened the file.
         path = Path(getattr(target, "name", "")) if hasattr(target, "write") else Path(target)
@@ -49,4 +50,7 @@ class FailedBenchmarks:
 
     def _collect_failures_and_files(self) -> dict[str, Any]:
         """Return failed benchmarks and imported files, as stored in the benchmarks' JSON file."""
-        return {FAILED: self.reasons, IMPORTED: list_imported_files()}
+        files = list_imported_files()
+        if self._config.option.collectonly:
+            files += find_source_files(self._config.rootpath / "src")
+        return {FAILED: self.reasons, IMPORTED: files}

@@ -1,11 +1,13 @@
 """Compare measurements of pytest-benchmark with the stored ones of the same machine.
 
     python -m dpbench.ci.gate bench.json BASELINE [--renew] [--retries 3] [--allow-gone]
+        [--disturbed-exit CODE]
 
 BASELINE is a JSON file, or a folder that keeps one for each machine. What looks worse or was
 disturbed is measured again: noise only ever makes a minimum larger. The baseline is not: to measure
 both by turns is the task of `dpbench.ci.revisions`. Exit 0: no regression shown, or no baseline
-yet, which is stored; 1: a regression, a benchmark that failed or is gone; 2: bad input.
+yet, which is stored; 1: a regression, a benchmark that failed or is gone; 2: bad input;
+CODE (0): disturbed by other load, no regression shown.
 """
 
 import argparse
@@ -21,6 +23,7 @@ import pytest
 from rich.console import Console
 
 from dpbench.bench.record.machine import describe_machine
+from dpbench.ci import DISTURBED_EXIT
 from dpbench.ci.benchmarks import Benchmark, BenchmarkRun, load_run
 from dpbench.ci.comparison import (
     DISTURBED,
@@ -45,20 +48,44 @@ class SessionComparison:
             self._baseline = load_run(self._path)
         except InputError as error:
             raise pytest.UsageError(f"--dpbench-compare: {error}") from error
+        self._deselected: set[str] = set()
         self._config, self._failed, self._text = config, failed, StringIO()
+
+    def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
+        """Note what -k, -m and other options leave out."""
+        self._deselected.update(item.nodeid for item in items)
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Compare a session's benchmarks with the stored run; set exit code 1 if one is worse."""
+        """Compare a session's benchmarks with the stored run; set the exit code of the verdict."""
         # No public hook has the benchmarks of a session that writes no JSON file.
         measured = self._config._benchmarksession.benchmarks  # type: ignore[attr-defined] # a private attribute
         entries = (one.as_dict() for one in measured if one and not one.has_error)
         now = BenchmarkRun.from_json_entries(entries, self._failed)
-        allow_gone: bool = self._config.getoption("dpbench_allow_gone")
-        found = compare_runs([(self._baseline, now)], margin=self._margin, allow_gone=allow_gone)
-        found.print(Console(file=self._text, width=120), [describe_end(found, str(self._path))])
-        if found.worse and session.exitstatus == pytest.ExitCode.OK:
-            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        found = compare_runs(
+            [(self._baseline, now)],
+            margin=self._margin,
+            allow_gone=self._config.getoption("dpbench_allow_gone"),
+            left_out=[name for name in self._baseline.names if self._is_left_out(name)],
+        )
+        lines = [found.describe_scope(str(self._path), "this session")]
+        lines.append(describe_end(found, str(self._path)))
+        found.print(Console(file=self._text, width=120), lines)
+        if session.exitstatus == pytest.ExitCode.OK:
+            session.exitstatus = found.exit_code(self._config.getoption("dpbench_disturbed_exit"))
+
+    def _is_left_out(self, name: str) -> bool:
+        """Return True if a benchmark was deselected or is of a file that pytest was not given."""
+        file, _, own = name.partition("::")
+        path = (self._config.rootpath / file).resolve()
+        for argument in self._config.args:
+            place, _, test = argument.partition("::")
+            given = (self._config.invocation_params.dir / place).resolve()
+            # What is no path may be a package, by --pyargs.
+            is_inside = path.is_relative_to(given) or not given.exists()
+            if is_inside and (not test or f"{own}[".startswith((f"{test}[", f"{test}::"))):
+                return name in self._deselected
+        return True
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Print the comparison with the stored run below pytest's table of benchmarks."""
@@ -120,6 +147,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--allow-gone", action="store_true", help="pass where a benchmark of the baseline is gone"
     )
+    parser.add_argument("--disturbed-exit", **DISTURBED_EXIT)
     arguments = parser.parse_args(argv)
     console = Console() if sys.stdout.isatty() else Console(width=200)
     baseline: Path = arguments.baseline
@@ -139,8 +167,9 @@ def main(argv: list[str] | None = None) -> int:
         print(f"gate: {error}", file=sys.stderr)
         return 2
     found = compare_runs([(was, now)], allow_gone=arguments.allow_gone)
-    found.print(console, [describe_end(found, str(baseline))])
-    return int(found.worse)
+    scope = found.describe_scope(str(baseline), str(arguments.json))
+    found.print(console, [scope, describe_end(found, str(baseline))])
+    return found.exit_code(arguments.disturbed_exit)
 
 
 if __name__ == "__main__":

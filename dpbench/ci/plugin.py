@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from dpbench.ci import MARGIN
+from dpbench.ci import DISTURBED_EXIT, MARGIN
 
 if TYPE_CHECKING:
     from dpbench.ci.replays import BenchmarkFixture, ReplayBenchmark
@@ -37,8 +37,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--dpbench-allow-gone",
         action="store_true",
-        help="pass where a benchmark of that file is not run",
+        help="pass where a benchmark of that file is missing",
     )
+    group.addoption("--dpbench-disturbed-exit", **DISTURBED_EXIT)
 
 
 def pytest_configure(config: pytest.Config) -> None:

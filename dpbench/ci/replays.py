@@ -119,8 +119,10 @@ def _open_solver(solver: Workspace | str | Path, options: dict[str, Any]) -> Wor
         except InputError as error:
             if isinstance(error.__cause__, ModuleNotFoundError) and error.__cause__.name:
                 package = error.__cause__.name.partition(".")[0]
-                remedy = f"it imports {package}, which is not installed: pip install -e . there, "
-                remedy += f"or pip install {package}"
+                remedy = (
+                    f"it imports {package}, which is not found: pip install {package}, or for a "
+                )
+                remedy += 'package in src pip install . there or pytest `pythonpath = ["src"]`'
                 raise SituationError(f"solver module {solver}", remedy) from error
             raise
     return open_workspace(solver, **options)

@@ -5,31 +5,35 @@
 BASE and HEAD are working trees. pytest runs in each by turns, with `.venv/bin/python` of the tree
 where there is one. Pairs of runs that other load disturbed are repeated, each once at most. Exit 0:
 no regression shown, or a base without benchmarks; 1: a regression, wrong answers, a benchmark that
-failed or is gone, with --fail-disturbed also a disturbed one; 2: bad input, or a tree whose
-benchmarks import files of the other.
+failed or is gone; 2: bad input, or a tree whose benchmarks import files of the other; the code of
+--disturbed-exit: disturbed by other load, no regression shown.
 """
 
 import argparse
+import json
+import re
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
 
+from dpbench.bench.estimate import format_duration
+from dpbench.bench.record.machine import run_git
 from dpbench.bench.workers.interrupts import first_signal_only
-from dpbench.ci import MARGIN
-from dpbench.ci.benchmarks import BenchmarkRun, is_in_site_packages, load_run
-from dpbench.ci.comparison import DISTURBED, NOT_TIMED, Row, RunComparison, compare_runs
+from dpbench.ci import DISTURBED_EXIT, MARGIN
+from dpbench.ci.benchmarks import IMPORTED, BenchmarkRun, is_in_site_packages, load_run
+from dpbench.ci.comparison import NOT_TIMED, Row, RunComparison, compare_runs
 from dpbench.errors import InputError, SituationError
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe
 from dpbench.report.formats import plural
 
-REMEDY = 'give each tree a .venv, or pytest `pythonpath = ["src"]`'
-"""Ways to have a tree measured with its own files."""
+REMEDY = 'install it in a .venv of each tree, or give pytest `pythonpath = ["src"]`'
+"""Ways to have a tree measured with its own package."""
 SHOWN_LINES = 5
 """Last lines of a pytest run that has no benchmarks."""
 
@@ -47,27 +51,49 @@ class Measured:
         return not any(one.complaints for one in self.run.benchmarks.values())
 
 
+def _run_pytest(tree: Path, path: Path, arguments: Sequence[str]) -> tuple[int, str]:
+    """Run pytest in a working tree, its JSON file to `path`; return exit code and output."""
+    own = tree.resolve() / ".venv" / "bin" / "python"
+    command = [str(own) if own.exists() else sys.executable, "-m", "pytest", "-q"]
+    command += ["--rootdir=.", "--benchmark-only", f"--benchmark-json={path}", *arguments]
+    done = subprocess.run(
+        command, cwd=tree, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
+    )
+    return done.returncode, done.stdout.decode(errors="replace")
+
+
+def collect_imports(tree: Path, arguments: Sequence[str]) -> BenchmarkRun:
+    """Collect the tests of a working tree; return a run of none with the files they import."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "collected.json"
+        _run_pytest(tree, path, ["--collect-only", *arguments])
+        # A tree may have a dpbench that stores nothing here, or none.
+        stored = path.read_bytes() if path.exists() else b""
+    return BenchmarkRun(imported=tuple(json.loads(stored or "{}").get(IMPORTED, ())))
+
+
 def measure_tree(tree: Path, arguments: Sequence[str]) -> Measured:
     """Run a working tree's benchmarks with pytest; return the times, or why there are none."""
-    own = tree.resolve() / ".venv" / "bin" / "python"
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.json"
-        command = [str(own) if own.exists() else sys.executable, "-m", "pytest", "-q"]
-        command += ["--rootdir=.", "--benchmark-only", f"--benchmark-json={path}", *arguments]
-        done = subprocess.run(
-            command, cwd=tree, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
-        )
-        lines = [line for line in done.stdout.decode(errors="replace").splitlines() if line.strip()]
-        reason = (
-            f"pytest ended with exit code {done.returncode}: {' | '.join(lines[-SHOWN_LINES:])}"
-        )
+        code, output = _run_pytest(tree, path, arguments)
+        lines = [line for line in output.splitlines() if line.strip()]
+        reason = f"pytest ended with exit code {code}: {' | '.join(lines[-SHOWN_LINES:])}"
+        reason += _find_remedy(tree, output)
         # 0 and 1: every test was run to its end.
-        if done.returncode > 1 or not path.exists():
+        if code > 1 or not path.exists():
             return Measured(BenchmarkRun(), reason)
         try:
             return Measured(load_run(path))
         except InputError:
             return Measured(BenchmarkRun(), reason)
+
+
+def _find_remedy(tree: Path, output: str) -> str:
+    """Return what to do where pytest found no module that is in `src`; "" otherwise."""
+    missing = re.findall(r"No module named '(\w+)", output)
+    names = [name for name in missing if _has_source(name, tree / "src")]
+    return f"; {names[0]} is in src, which is not on Python's path: {REMEDY}" if names else ""
 
 
 def require_imports_of_own_files(
@@ -88,14 +114,16 @@ def require_imports_of_own_files(
                 raise SituationError(side, f"imports {file}: {REMEDY}")
     if folders[0] != folders[1]:
         for file in map(Path, sorted({*runs[0].imported}.intersection(runs[1].imported))):
-            if is_in_site_packages(file) and all(_has_module(one, file) for one in folders):
+            name = file.parent.name if file.stem == "__init__" else file.stem
+            sources = [[one, one / "src"] for one in folders]
+            if is_in_site_packages(file) and all(_has_source(name, *pair) for pair in sources):
                 raise SituationError("base and head", f"both import {file}: {REMEDY}")
 
 
-def _has_module(tree: Path, installed: Path) -> bool:
-    """Return True if a tree has the source of an installed top-level module or package."""
-    name = installed.parts[-2:] if installed.stem == "__init__" else installed.parts[-1:]
-    return any((tree / folder).joinpath(*name).exists() for folder in (".", "src"))
+def _has_source(name: str, *folders: Path) -> bool:
+    """Return True if one of the folders has the Python source of a module or package."""
+    files = f"{name}.py", f"{name}/__init__.py"
+    return any((folder / file).exists() for folder in folders for file in files)
 
 
 def measure_by_turns(
@@ -104,19 +132,26 @@ def measure_by_turns(
     """Measure two trees by turns until so many pairs are undisturbed; return all pairs.
 
     One pair is enough where the base has no benchmark or the head has one that fails.
-    SituationError where a tree is not measured with its own files.
+    SituationError where a tree is not measured with its own files, before the first run where the
+    files that its tests import show that.
     """
+    collected = [collect_imports(tree, arguments) for tree in trees]
+    require_imports_of_own_files(trees, (collected[0], collected[1]))
     pairs: list[tuple[Measured, Measured]] = []
-    while len(pairs) < 2 * count and _count_undisturbed_pairs(pairs) < count:
+    spent_s: list[float] = []
+    while len(pairs) < 2 * count and (done := _count_undisturbed_pairs(pairs)) < count:
         # Neither is always the second.
         turns = (0, 1) if len(pairs) % 2 == 0 else (1, 0)
-        pair = f"pair {1 + _count_undisturbed_pairs(pairs)} of {count}"
+        pair = f"pair {1 + done} of {count}"
+        attempt = f" (attempt {1 + len(pairs)} of at most {2 * count})"
         measured: dict[int, Measured] = {}
         for turn in turns:
             start_s = time.monotonic()
             measured[turn] = measure_tree(trees[turn], arguments)
-            seconds = time.monotonic() - start_s
-            _print_progress(f"{pair}, {('base', 'head')[turn]}: {seconds:.0f} s")
+            spent_s.append(time.monotonic() - start_s)
+            left_s = sum(spent_s) / len(spent_s) * (2 * (count - done) - len(measured))
+            seconds = f"{spent_s[-1]:.0f} s, about {format_duration(left_s)} left"
+            _print_progress(f"{pair}{attempt}, {('base', 'head')[turn]}: {seconds}")
         pairs.append((measured[0], measured[1]))
         base, head = pairs[-1]
         require_imports_of_own_files(trees, (base.run, head.run))
@@ -151,11 +186,14 @@ def compare_trees(
     InputError where the head has no benchmark and the base has none either.
     """
     pairs = measure_by_turns(trees, count, arguments)
+    disturbed = len(pairs) - _count_undisturbed_pairs(pairs)
     found = compare_runs(
         [(base.run, head.run) for base, head in pairs], margin=margin, allow_gone=allow_gone
     )
-    lines = [f"{plural(len(pairs), 'run')} of each revision, by turns"]
     base, head = pairs[-1]
+    scope = found.describe_scope(*map(_name_tree, ("base", "head"), trees))
+    by_turns = f"{plural(len(pairs), 'pair')} of runs by turns, {disturbed} of them disturbed"
+    lines = [f"{scope}; {by_turns}"]
     if base.reason:
         lines.append(f"base: {base.reason}")
     if head.reason:
@@ -163,8 +201,14 @@ def compare_trees(
             raise InputError(str(trees[1]), "", head.reason, "a working tree with benchmarks")
         # Its benchmarks are not gone: nobody knows.
         row = Row("all benchmarks of the head", NOT_TIMED, remarks=(head.reason,))
-        found = RunComparison([row, *found.rows], allow_gone)
+        found = replace(found, rows=[row, *found.rows])
     return found, lines
+
+
+def _name_tree(side: str, tree: Path) -> str:
+    """Name a side of the comparison with its git commit, where there is one."""
+    commit = run_git(tree, "describe", "--always", "--dirty", "--exclude=*")
+    return f"{side} {commit.strip()}" if commit else side
 
 
 def _build_parser() -> argparse.ArgumentParser:
@@ -184,9 +228,7 @@ def _build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--allow-gone", action="store_true", help="pass where a benchmark of the base is gone"
     )
-    parser.add_argument(
-        "--fail-disturbed", action="store_true", help="exit with 1 where load took a verdict"
-    )
+    parser.add_argument("--disturbed-exit", **DISTURBED_EXIT)
     return parser
 
 
@@ -214,8 +256,7 @@ def main(argv: list[str] | None = None) -> int:
     found.print(Console() if sys.stdout.isatty() else Console(width=200), lines)
     if arguments.markdown is not None:
         write_bytes_to_file_or_pipe(arguments.markdown, found.markdown(lines).encode())
-    is_disturbed = any(row.verdict == DISTURBED for row in found.rows)
-    return int(found.worse or (arguments.fail_disturbed and is_disturbed))
+    return found.exit_code(arguments.disturbed_exit)
 
 
 def run() -> int:

@@ -151,7 +151,30 @@ def test_the_document_begins_with_the_verdict() -> None:
     found = compare_runs([(run_of(entry("a|b")), run_of(entry("a|b", seconds=1e-2)))])
     first, _, rest = found.markdown(["five runs"]).partition("\n")
     assert first == "**dpbench: slower: 1 benchmark**"
-    assert "a\\|b" in rest and rest.endswith("five runs\n")
+    assert rest.startswith("\nfive runs\n\n|") and "a\\|b" in rest
+
+
+def test_what_was_compared_is_counted() -> None:
+    """Benchmarks of both, and how many each has; what the head was not to run is not gone."""
+    base, head = run_of(entry("t"), entry("u"), entry("v")), run_of(entry("t"), new="TypeError")
+    found = compare_runs([(base, head)], left_out=["u", "v"])
+    assert found.describe_scope("base", "now") == "1 benchmark compared: base has 3, now has 2"
+    assert found.headline.endswith(": 1 failed, not timed, 1 no change shown, 2 not run")
+    found = compare_runs([(base, run_of(entry("t")))], left_out=["u", "v"])
+    assert not found.worse and found.verdict == "no change shown"
+    assert compare_runs([(base, run_of(entry("t")))], left_out=["u"]).worse
+
+
+@pytest.mark.parametrize(
+    ("seconds", "switches", "code"), [(1e-3, 0.0, 0), (1e-3, 1e3, 75), (1e-1, 0.0, 1)]
+)
+def test_the_exit_code_of_a_disturbed_comparison_is_chosen(
+    seconds: float, switches: float, code: int
+) -> None:
+    """It is neither that of a regression nor that of a quiet comparison."""
+    machine = QUIET | {"involuntary_switches": switches}
+    pair = run_of(entry()), run_of(entry(seconds=seconds, machine=machine))
+    assert compare_runs([pair]).exit_code(75) == code
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])

@@ -72,7 +72,9 @@ def test_the_first_run_is_stored_and_the_second_compared(
     (stored,) = (tmp_path / "baseline").iterdir()
     assert stored.read_bytes() == first.read_bytes()
     assert judged(tmp_path, write("second")) == [0]
-    assert "no change shown: 10 benchmarks" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "no change shown: 10 benchmarks" in out
+    assert f"10 benchmarks compared: {stored} has 10, {tmp_path / 'second.json'} has 10" in out
 
 
 @pytest.mark.parametrize(
@@ -122,7 +124,7 @@ def test_a_run_without_a_benchmark_of_the_baseline_fails(
     renamed.write_text(renamed.read_text("utf-8").replace("test_x", "test_y"), encoding="utf-8")
     assert judged(tmp_path, write("before"), renamed) == [0, 1]
     out = capsys.readouterr().out
-    assert "gone (a benchmark of the base was not run): 10 gone, 10 new" in out
+    assert "gone (a benchmark of the base is missing or skipped): 10 gone, 10 new" in out
     arguments = [str(renamed), str(tmp_path / "baseline"), "--retries", "0", "--allow-gone"]
     assert gate.main(arguments) == 0
 

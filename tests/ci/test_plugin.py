@@ -116,3 +116,25 @@ def test_a_comparison_of_nothing_fails(pytester: pytest.Pytester) -> None:
     result = run(pytester, "--dpbench-compare=none.json")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["*none.json*No such file*"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "argument", "code", "text"),
+    [
+        ("test_it", "-kother", 0, "new (*): 1 new, 1 not run"),
+        ("test_it", "test_it.py::test_other", 0, "new (*): 1 new, 1 not run"),
+        ("test_old", "test_it.py", 1, "gone (*): 1 gone, 2 new"),
+        ("test_it", "--dpbench-disturbed-exit=256", 4, "*found 256; allowed: 0 to 255"),
+    ],
+)
+def test_a_benchmark_that_is_left_out_is_not_gone(
+    pytester: pytest.Pytester, name: str, argument: str, code: int, text: str
+) -> None:
+    """Only one that could have been run is missed."""
+    tests = [f"def {one}(benchmark): benchmark(int)" for one in ("test_it", "test_other")]
+    pytester.makepyfile(test_it="\n".join(tests))
+    base = write_baseline(pytester.path, f"test_it.py::{name}", 1.0)
+    result = run(pytester, f"--dpbench-compare={base}", argument)
+    assert result.ret == code
+    (result.stderr if code == 4 else result.stdout).fnmatch_lines([text])

@@ -39,6 +39,7 @@ def stub_runs(
             BenchmarkRun.from_json_entries([entry], failed if tree.name == "head" else {})
         )
 
+    monkeypatch.setattr(revisions, "collect_imports", lambda tree, arguments: BenchmarkRun())
     monkeypatch.setattr(revisions, "measure_tree", measure)
     return order
 
@@ -61,7 +62,8 @@ def test_turns_alternate_and_disturbed_pairs_are_repeated(
     assert len(measure_by_turns(trees, 3, [])) == 5
     assert order[:4] == ["base", "head", "head", "base"]
     lines = capsys.readouterr().err.splitlines()
-    assert lines[2:4] == ["pair 1 of 3 disturbed: repeated", "pair 1 of 3, head: 0 s"]
+    assert lines[2] == "pair 1 of 3 disturbed: repeated"
+    assert lines[3].startswith("pair 1 of 3 (attempt 2 of at most 6), head: 0 s, about ")
     assert len(lines) == 12
     stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
     assert len(measure_by_turns(trees, 3, [])) == 6
@@ -124,7 +126,7 @@ def test_a_file_is_of_the_innermost_tree(trees: tuple[Path, Path]) -> None:
     require_imports_of_own_files(
         (base, base), (BenchmarkRun(imported=files), BenchmarkRun(imported=files))
     )
-    with pytest.raises(InputError, match=r"head: imports .*it\.py: give each tree"):
+    with pytest.raises(InputError, match=r"head: imports .*it\.py: install it in"):
         require_imports_of_own_files((base, head), (BenchmarkRun(), BenchmarkRun(imported=files)))
 
 
@@ -149,7 +151,7 @@ def test_one_installed_copy_for_both_trees_is_bad_input(
         require_imports_of_own_files(trees, (both, both))
         (tree / folder / "it").mkdir(parents=True)
         (tree / folder / "it" / "__init__.py").touch()
-    with pytest.raises(InputError, match=r"both import .*it/__init__\.py: give each tree"):
+    with pytest.raises(InputError, match=r"both import .*it/__init__\.py: install it in"):
         require_imports_of_own_files(trees, (both, both))
     require_imports_of_own_files(trees, (both, BenchmarkRun(imported=both.imported[:1])))
 
@@ -176,13 +178,37 @@ def test_a_tree_measured_with_the_package_of_the_other_is_bad_input(
     loaded = ["-p", "no:xdist", "-p", "no:dpbench", "-p", plugin.__name__]
     given = [*map(str, trees), "--pairs", "1", "--", *quick, *loaded]
     assert main(given) == 2
-    *progress, line = capsys.readouterr().err.splitlines()
-    assert len(progress) == 2
+    (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"revisions: {misled}: imports {source / 'mysolver.py'}")
     assert main([*given, "-o", "pythonpath=src"]) == 0
 
 
-@pytest.mark.parametrize(("options", "code"), [([], 0), (["--fail-disturbed"], 1)])
+@pytest.mark.slow
+def test_a_package_in_src_is_missed_before_the_first_run(
+    trees: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One installed copy for both is refused, and one that is not found has a remedy."""
+    monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
+    site = trees[0].parent / "site-packages"
+    for folder in (site, *(tree / "src" for tree in trees)):
+        (folder / "mysolver").mkdir(parents=True)
+        (folder / "mysolver" / "__init__.py").touch()
+    for tree in trees:
+        # As by a plug-in, which is loaded when its test runs.
+        test = "def test_it(benchmark):\n    import mysolver\n    benchmark(int)\n"
+        (tree / "test_it.py").write_text(test, encoding="utf-8")
+    loaded = ["-p", "no:xdist", "-p", "no:dpbench", "-p", plugin.__name__]
+    with monkeypatch.context() as installed:
+        installed.setenv("PYTHONPATH", str(site), prepend=os.pathsep)
+        assert main([*map(str, trees), "--", *loaded]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"base and head: both import {site / 'mysolver' / '__init__.py'}: install it" in line
+    (trees[1] / "test_it.py").write_text("import mysolver", encoding="utf-8")
+    reason = revisions.measure_tree(trees[1], loaded).reason
+    assert "mysolver is in src, which is not on Python's path: install it in a .venv" in reason
+
+
+@pytest.mark.parametrize(("options", "code"), [([], 0), (["--disturbed-exit", "75"], 75)])
 def test_a_disturbed_comparison_fails_on_request(
     monkeypatch: pytest.MonkeyPatch, trees: tuple[Path, Path], options: list[str], code: int
 ) -> None:
