@@ -36,7 +36,7 @@ def test_a_page_runs_from_top_to_bottom(
     monkeypatch.setattr(plugins, "_LOADED", {})
     for block in blocks_of(page):
         if block.title:
-            Path(block.title).parent.mkdir(exist_ok=True)
+            Path(block.title).parent.mkdir(parents=True, exist_ok=True)
             Path(block.title).write_text(f"{block.body}\n", encoding="utf-8")
         elif block.language == "python":
             exec(compile(block.body, str(page), "exec"), {"__name__": "page"})
