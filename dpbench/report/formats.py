@@ -28,6 +28,21 @@ def format_time(nanoseconds: float) -> str:
     return f"{significant(nanoseconds / 1e9)} s"
 
 
+NOTED_WAIT = 0.1
+"""Share of a time from which on its wait for the processor core is named beside it."""
+
+
+def describe_wait(time_ns: float, wait_ns: float) -> str:
+    """State how much of a time [ns] was a wait for the processor core; "" for less than a tenth.
+
+    >>> describe_wait(4.5e6, 4.2e6)
+    ' (4.20 ms of it a wait for the core)'
+    """
+    if not wait_ns >= NOTED_WAIT * time_ns:
+        return ""
+    return f" ({format_time(wait_ns)} of it a wait for the core)"
+
+
 def format_microseconds(nanoseconds: float) -> str:
     """Format a duration [ns] as a number of µs without the unit, three significant digits."""
     return significant(nanoseconds / 1e3) if math.isfinite(nanoseconds) else MISSING

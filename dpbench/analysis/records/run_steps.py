@@ -188,6 +188,7 @@ class StepTimes:
     net_ns : (K,) least timing less its wait for the core; None where a wait is unknown.
     timings : (K,) timings of each step that count.
     rounds_ns : (R,) median of the samples of each round: how far they differ is the machine's part.
+    hardest_wait_ns : wait for the core in the fastest repetition of the hardest step; 0 if unknown.
     """
 
     k: Ints
@@ -196,6 +197,7 @@ class StepTimes:
     timings: Ints
     raw_max_ns: float
     rounds_ns: Floats
+    hardest_wait_ns: float = 0.0
 
 
 def yield_step_times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
@@ -209,7 +211,11 @@ def yield_step_times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTime
         net = None if net_ns is None else _find_least_by_step(k, net_ns)[done]
         rounds = np.array([float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)])
         timings = np.bincount(k)[done].astype(np.int64)
-        yield run_id, StepTimes(done, best[done], net, timings, float(total_ns.max()), rounds)
+        hardest = int(done[best[done].argmax()])
+        waits = waited_ns[(k == hardest) & (total_ns == best[hardest])]
+        wait_ns = float(np.nan_to_num(waits).min())
+        raw_max_ns = float(total_ns.max())
+        yield run_id, StepTimes(done, best[done], net, timings, raw_max_ns, rounds, wait_ns)
 
 
 def _subtract_waits(total_ns: Floats, waited_ns: Floats) -> Floats | None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -143,6 +143,7 @@ class WorstStep:
     """A solver's step of largest error, time or iterations over all runs, with its run's median.
 
     value, median : of the measure, at the step and over its run: ns, iterations, or an error.
+    wait_ns : wait for the core in a largest time of a replay.
     """
 
     measure: Measure
@@ -150,6 +151,7 @@ class WorstStep:
     step: RunSteps
     value: float
     median: float
+    wait_ns: float = 0.0
 
     @property
     def step_index(self) -> int:
@@ -182,6 +184,8 @@ def find_worst_steps(records: Records, solver: str) -> list[WorstStep]:
         candidates = [of_run[measure] for of_run in of_runs if measure in of_run]
         if candidates:
             worst.append(max(candidates, key=lambda step: step.value))
+            times = records.get_step_times(worst[-1].run) if measure == "time" and timed else None
+            worst[-1] = replace(worst[-1], wait_ns=times.hardest_wait_ns if times else 0.0)
     return worst
 
 

@@ -11,6 +11,7 @@ from dpbench.analysis.records.thinned_runs import (
     find_worst_steps,
 )
 from dpbench.analysis.times.contrasts import compare_paired_times
+from dpbench.analysis.verdict.time_findings import find_wait_in_hardest_step_ns
 from dpbench.analysis.verdict.verdict import (
     Verdict,
     Verdicts,
@@ -24,6 +25,7 @@ from dpbench.errors import UnknownNameError, format_allowed_names
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import (
     MISSING,
+    describe_wait,
     escape_markdown,
     escape_markdown_paragraph,
     format_count,
@@ -207,7 +209,10 @@ def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[
             format_time(verdict.replay_p99_ns),
             format_time(verdict.raw_p99_ns),
             format_time(verdict.p99_ns),
-            format_time(verdict.algo_max_ns),
+            f"{format_time(verdict.algo_max_ns)}"
+            + describe_wait(
+                verdict.algo_max_ns, find_wait_in_hardest_step_ns(data.records, verdict.max_run)
+            ),
             MISSING
             if margin is None
             else f"× {format_rounded_down(margin.allowed_slowness_factor)}",
@@ -330,7 +335,7 @@ def _make_worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequen
             step.measure,
             f"{step.step_index} of {step.run.problem}",
             step.run.configuration.call_text,
-            _format_measure(step.measure, step.value),
+            _format_measure(step.measure, step.value) + describe_wait(step.value, step.wait_ns),
             _format_measure(step.measure, step.median),
             describe_answer(step.step, 0),
             *(
@@ -358,7 +363,8 @@ def format_worst_steps(worst: Sequence[WorstStep]) -> list[tuple[str, str]]:
         (
             f"worst {step.measure}",
             f"step {step.step_index} of {step.run.problem} ({step.run.configuration.call_text}): "
-            f"{_format_measure(step.measure, step.value)}, median "
+            f"{_format_measure(step.measure, step.value)}"
+            f"{describe_wait(step.value, step.wait_ns)}, median "
             f"{_format_measure(step.measure, step.median)}; "
             f"{step.export_command}",
         )

@@ -8,7 +8,12 @@ from typing import Any
 
 from dpbench.analysis.times.contrasts import compare_paired_times, find_faster_inconclusive
 from dpbench.analysis.times.machine import find_shortest_wait_ns
-from dpbench.analysis.verdict.time_findings import SlowStep, find_largest_stall_ns
+from dpbench.analysis.verdict.time_findings import (
+    SlowStep,
+    find_largest_stall_ns,
+    find_wait_in_hardest_step_ns,
+    find_wait_in_largest_timing_ns,
+)
 from dpbench.analysis.verdict.verdict import (
     SolverChoice,
     Verdict,
@@ -21,6 +26,7 @@ from dpbench.errors import InputError, format_allowed_names
 from dpbench.report.capability_text import describe_consequence_solver, describe_unanswered_qps
 from dpbench.report.embedded_text import describe_embedded_cost
 from dpbench.report.formats import (
+    describe_wait,
     format_error,
     format_rounded_down,
     format_time,
@@ -241,14 +247,18 @@ def describe_speed_margin(data: PageData, chosen: Verdict) -> str:
     margin, requirements = data.get_speed_margin(chosen.configuration), data.requirements
     if margin is None:
         return ""
+    wait_ns = find_wait_in_hardest_step_ns(data.records, margin.hardest.run)
+    hardest = p99 = _describe_slow_step(margin.hardest, wait_ns)
+    if margin.p99.time_ns != margin.hardest.time_ns:
+        p99 = _describe_slow_step(margin.p99)
     time = "p99" if isfinite(chosen.p99_ns) else "largest step (in place of a p99)"
     parts = [
         "The computer may be up to × "
         f"{format_rounded_down(margin.allowed_slowness_factor)} slower.",
         f"The {time} reaches {requirements.p99_ms:g} ms at × "
-        f"{format_rounded_down(margin.p99_limit)}: it is {_describe_slow_step(margin.p99)}.",
+        f"{format_rounded_down(margin.p99_limit)}: it is {p99}.",
         f"The hardest step takes the deadline of {requirements.deadline_ms:g} ms at × "
-        f"{format_rounded_down(margin.deadline)}: it is {_describe_slow_step(margin.hardest)}.",
+        f"{format_rounded_down(margin.deadline)}: it is {hardest}.",
     ]
     longest, arms_ns = (
         data.find_longest_timing(chosen.configuration),
@@ -257,7 +267,8 @@ def describe_speed_margin(data: PageData, chosen: Verdict) -> str:
     if longest is not None:
         experiment, run = longest
         arms = f", the largest stall of a calibration run {format_time(arms_ns)}" * (arms_ns > 0.0)
-        largest = f"{format_time(run.raw_max_ns)} in {experiment.label}{arms}"
+        wait = describe_wait(run.raw_max_ns, find_wait_in_largest_timing_ns(data.records, run))
+        largest = f"{format_time(run.raw_max_ns)}{wait} in {experiment.label}{arms}"
         parts.append(f"Stalls do not scale with the computer: the largest timing is {largest}.")
     parts += _yield_untimed_loops_sentences(data)
     return " ".join(parts)
@@ -272,12 +283,13 @@ def _yield_untimed_loops_sentences(data: PageData) -> Iterator[str]:
         yield f"Not timed, as no replay has their QPs: {join_with_and(untimed)}."
 
 
-def _describe_slow_step(step: SlowStep) -> str:
-    """Describe a slow step: time, scenario, index, iterations, active limits."""
+def _describe_slow_step(step: SlowStep, wait_ns: float = 0.0) -> str:
+    """Describe a slow step: time and wait in it, scenario, index, iterations, active limits."""
     iterations = "" if isnan(step.iterations) else f"{plural(step.iterations, 'iteration')}, "
     work = f"{iterations}{plural(step.n_active, 'active limit')}"
     where = step.run.scenario or step.run.sequence
-    return f"{format_time(step.time_ns)} in {where}, k {step.k} ({work})"
+    time = f"{format_time(step.time_ns)}{describe_wait(step.time_ns, wait_ns)}"
+    return f"{time} in {where}, k {step.k} ({work})"
 
 
 def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:

@@ -25,11 +25,16 @@ from dpbench.analysis.verdict.thruster_verdicts import (
     list_late_losses,
     select_thruster_control_loops,
 )
-from dpbench.analysis.verdict.time_findings import SpeedMargin, compute_speed_margins
+from dpbench.analysis.verdict.time_findings import (
+    SpeedMargin,
+    compute_speed_margins,
+    find_wait_in_hardest_step_ns,
+)
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, choose_solver
 from dpbench.report.formats import (
     MISSING,
     Table,
+    describe_wait,
     format_rounded_up,
     format_sample_share,
     join_with_and,
@@ -128,7 +133,7 @@ def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None
         return None
     margins = compute_speed_margins(records, requirements)
     margin = None if chosen is None else margins.get(chosen.configuration)
-    first = [_describe_solver_to_use(chosen, margin), _compare_with_forces(commanded)]
+    first = [_describe_solver_to_use(records, chosen, margin), _compare_with_forces(commanded)]
     second = [
         *_yield_offset_after_loss_sentences(records, chosen, requirements),
         *_yield_consequence_sentences(records, chosen),
@@ -137,7 +142,9 @@ def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None
     return Topic("conclusion", "What to conclude", tuple(line for line in lines if line))
 
 
-def _describe_solver_to_use(chosen: Verdict | None, margin: SpeedMargin | None) -> str:
+def _describe_solver_to_use(
+    records: Records, chosen: Verdict | None, margin: SpeedMargin | None
+) -> str:
     """State which solver to use if the MPC commands thrusters, and its share of the deadline."""
     if chosen is None:
         return "No solver can be recommended for a controller that steers thrusters."
@@ -149,7 +156,8 @@ def _describe_solver_to_use(chosen: Verdict | None, margin: SpeedMargin | None) 
         return f"{label}."
     step, share = margin.hardest, format_sample_share(1.0 / margin.deadline)
     where = f"k {step.k} of the replay of {step.run.sequence}"
-    return f"{label}: its hardest step, {where}, takes {share} of the sample."
+    wait = describe_wait(step.time_ns, find_wait_in_hardest_step_ns(records, step.run))
+    return f"{label}: its hardest step, {where}, takes {share} of the sample{wait}."
 
 
 def _compare_with_forces(commanded: ThrusterVerdicts) -> str:

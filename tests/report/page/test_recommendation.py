@@ -14,7 +14,12 @@ from dpbench.analysis.verdict.verdict import (
     list_best_verdict_of_each_solver,
 )
 from dpbench.errors import InputError
-from dpbench.report.documents.markdown import MOST_BYTES, make_report_markdown
+from dpbench.report.documents.markdown import (
+    MOST_BYTES,
+    compare_solver,
+    format_worst_steps,
+    make_report_markdown,
+)
 from dpbench.report.formats import format_error, format_rounded_down, format_time
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import (
@@ -22,6 +27,7 @@ from dpbench.report.page.recommendation import (
     build_recommendation,
     describe_speed_margin,
 )
+from dpbench.report.page.write import make_page_document
 from dpbench.report.report import Report
 
 
@@ -91,6 +97,29 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
         assert row["hardest step"] == format_time(verdict.algo_max_ns)
         assert row["largest error"] == format_error(verdict.error_move)
         assert row["failed"] == str(verdict.failed_steps)
+
+
+def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(records: Any) -> None:
+    """Step 7 took 10 ms in every round, 6 ms of it waiting; in the last 40 ms, 39 of them."""
+    records.loop("daqp")
+    records.replay("daqp", median_us=20.0, spread=0.0, raw_max_ns=4e7)
+    frame = records._steps[-1]
+    at_7, last = frame["k"] == 7, frame["repeat"] == frame["repeat"].max()
+    frame["waited_ns"] = 0
+    frame.loc[at_7, ["total_ns", "waited_ns"]] = 10_000_000, 6_000_000
+    frame.loc[at_7 & last, ["total_ns", "waited_ns"]] = 40_000_000, 39_000_000
+    report = Report.from_results(records.results())
+    waits = " (6.00 ms of it a wait for the core)", " (39.0 ms of it a wait for the core)"
+    slower = dict(report.summary_rows())["slower"]
+    assert f"takes the deadline of 300 ms at × 30.0: it is 10.0 ms{waits[0]} in paper" in slower
+    assert f"the largest timing is 40.0 ms{waits[1]} in paper" in slower
+    assert f"| 10.0 ms{waits[0]} |" in make_report_markdown(report)
+    text, worst = compare_solver(report, "daqp")
+    assert f"| 10.0 ms{waits[0]} |" in text.partition("worst by")[2]
+    assert f"10.0 ms{waits[0]}, median" in dict(format_worst_steps(worst))["worst time"]
+    document = make_page_document(report.data, report.results, report.recommendation, {})
+    columns = document["configurations"]
+    assert (columns["max_wait"], columns["longest_wait"]) == ([waits[0]], [waits[1]])
 
 
 @pytest.mark.slow
