@@ -29,8 +29,7 @@ from dpbench.report.charts.study import draw_tuning_front
 from dpbench.report.formats import plural, significant
 from dpbench.scenario.own_ship import DP_NUMBERS, make_environment_of_dp_number
 from dpbench.scenario.scenario import Scenario, load_scenario
-from dpbench.scenario.variation import copy_scenario_with_values
-from dpbench.scenario.writing import write_scenario_and_own_ship_files
+from dpbench.scenario.variation import copy_scenario_with_values, write_scenario_and_own_ship_files
 from dpbench.ship.environment import WeatherDraw
 from dpbench.ship.plant import SUBSTEPS
 from dpbench.solvers.contract import Options

@@ -7,8 +7,11 @@ import pytest
 
 from dpbench.scenario.problem_files import list_shipped_problem_names
 from dpbench.scenario.scenario import load_scenario
-from dpbench.scenario.variation import copy_scenario_with_values
-from dpbench.scenario.writing import format_as_toml, write_scenario_and_own_ship_files
+from dpbench.scenario.variation import (
+    copy_scenario_with_values,
+    format_as_toml,
+    write_scenario_and_own_ship_files,
+)
 
 
 @pytest.mark.parametrize("name", list_shipped_problem_names("scenarios"))
