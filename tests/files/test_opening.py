@@ -15,8 +15,7 @@ from dpbench.bench.engines.shards import ShardRecord
 from dpbench.bench.record.npz import open_arrays
 from dpbench.bench.record.recorded_steps import StepsOnDisk
 from dpbench.bench.record.result_folder import load_machine_and_suite, load_results, read_json
-from dpbench.bench.sequences.qpsolvers_files import read_problem
-from dpbench.bench.sequences.sequence_file import load_recorded
+from dpbench.bench.sequences.sequence_file import load_recorded, read_problem
 from dpbench.bench.sequences.source import hash_sequence_files
 from dpbench.embedded.table import EMBEDDED_FILE, load_counted_steps_of_folder
 from dpbench.errors import InputError

@@ -15,8 +15,7 @@ import pyarrow.parquet as pq
 from dpbench.arrays import Vector
 from dpbench.bench.run.exact_loop import Part
 from dpbench.bench.sequences import source
-from dpbench.bench.sequences.qpsolvers_files import KEYS
-from dpbench.bench.sequences.sequence_file import Recorded
+from dpbench.bench.sequences.sequence_file import KEYS, Recorded
 from dpbench.errors import InputError, SituationError
 from dpbench.files.regular_files import (
     make_folder_if_missing,

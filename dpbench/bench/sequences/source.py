@@ -37,7 +37,6 @@ from dpbench.bench.run.exact_loop import (
     solve_loop_exactly,
 )
 from dpbench.bench.run.formulation import QPBuilder
-from dpbench.bench.sequences import qpsolvers_files as problem_files
 from dpbench.bench.sequences.capability_boundary import write_capability_boundary
 from dpbench.bench.sequences.loop_sequences import (
     build_consequence_sequence,
@@ -48,7 +47,10 @@ from dpbench.bench.sequences.sequence_file import (
     WHAT,
     Recorded,
     active_set,
+    is_problem_file,
+    list_problem_files,
     load_recorded,
+    read_problems,
     save_sequence,
 )
 from dpbench.errors import InputError, ResultsError
@@ -162,8 +164,8 @@ def load_named_sequence(name: str | Path) -> Recorded:
 
 def read_sequence(path: Path) -> Recorded:
     """Return the QPs in a dpbench `.npz` with optima, or in qpsolvers files, which have none."""
-    if path.is_dir() or problem_files.is_problem_file(path):
-        return Recorded(problem_files.read_problems(path), None)
+    if path.is_dir() or is_problem_file(path):
+        return Recorded(read_problems(path), None)
     if not path.is_file():
         raise InputError(str(path), "", "no such file or folder", _FILES)
     return load_recorded(path)
@@ -173,7 +175,7 @@ def hash_sequence_files(path: Path) -> str:
     """Return the SHA-256 of a sequence file, or of all problem files in a folder."""
     total = hashlib.sha256()
     try:
-        for file in problem_files.list_problem_files(path) if path.is_dir() else [path]:
+        for file in list_problem_files(path) if path.is_dir() else [path]:
             with open_regular_file(file, _FILES) as stream:
                 size = os.fstat(stream.fileno()).st_size
                 total.update(f"{file.name if path.is_dir() else ''}:{size}:".encode())

@@ -15,7 +15,7 @@ from dpbench.bench.plan.cells import SEMIDEFINITE_REFUSAL
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import RecordedTable, SuiteFile, build_sequence_suite
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.sequences.qpsolvers_files import read_problems
+from dpbench.bench.sequences.sequence_file import read_problems
 from dpbench.bench.sequences.source import record_scenario
 from dpbench.cli.main import main
 from dpbench.qp.referee.referee import certify_all_steps
