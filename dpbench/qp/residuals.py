@@ -143,22 +143,13 @@ TRUE_TOL = 1e-3  # The tolerance at which an answer is called true, where no oth
 PLAN_TOL_FACTOR = 10.0  # allowed distance of a plan to the optimum, in tolerances of residuals
 
 
-def is_answer_correct(
-    qp: QuadraticProgram, residuals: Residuals[float], error_plan: float, tol: float = TRUE_TOL
-) -> bool:
-    """Return whether an answer is correct by its residuals and its distance to the optimum.
-
-    primal ≤ tol, dual ≤ tol·(1 + ‖q‖_∞) and error_plan ≤ 10·tol, all in scaled units; not for NaN.
-    """
-    primal, dual = np.array([residuals.primal]), np.array([residuals.dual])
-    at_once = Residuals(primal, dual, primal, dual)  # of which the last two are not looked at
-    return bool(are_answers_correct(qp.q[np.newaxis], at_once, np.array([error_plan]), tol)[0])
-
-
 def are_answers_correct(
     q: Matrix, residuals: Residuals[Vector], error_plan: Vector, tol: float
 ) -> Flags:
-    """Return for K answers to QPs of gradients q (K, n) whether each is correct: (K,)."""
+    """Return for K answers to QPs of gradients q (K, n) whether each is correct: (K,).
+
+    primal ≤ tol, dual ≤ tol·(1 + ‖q‖_∞) and error_plan ≤ 10·tol, all in scaled units; not for NaN.
+    """
     true: Flags = (
         (residuals.primal <= tol)
         & (residuals.dual <= tol * (1.0 + np.abs(q).max(axis=1)))

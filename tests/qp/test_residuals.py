@@ -7,11 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from dpbench.qp.program import QuadraticProgram
-from dpbench.qp.referee.referee import certify, measure_first_move_and_plan_error
+from dpbench.qp.referee.optimum import Optimum
+from dpbench.qp.referee.referee import certify, measure_first_move_and_plan_errors_of_many
 from dpbench.qp.residuals import (
+    TRUE_TOL,
     Residuals,
+    are_answers_correct,
     fit_row_and_bound_multipliers,
-    is_answer_correct,
     residuals,
 )
 from dpbench.qp.solution import Solution, Status
@@ -36,8 +38,16 @@ def _exact(qp: QuadraticProgram) -> Solution:
 
 
 def _true(qp: QuadraticProgram, answer: Solution, tol: float = 1e-3) -> bool:
-    plan = measure_first_move_and_plan_error(answer.z, certify(qp), qp.block)[1]
-    return is_answer_correct(qp, residuals(qp, answer), plan, tol)
+    plan = _errors(answer.z, certify(qp), qp.block)[1]
+    return bool(are_answers_correct(qp.q[np.newaxis], residuals(qp, answer), plan, tol)[0])
+
+
+def _errors(
+    z: NDArray[np.float64], optimum: Optimum, block: int, moves: int = 0
+) -> tuple[float, float]:
+    """The largest errors of first move and plan of one answer."""
+    move, plan = measure_first_move_and_plan_errors_of_many(z[np.newaxis], [optimum], block, moves)
+    return float(move[0]), float(plan[0])
 
 
 def _line(q: float, low: float, high: float, box: float = INF) -> QuadraticProgram:
@@ -199,13 +209,10 @@ def test_error_of_move_and_plan() -> None:
     optimum = certify(qp)
     z = optimum.z.copy()
     z[3] += 0.5
-    assert measure_first_move_and_plan_error(z, optimum, 2) == (0.0, pytest.approx(0.5, rel=1e-14))
-    assert (
-        measure_first_move_and_plan_error(z, optimum, 0)[0]
-        == measure_first_move_and_plan_error(z, optimum, 0)[1]
-    )
+    assert _errors(z, optimum, 2) == (0.0, pytest.approx(0.5, rel=1e-14))
+    assert _errors(z, optimum, 0)[0] == _errors(z, optimum, 0)[1]
     z[5] = np.nan
-    assert measure_first_move_and_plan_error(z, optimum, 2) == (INF, INF)
+    assert _errors(z, optimum, 2) == (INF, INF)
 
 
 def test_slacks_are_no_error_of_a_move_or_a_plan() -> None:
@@ -214,17 +221,12 @@ def test_slacks_are_no_error_of_a_move_or_a_plan() -> None:
     z = optimum.z.copy()
     z[:6] += [0.25, 7.0, -0.5, 8.0, 0.125, 9.0]
     rounding = pytest.approx(0.25, rel=1e-14), pytest.approx(0.5, rel=1e-14)
-    assert measure_first_move_and_plan_error(z, optimum, 2, moves=1) == rounding
-    assert measure_first_move_and_plan_error(
-        z, optimum, 2, moves=2
-    ) == measure_first_move_and_plan_error(z, optimum, 2)
-    assert measure_first_move_and_plan_error(z, optimum, 0, moves=1) == (rounding[0], rounding[0])
-    assert (
-        measure_first_move_and_plan_error(z, optimum, 0, moves=3)
-        == measure_first_move_and_plan_error(z, optimum, 3)[:1] * 2
-    )
+    assert _errors(z, optimum, 2, moves=1) == rounding
+    assert _errors(z, optimum, 2, moves=2) == _errors(z, optimum, 2)
+    assert _errors(z, optimum, 0, moves=1) == (rounding[0], rounding[0])
+    assert _errors(z, optimum, 0, moves=3) == _errors(z, optimum, 3)[:1] * 2
     z[1] = np.nan
-    assert measure_first_move_and_plan_error(z, optimum, 2, moves=1) == (INF, INF)
+    assert _errors(z, optimum, 2, moves=1) == (INF, INF)
 
 
 @pytest.mark.parametrize(("off_middle", "error"), [(0.45e-6, 0.5e-3 + 0.45e-6), (0.55e-6, 1.0)])
@@ -264,7 +266,8 @@ def test_the_bounds_of_a_true_answer(which: str) -> None:
 
     def is_true_at(value: float) -> bool:
         of = dict.fromkeys(bound, 0.0) | {which: value}
-        return is_answer_correct(qp, Residuals(of["primal"], of["dual"], INF, INF), of["plan"])
+        found = Residuals(of["primal"], of["dual"], INF, INF)
+        return bool(are_answers_correct(qp.q[np.newaxis], found, of["plan"], TRUE_TOL)[0])
 
     assert is_true_at(bound[which])
     assert not is_true_at(bound[which] * (1.0 + 1e-9))

@@ -13,7 +13,7 @@ from dpbench.qp.random_sequence import (
     generate_random_sequence_with_optima,
 )
 from dpbench.qp.referee.farkas import is_farkas_vector_proof
-from dpbench.qp.residuals import is_answer_correct, residuals
+from dpbench.qp.residuals import are_answers_correct, residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.contract import Policy
 from dpbench.solvers.open import open_workspace
@@ -45,7 +45,7 @@ def check(problem: PlantedSequence, policy: Policy) -> None:
         if problem.feasible[k]:
             assert answer.status is Status.SOLVED, where
             error = float(np.abs(answer.z - problem.z[k]).max())
-            assert is_answer_correct(qp, residuals(qp, answer), error, 1e-6), where
+            assert are_answers_correct(qp.q[np.newaxis], residuals(qp, answer), error, 1e-6), where
         else:
             assert answer.status is Status.PRIMAL_INFEASIBLE, where
             assert is_farkas_vector_proof(qp, answer.y, answer.y_box), where

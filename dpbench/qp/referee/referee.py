@@ -422,23 +422,15 @@ def certify(qp: QuadraticProgram) -> Optimum:
     return Referee(qp.P, qp.A, qp.lb, qp.ub).certify_vectors(qp.q, qp.l, qp.u)
 
 
-def measure_first_move_and_plan_error(
-    z: Vector, optimum: Optimum, block: int, moves: int = 0
-) -> tuple[float, float]:
-    """Return the largest distance of z to the optimum, over the first move and over the plan.
+def measure_first_move_and_plan_errors_of_many(
+    z: Matrix, optima: Sequence[Optimum], block: int, moves: int = 0
+) -> tuple[Vector, Vector]:
+    """Return the largest distance of K answers z (K, n) to the optima: (K,) of first move and plan.
 
     With `moves` only the first `moves` variables of each block count, the others being slacks.
     All variables are one block if block is 0; inf where z is not finite; NaN where there is no
     certified optimum to compare with. The bound of the optimum is not added.
     """
-    move, plan = measure_first_move_and_plan_errors_of_many(z[np.newaxis], [optimum], block, moves)
-    return float(move[0]), float(plan[0])
-
-
-def measure_first_move_and_plan_errors_of_many(
-    z: Matrix, optima: Sequence[Optimum], block: int, moves: int = 0
-) -> tuple[Vector, Vector]:
-    """Return the errors of first move and plan of K answers z (K, n): (K,) each."""
     size = block or z.shape[1]
     error = np.abs(z - np.array([optimum.z for optimum in optima]))
     by_block = error.reshape(len(z), -1, size)[:, :, : moves or size]

@@ -26,9 +26,9 @@ from dpbench.qp.referee.referee import (
     Referee,
     certify,
     get_shared_referee,
-    measure_first_move_and_plan_error,
+    measure_first_move_and_plan_errors_of_many,
 )
-from dpbench.qp.residuals import is_answer_correct, residuals
+from dpbench.qp.residuals import are_answers_correct, residuals
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import condense, load_scenario
 from tests.qp.referee.test_kernels import solve_exactly
@@ -135,7 +135,9 @@ def test_nothing_is_claimed_without_a_unique_optimum(last: float, q: list[float]
     optimum = certify(QuadraticProgram(np.diag([1.0, last]), q, np.zeros((0, 2)), [], [], *BOX))
     assert (optimum.kind, optimum.bound) == ("none", INF)
     assert np.isnan(optimum.z).all()
-    assert np.isnan(measure_first_move_and_plan_error(np.zeros(2), optimum, 0)).all()
+    assert np.isnan(
+        measure_first_move_and_plan_errors_of_many(np.zeros((1, 2)), [optimum], 0)
+    ).all()
 
 
 @pytest.mark.parametrize(
@@ -247,7 +249,7 @@ def test_steps_of_a_scenario(name: str, drop: bool) -> None:
         assert optimum.kind == "linear"
         assert optimum.bound <= 1e-12
         answer = Solution(Status.UNKNOWN, optimum.z, optimum.y, optimum.y_box)
-        assert is_answer_correct(qp, residuals(qp, answer), 0.0, 1e-6)
+        assert are_answers_correct(qp.q[np.newaxis], residuals(qp, answer), 0.0, 1e-6)
         # quadprog wants some interior: limits a part in 1e9 wider move z by no more than
         # 1e-9 times the Lipschitz constant of the optimum, which cond(P) < 1e3 bounds.
         wider = np.concatenate((step.l, qp.lb, -step.u, -qp.ub)) - 1e-9

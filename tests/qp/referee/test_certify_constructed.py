@@ -12,7 +12,7 @@ from dpbench.qp.referee.implied import fix_variables_forced_to_bounds
 from dpbench.qp.referee.optimum import ExactMatrices, JointQP
 from dpbench.qp.referee.rational import prove_optimum_in_exact_arithmetic
 from dpbench.qp.referee.referee import certify
-from dpbench.qp.residuals import fit_row_and_bound_multipliers, is_answer_correct, residuals
+from dpbench.qp.residuals import are_answers_correct, fit_row_and_bound_multipliers, residuals
 from dpbench.qp.solution import Solution, Status
 
 BOUND = 1e-9
@@ -137,7 +137,7 @@ def test_certified_multipliers_explain_the_optimum(known: Known) -> None:
     own = Solution(Status.UNKNOWN, optimum.z, optimum.y, optimum.y_box)
     best = Solution(Status.UNKNOWN, known.z, *fit_row_and_bound_multipliers(qp, known.z, 1e-6))
     for answer in (own, best):
-        assert is_answer_correct(qp, residuals(qp, answer), 0.0, 1e-6)
+        assert are_answers_correct(qp.q[np.newaxis], residuals(qp, answer), 0.0, 1e-6)
         # 1e-9 of the size of the multipliers, which are below 2^25 here.
         assert residuals(qp, answer).complementarity <= 1e-9 * (1.0 + np.abs(qp.q).max())
 
@@ -166,7 +166,7 @@ def test_dropped_limit_has_a_cheap_certificate(blocks: int, forced: int, seed: i
     assert optimum.kind == "linear"
     assert optimum.bound <= 1e-12
     answer = Solution(Status.UNKNOWN, optimum.z, optimum.y, optimum.y_box)
-    assert is_answer_correct(qp, residuals(qp, answer), 0.0, 1e-6)
+    assert are_answers_correct(qp.q[np.newaxis], residuals(qp, answer), 0.0, 1e-6)
     assert residuals(qp, answer).complementarity <= 1e-9
 
 

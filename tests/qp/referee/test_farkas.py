@@ -19,7 +19,7 @@ from dpbench.qp.referee.referee import (
     Referee,
     certify,
     is_infeasibility_or_unboundedness_claim_true,
-    measure_first_move_and_plan_error,
+    measure_first_move_and_plan_errors_of_many,
 )
 from dpbench.qp.solution import Solution, Status
 
@@ -55,7 +55,9 @@ def test_infeasible_problems_are_recognised(seed: int, n: int, m: int, boxed: bo
     assert optimum.kind == "infeasible"
     assert is_farkas_vector_proof(qp, optimum.y, optimum.y_box)
     assert np.isnan(optimum.z).all()
-    assert np.isnan(measure_first_move_and_plan_error(np.zeros(n), optimum, 0)).all()
+    assert np.isnan(
+        measure_first_move_and_plan_errors_of_many(np.zeros((1, n)), [optimum], 0)
+    ).all()
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ from dpbench.qp.referee.optimum import (
 )
 from dpbench.qp.referee.rational import prove_optimum_in_exact_arithmetic
 from dpbench.qp.referee.referee import Referee, certify
-from dpbench.qp.residuals import is_answer_correct, residuals
+from dpbench.qp.residuals import are_answers_correct, residuals
 from dpbench.qp.solution import Solution, Status
 
 INF = np.inf
@@ -96,7 +96,7 @@ def test_weak_rows_beside_equalities(seed: int, spread: int) -> None:
     optimum = _certified(known)
     answer = Solution(Status.UNKNOWN, optimum.z, optimum.y, optimum.y_box)
     if not spread:
-        assert is_answer_correct(known.qp, residuals(known.qp, answer), 0.0, 1e-6)
+        assert are_answers_correct(known.qp.q[np.newaxis], residuals(known.qp, answer), 0.0, 1e-6)
 
 
 def test_definite_in_other_units() -> None:

@@ -7,7 +7,7 @@ from hypothesis import given, settings, strategies as st
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.farkas import is_farkas_vector_proof
 from dpbench.qp.referee.referee import Referee
-from dpbench.qp.residuals import is_answer_correct, residuals
+from dpbench.qp.residuals import are_answers_correct, residuals
 from dpbench.qp.solution import Status
 from dpbench.solvers.open import open_workspace
 from tests.solvers.conftest import solve_next, solve_qp
@@ -257,7 +257,7 @@ def test_what_it_calls_solved_the_referee_finds_true(seed):
         if np.isfinite(optimum.bound):
             error = np.abs(answer.z - optimum.z).max()
             # Rounding is 1e-16, times a condition of 1e8, of what may be 1e5 times a plan in size.
-            assert is_answer_correct(qp, found, error / size, 1e-6)
+            assert are_answers_correct(qp.q[np.newaxis], found, error / size, 1e-6)
 
 
 @pytest.mark.slow
