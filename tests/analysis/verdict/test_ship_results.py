@@ -1,11 +1,14 @@
 """The state of a ship by hand: at the edge of its station, beyond it, and without a loop."""
 
+import json
 import math
 from typing import Any
 
 import pytest
 
 from dpbench.analysis.verdict.ship_results import find_ship_results, tabulate_ship_results
+from dpbench.scenario.scenario import load_scenario
+from dpbench.scenario.variation import copy_documents_with_values
 
 EDGE = {"station_radius_m": 5.0, "exact_left_s": math.nan}
 
@@ -71,6 +74,19 @@ def test_a_ship_that_moves_when_its_run_ends(
     records.loop("daqp", "rough", **EDGE | columns)
     (ship,) = find_ship_results(records.view())
     assert (ship.is_moving_away, ship.is_unsettled_after_loss) == (moves, is_unsettled)
+
+
+@pytest.mark.parametrize(("horizon", "radius"), [(20, 1.0091), (60, math.nan), (None, math.nan)])
+def test_a_ship_in_a_loop_that_is_unstable_without_limits(
+    records: Any, horizon: int | None, radius: float
+) -> None:
+    """At 60 its largest |λ| is 0.967; a run without its documents has none."""
+    files = load_scenario("rough").files
+    values = {"controller.prediction_horizon": horizon}
+    cell = {"scenario": copy_documents_with_values(files, values, "test")} if horizon else {}
+    records.loop("daqp", "rough", cell=json.dumps(cell), **EDGE)
+    (ship,) = find_ship_results(records.view())
+    assert ship.unstable_radius == pytest.approx(radius, abs=1e-4, nan_ok=True)
 
 
 def test_a_scenario_names_its_horizons_where_it_has_several(records: Any) -> None:
