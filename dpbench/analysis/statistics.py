@@ -110,7 +110,7 @@ class MeanEstimate:
         )
 
     def _correct_t_for_skewness(self, statistic: float) -> float:
-        """Correct a t statistic for skewness, by Hall's cubic transformation."""
+        """Return a t statistic corrected for skewness by Hall's cubic transformation."""
         skew = SKEW_SHARE * self.skew
         return statistic + skew * statistic**2 / 3 + skew**2 * statistic**3 / 27 + skew / 6
 
@@ -123,7 +123,7 @@ class MeanEstimate:
 
 
 def adjust_p_values_by_holm(p: Floats) -> Floats:
-    """Adjust p-values for multiple tests by Holm's step-down Bonferroni method (1979)."""
+    """Return p-values adjusted for multiple tests by Holm's step-down Bonferroni method (1979)."""
     order = np.argsort(p, kind="stable")
     factors = np.arange(len(p), 0, -1)
     adjusted = np.empty(len(p))

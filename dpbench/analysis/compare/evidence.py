@@ -88,7 +88,7 @@ def remove_factor_shared_by_group(
     own_share: float = 1.0,
     subjects: Sequence[str] | None = None,
 ) -> Evidence:
-    """Subtract from log step time ratios what all of a group share; estimate their errors.
+    """Return log step time ratios less what all of a group share, with their standard errors.
 
     logs : (N,) measured; own : (N,) standard errors from inside the two runs.
     groups : (N,) which ratios share a machine factor: the sequence they were measured on.
@@ -130,7 +130,7 @@ def remove_reference_factor(
     reference: Ints,
     own_share: float = 1.0,
 ) -> Evidence:
-    """Divide each step time ratio by a reference solver's in its group; estimate its error.
+    """Return log step time ratios less that of their group's reference solver, with errors.
 
     reference : (N,) index of the reference among the ratios; −1 leaves nothing known of the ratio.
     """
@@ -152,7 +152,7 @@ def remove_reference_factor(
 def _estimate_variance_and_freedom(
     logs: Floats, labels: NDArray[np.str_], prior: Prior, inside2: float
 ) -> tuple[float, float]:
-    """Estimate log time ratios' variance around their group's median, and degrees of freedom.
+    """Return log time ratios' variance about their group's median, and its degrees of freedom.
 
     Moderation never makes it smaller than it is found: too quiet a prior would make claims.
     `inside2` is the variance that errors from inside the runs lead to expect beside the prior's.
@@ -172,7 +172,7 @@ def _estimate_variance_and_freedom(
 
 
 def assess_time_ratios(evidence: Evidence, margin: float, alpha: float) -> list[Assessment]:
-    """Test each step time ratio of two runs: slower, faster, equivalent or undecided.
+    """Return each step time ratio with verdict (slower, faster, equivalent, none) and p-values.
 
     "slower" and "faster" reject a ratio within the margin (at its least favourable point),
     "equivalent" one beyond it (two one-sided tests, Schuirmann 1987); each kind is one Holm family.

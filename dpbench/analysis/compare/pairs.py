@@ -77,7 +77,7 @@ def list_machine_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list
 
 
 def pair_runs_of_folders(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
-    """Pair the runs of two result folders by configuration and problem.
+    """Return the runs of two result folders, paired by configuration and problem.
 
     Settings of one's own whose options changed are paired by their name. A cell refused in both is
     left out; one whose problem changed under its name has no partner.
@@ -112,7 +112,7 @@ def pair_runs_of_folders(a: Records, b: Records, names: tuple[str, str]) -> Pair
 def _pair_keys_of_changed_options(
     cells_a: Mapping[Key, RunRecord], cells_b: Mapping[Key, RunRecord]
 ) -> dict[Key, Key]:
-    """Map keys of A to those of B that differ in the options of settings of one name alone."""
+    """Return unpaired run keys of A, mapped to B's that differ in one settings' options alone."""
     named_a, named_b = (
         _group_unpaired_keys_by_name(cells_a, cells_b),
         _group_unpaired_keys_by_name(cells_b, cells_a),
@@ -124,7 +124,7 @@ def _pair_keys_of_changed_options(
 def _group_unpaired_keys_by_name(
     cells: Mapping[Key, RunRecord], others: Mapping[Key, RunRecord]
 ) -> dict[Key, list[Key]]:
-    """Group the keys that only one folder has by what names them without their options."""
+    """Return the run keys that only one folder has, by what names them without their options."""
     groups: dict[Key, list[Key]] = {}
     for key, run in cells.items():
         if run.options and key not in others:
@@ -146,7 +146,7 @@ def _map_runs_by_identity(records: Records) -> dict[Key, RunRecord]:
 
 
 def _describe_run(run: RunRecord) -> str:
-    """Describe a run by configuration, options, mode, steps and problem."""
+    """Return a text that names a run by configuration, options, mode, steps and problem."""
     mode, options = run.mode.replace("_", " "), run.configuration.options_text
     label = run.configuration.label + (f" with {options}" if options else "")
     return f"{label}, {mode} of {run.steps_planned} steps of {run.problem}"
@@ -217,7 +217,7 @@ class FigureChange:
 def compare_accuracy_and_control(
     a: Records, b: Records, pairs: Sequence[Pair], margin: float
 ) -> list[FigureChange]:
-    """Compare accuracy and control of each pair of runs A and B: worse, better or same."""
+    """Return for each quantity of accuracy and control of paired runs A, B: worse, better, same."""
     answers = []
     for pair in pairs:
         for measure, in_a, in_b, repeats in _yield_compared_ranges(a, b, pair):
@@ -276,7 +276,7 @@ def _make_range_of_number(value: float) -> Range:
 
 
 def _classify_change_of_range(measure: Measure, a: Range, b: Range, margin: float) -> Change:
-    """Classify a quantity by its ranges in runs A and B: worse, better or the same in B."""
+    """Return whether run B is worse, better or the same in a quantity, from its ranges in A, B."""
     missing_a, missing_b = math.isnan(a[0]), math.isnan(b[0])
     if missing_a or missing_b:
         return "same" if missing_a and missing_b else "worse" if missing_b else "better"

@@ -164,7 +164,7 @@ def _group_runs_by_problem_and_configuration(
 
 
 def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) -> str:
-    """Choose the solver by whose median step time each folder's times are divided."""
+    """Return the name of the solver by whose median step time each folder's times are divided."""
     timed = [{run.solver for run in _yield_timed_replays(records)} for records in folders.values()]
     common = sorted(set.intersection(*timed))
     known = [name for name in ((asked,) if asked else REFERENCES) if name in common]
@@ -199,7 +199,7 @@ def _map_reference_times_by_problem(records: Records, solver: str) -> Mapping[st
 def _build_version_history(
     runs: Mapping[str, RunRecord], units: Mapping[str, Mapping[str, float] | None]
 ) -> History:
-    """Group the runs of one configuration on one problem by solver version, oldest first."""
+    """Return the runs of one configuration on one problem by solver version, oldest first."""
     builds = len({run.build for run in runs.values()})
 
     def version_of(run: RunRecord) -> str:
@@ -228,7 +228,7 @@ def _divide_time_by_reference(
 
 
 def _divide_count_by_rounds(run: RunRecord, count: float) -> float:
-    """Divide a count of a replay by its rounds, if there are several."""
+    """Return a count of a replay per round, where it has several rounds."""
     return count / run.rounds if run.rounds > 1.0 else count
 
 
@@ -251,7 +251,7 @@ the error."""
 
 
 def tabulate_releases(histories: Histories, most: int) -> pd.DataFrame:
-    """Tabulate times and errors of each solver version on the first `most` problems.
+    """Return a table of times and errors of solver versions on the first `most` problems.
 
     Its most usual configuration: a row per version, label, age (0 of the newest, else 1), problem
     and `FIGURES`.

@@ -156,7 +156,7 @@ def explain_unjudged_sequences(a: Records, b: Records, timings: Sequence[Timing]
 
 
 def choose_reference_solver(timings: Sequence[Timing], asked: str | None) -> str:
-    """Choose the solver by whose times two machines are compared; "" for none.
+    """Return the solver by whose times two machines are compared; "" for none.
 
     It is the one asked for, else one of `REFERENCES`, else the one timed on the most sequences.
 
@@ -196,7 +196,7 @@ def make_usual_first_sort_key(run: RunRecord) -> tuple[Any, ...]:
 def compare_times_to_reference(
     timings: Sequence[Timing], margin: float, alpha: float, rows: Ints
 ) -> list[ComparedTimes]:
-    """Judge each step time ratio B/A, divided by the reference solver's, which gets no verdict.
+    """Return verdicts on step time ratios B/A over the reference solver's, except its own.
 
     rows : (N,) as of `find_reference_indices`; the timings they name have no verdict.
     """
@@ -212,21 +212,21 @@ def compare_times_to_reference(
 
 
 def _judge_timing(timing: Timing, assessment: Assessment) -> ComparedTimes:
-    """Return the verdict on a ratio; without verified answers in B a smaller time is no claim."""
+    """Return a step time ratio with its verdict; no "faster" unless all B's answers are true."""
     if assessment.verdict == "faster" and timing.pair.b.true_share != 1.0:
         assessment = replace(assessment, verdict="no difference shown")
     return ComparedTimes(timing, assessment)
 
 
 def _name_flagged_runs(of: Sequence[bool]) -> str:
-    """Name the flagged runs of a pair: "run A was", "run B was" or "both runs were"."""
+    """Return which of a pair's runs are flagged: "run A was", "run B was", "both runs were"."""
     return "both runs were" if all(of) else f"run {'AB'[list(of).index(True)]} was"
 
 
 def compare_times_and_shared_factors(
     timings: Sequence[Timing], margin: float, alpha: float, unjudged: Mapping[str, str]
 ) -> tuple[list[ComparedTimes], list[SharedFactor]]:
-    """Judge step time ratios B/A: each configuration's own, and what a QP sequence's all share.
+    """Return verdicts on step time ratios B/A, and the factors that all of a QP sequence share.
 
     unjudged : see `explain_unjudged_sequences`; such a sequence has no shared factor judged.
     """
@@ -339,7 +339,7 @@ def _tabulate_times_by_repetition(records: Records, run: RunRecord) -> pd.DataFr
 
 
 def _compute_timing_from_medians(a: Records, b: Records, pair: Pair) -> Timing | None:
-    """Compute a pair's log step time ratio B/A from recorded medians; its error is unknown."""
+    """Return two runs' log step time ratio from recorded medians, no error; None if untimed."""
     medians = pair.a.algo_p50_ns, pair.b.algo_p50_ns
     if not all(map(math.isfinite, medians)):
         return None
@@ -350,7 +350,7 @@ def _compute_timing_from_medians(a: Records, b: Records, pair: Pair) -> Timing |
 
 
 def _compute_timing_from_steps(records_a: Records, records_b: Records, pair: Pair) -> Timing | None:
-    """Compute two runs' log step time ratio from the fastest repetition of their common steps."""
+    """Return two runs' log step time ratio from common steps' fastest repetition, or None."""
     a, b = (
         _tabulate_times_by_repetition(records_a, pair.a),
         _tabulate_times_by_repetition(records_b, pair.b),

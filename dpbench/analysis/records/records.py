@@ -181,7 +181,7 @@ class Records:
         return self._times[run.run_id]
 
     def _read_and_cache_times(self, runs: Sequence[RunRecord]) -> None:
-        """Read the step times of given replays from file, and keep them in memory."""
+        """Store in these records the step times of given replays, read from file."""
         self._times |= dict.fromkeys(run.run_id for run in runs)
         for table in self.yield_step_tables(runs, TIME_COLUMNS):
             self._times |= dict(yield_step_times_by_run(table))
@@ -194,7 +194,7 @@ class Records:
         return {run.run_id: self._delays[run.run_id] for run in runs if run.run_id in self._delays}
 
     def build_scenario(self, name: str) -> Scenario | None:
-        """Build the named scenario from its recorded documents; None without them."""
+        """Return the named scenario, built from its recorded documents; None without them."""
         if name not in self._scenarios:
             carried = (run.scenario_documents for run in self.runs if run.scenario == name)
             files = next(filter(None, carried), None)

@@ -324,7 +324,7 @@ def build_run_records(runs: pd.DataFrame) -> list[RunRecord]:
 
 
 def _parse_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
-    """Parse a run's JSON description into record fields; equal parts share one object."""
+    """Return the record fields of a run's JSON description; equal parts share one object."""
     if not cell.startswith("{"):
         return {}
     try:
@@ -349,7 +349,7 @@ def _parse_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
 
 
 def _make_description_error(key: str, error: ValueError) -> ResultsError:
-    """Turn the error of a cell's stored description into one that names file, key and value."""
+    """Return the error on a run's stored description, with file, key and value."""
     if isinstance(error, InputError):
         return ResultsError("runs.parquet", f"cell.{error.key}", error.found, error.allowed)
     first = error.errors()[0] if isinstance(error, ValidationError) else None

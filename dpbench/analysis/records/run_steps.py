@@ -136,7 +136,7 @@ def yield_merged_steps_by_run(counting: CountingRows) -> Iterator[tuple[str, Run
 
 
 def _merge_repetitions(rows: CountingRows) -> RunSteps:
-    """Merge a run's repetitions: least and largest time, and largest error, of each step."""
+    """Return a run's steps, each with its least and largest time and largest error."""
     steps, at = np.unique(rows.k, return_inverse=True)
     last = np.zeros(len(steps), dtype=np.int64)
     last[at] = np.arange(len(at))
@@ -201,7 +201,7 @@ class StepTimes:
 
 
 def yield_step_times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
-    """Convert a table of steps to step times: yield each run's id and its times."""
+    """Yield each run's id and its step times, from a table of steps."""
     for run_id, repeat, k, (total_ns, waited_ns) in _yield_valid_timings_by_run(
         steps, "total_ns", "waited_ns"
     ):
@@ -219,7 +219,7 @@ def yield_step_times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTime
 
 
 def _subtract_waits(total_ns: Floats, waited_ns: Floats) -> Floats | None:
-    """Return timings (N,) less their waits for the core; None where a wait is unknown, NaN."""
+    """Return timings (N,) less their waits for the core; None where any wait is NaN (unknown)."""
     return None if np.isnan(waited_ns).any() else total_ns - waited_ns
 
 
@@ -302,7 +302,7 @@ def yield_delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
 
 
 def find_delays(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> Delays:
-    """Find the timings (N,) of a run that took much longer than their step usually does.
+    """Return the timings (N,) of a run that took much longer than their step usually does.
 
     Steps without a computation, NaN, are left out. Where some wait is NaN, none is known.
     """

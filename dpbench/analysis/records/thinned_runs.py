@@ -41,7 +41,7 @@ class HardRow(NamedTuple):
 
     @classmethod
     def from_step(cls, run: RunSteps, measure: Measure, i: int) -> "HardRow":
-        """Return step `i` of a run, hard by one measure."""
+        """Return index, value of one measure, status and active limits of a run's step `i`."""
         answer = str(run.status[i]), bool(run.claimed[i]), bool(run.true[i]), int(run.n_active[i])
         return cls(int(run.k[i]), float(run.get_values_of_measure(measure)[i]), *answer)
 
@@ -65,7 +65,7 @@ class ThinnedRun:
 
     @classmethod
     def from_run(cls, run: RunSteps, most: int, track: Track | None = None) -> "ThinnedRun":
-        """Thin a run to about `most` steps: every n-th one and the hardest."""
+        """Return a run thinned to about `most` steps: every n-th one and the hardest."""
         chosen, extra = choose_kept_indices_and_hard_flags(run, most)
         hard = {
             measure: [
@@ -78,7 +78,7 @@ class ThinnedRun:
 
 
 def thin_track(steps: pd.DataFrame, limits: Floats, most: int) -> Track:
-    """Thin a closed loop's ship positions and forces, the latter over limits, to `most` points.
+    """Return a closed loop's ship positions and forces over limits, thinned to `most` points.
 
     limits : (3,) of the forces [N, N, N·m].
     """

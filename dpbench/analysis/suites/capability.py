@@ -60,7 +60,7 @@ class Answers:
 
 
 def count_answers_by_run(records: Records, runs: Sequence[RunRecord]) -> list[Answers]:
-    """Count each run's right and wrong answers to thrust allocation QPs, the best run first."""
+    """Return each run's counts of right and wrong answers to thrust allocation QPs, best first."""
     answers = []
     for run in runs:
         if run.outcome == "refused":
@@ -248,7 +248,7 @@ def build_consequence_analyses(records: Records) -> list[ConsequenceAnalysis]:
 def _build_consequence_analysis(
     records: Records, name: str, runs: Sequence[RunRecord]
 ) -> ConsequenceAnalysis:
-    """Build a consequence analysis from its runs: answers, losses held, time of each solver."""
+    """Return a consequence analysis of its runs: answers, losses held, time of each solver."""
     groups = group_by_key(runs, lambda run: run.lost_thruster_group)
     longest = [max(of_group, key=lambda run: run.steps_done) for of_group in groups.values()]
     files = runs[0].scenario_documents
@@ -283,7 +283,7 @@ def _tabulate_loss_state_spans(records: Records, run: RunRecord, sample_s: float
 def _sum_answers_over_losses(
     records: Records, runs: Sequence[RunRecord], groups: int, sample_s: float
 ) -> BatchAnswers:
-    """Count a configuration's answers over all thruster losses; add times per control sample."""
+    """Return a configuration's answers summed over thruster losses; times per control sample."""
     of_runs = []
     for run in runs:
         steps = records.read_counting_step_table(run, ("k", *CLAIMS))

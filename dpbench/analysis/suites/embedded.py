@@ -101,7 +101,7 @@ class EmbeddedResults:
 
     @classmethod
     def from_counted_steps(cls, records: Records, steps: pd.DataFrame | None) -> "EmbeddedResults":
-        """Summarise the steps of `embedded.parquet`, and find the times of the desk."""
+        """Return a summary of the steps of `embedded.parquet`, with their times on the desk."""
         missing = tuple(records.suite.get("not_counted", ()))
         if steps is None:
             return cls((), missing)

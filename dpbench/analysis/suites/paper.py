@@ -41,7 +41,7 @@ class LawPair:
 
 
 def find_mpc_and_clipped_runs(view: Records, scenario: str) -> LawPair:
-    """Find a scenario's complete runs of the MPC law and of the clipped unconstrained law."""
+    """Return a scenario's complete runs of MPC and clipped unconstrained law; None for missing."""
     planned, carried = view.count_steps_of_longest_loop(scenario), view.build_scenario(scenario)
     usual = {"mode": "closed_loop", "settings": "default", "units": "scaled"}
     full = view.select_runs(scenario=scenario, steps_planned=planned, **usual)
@@ -81,7 +81,7 @@ def compute_pose_errors(steps: pd.DataFrame, reference: Vector) -> dict[str, Flo
 
 
 def tabulate_paper_figure(figure: str, law: Law, scenario: Scenario) -> pd.DataFrame:
-    """Tabulate what one of the paper's figures shows, for one control law.
+    """Return a table of what one of the paper's figures shows, for one control law.
 
     Forces and increments have each axis, then its limits.
 
@@ -167,7 +167,7 @@ SMALLER = {
 
 
 def assess_paper_claim(records: Records, scenario: str, by: str) -> ClaimFinding:
-    """Judge one claim of the paper by the runs of MPC and of the clipped unconstrained law."""
+    """Return the finding on a claim of the paper by runs of MPC and clipped unconstrained law."""
     is_own = is_paper_scenario(records, scenario)
     pair = find_mpc_and_clipped_runs(records, scenario) if is_own else LawPair(None, None)
     laws = 1 if by in HOLDS else 2

@@ -68,7 +68,7 @@ class RandomClaims:
         self._counts = counts.assign(missed=[r.steps_planned - r.steps_done for r in self.runs])
 
     def sum_tallies_by_columns(self, *names: str) -> dict[tuple[str, ...], Tally]:
-        """Sum the counts of true and false claims over runs with equal values in given columns."""
+        """Return counts of true and false claims, summed over runs equal in given columns."""
         keys = [tuple(str(getattr(run, name)) for name in names) for run in self.runs]
         sums = self._counts.groupby(pd.Index(keys, tupleize_cols=False), sort=False).sum()
         tallies = [Tally(*counts) for counts in sums.to_numpy(dtype=int).tolist()]
@@ -76,7 +76,7 @@ class RandomClaims:
 
 
 def _merge_equal_runs(runs: Sequence[RunRecord]) -> list[RunRecord]:
-    """Merge runs that are one measurement listed under several names of settings."""
+    """Return runs, those merged into one that were measured once for several settings names."""
     kept: list[RunRecord] = []
     for own in group_by_key(runs, lambda run: replace(run.configuration, settings="")).values():
         by_level = group_by_key(own, lambda run: run.settings)
@@ -97,12 +97,12 @@ CLAIMS = ("status", "certificate", "claimed", "true")
 
 
 def count_claims_by_run(steps: pd.DataFrame) -> pd.DataFrame:
-    """Count each run's true and false claims of optimality or infeasibility, by run id."""
+    """Return a table of each run's numbers of true and false claims (optimal, infeasible)."""
     return flag_claims_by_step(steps).groupby(steps["run_id"]).sum()
 
 
 def flag_claims_by_step(steps: pd.DataFrame) -> pd.DataFrame:
-    """Classify each step's claim as true or false: a table with a Boolean column per kind."""
+    """Return a table of steps with a Boolean column per kind of true or false claim."""
     known, none_said = mask_decided_steps(steps), steps["status"].isin(NO_ANSWER_CLAIMS)
     claimed, true = steps["claimed"], steps["true"]
     return pd.DataFrame(

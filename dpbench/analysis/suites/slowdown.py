@@ -35,7 +35,7 @@ class DelayedGroup:
 
 
 def group_delayed_loops(records: Records) -> list[DelayedGroup]:
-    """Group the closed loops on simulated slow computers by scenario."""
+    """Return the closed loops on simulated slow computers, grouped by scenario."""
     groups = group_by_key(records.delayed, lambda r: (r.scenario, r.steps_planned, r.deadline_s))
     delayed = []
     for key, runs in groups.items():

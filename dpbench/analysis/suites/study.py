@@ -85,7 +85,7 @@ class PairedDifference:
         return self.estimate.confidence_interval
 
     def count_seas_needed_for(self, difference: float) -> int | None:
-        """Return how many seas per point make a difference of given size significant; or None."""
+        """Return how many seas per point make a difference significant; None if not known."""
         if math.isnan(self.spread):
             return None
         # The quantile falls with the count, so the first count that satisfies its own is it.
@@ -349,7 +349,7 @@ class Study:
         )
 
     def _summarise_configuration(self, name: str) -> StudiedConfiguration:
-        """Summarise a configuration's runs, and its differences to the reference's."""
+        """Return the summary of a configuration's runs, and its differences to the reference's."""
         runs = self.runs[self.runs["configuration"] == name]
         judged, itself = runs[runs["within"].notna()], name == self.reference_name
         return StudiedConfiguration(
@@ -383,7 +383,7 @@ class Study:
 
 
 def _flag_end_within_radius(run: RunRecord, radius_m: float) -> float:
-    """Return 1 where a run ends with its second half within the radius, else 0; NaN: not judged."""
+    """Return 1 where a run's second half stays within the radius, else 0; NaN: not judged."""
     if run.outcome in NOT_JUDGED:
         return math.nan
     return float(run.outcome == "finished" and run.r_tail_max_m <= radius_m)

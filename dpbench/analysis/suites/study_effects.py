@@ -78,12 +78,12 @@ class MeasuredChange:
 
     @property
     def median_change(self) -> float:
-        """Median over units; NaN without any."""
+        """Median of a measure's change over realisations or points; NaN without any."""
         return float(np.median(self.units)) if self.units else math.nan
 
     @property
     def count_with_sign_of_median(self) -> float:
-        """Number of units with the sign of the median; within `NOTHING` it is 0. NaN: no units."""
+        """Number of realisations or points with the median's sign; 0 where that is 0; NaN: none."""
         sign = _compute_sign(self.median_change)
         return (
             float(sum(_compute_sign(one) == sign for one in self.units)) if self.units else math.nan
@@ -104,7 +104,7 @@ class Effect:
 
     @property
     def levels_text(self) -> str:
-        """The two values, or the range, as a text."""
+        """Text of the two values of a study's factor, or of its range."""
         return self.measured.change.shown_text
 
     @property
@@ -197,7 +197,7 @@ def _format_levels(points: pd.DataFrame, factor: tuple[str, ...], at: Any, digit
 
 
 def _collect_values_by_measure(study: Study, configuration: str) -> Mapping[Measure, pd.Series]:
-    """Return what each measure has of a configuration's runs, by point and realisation."""
+    """Return each measure's values of a configuration's runs, by study point and realisation."""
     runs = study.runs[study.runs["configuration"] == configuration]
     runs = runs.set_index(["point", "replicate"])
     finished = runs[runs["finished"]]
@@ -213,7 +213,7 @@ def _collect_values_by_measure(study: Study, configuration: str) -> Mapping[Meas
 
 
 def _compute_sign(value: float) -> int:
-    """Return 1 or -1, or 0 within `NOTHING`."""
+    """Return the sign of a change as 1 or −1; 0 where its size is within `NOTHING`."""
     return int(value > NOTHING) - int(value < -NOTHING)
 
 

@@ -29,7 +29,7 @@ def tabulate_differences_from_reference(studies: Sequence[Study]) -> pd.DataFram
 
 
 def _make_difference_row(study: Study, configuration: StudiedConfiguration) -> dict[str, object]:
-    """Return the numbers of a configuration of a study by column."""
+    """Return a table row of a studied configuration's differences from the reference."""
     behind, dearer = configuration.error_excess_m, configuration.log_cost_excess
     seas = None if behind is None else behind.count_seas_needed_for(SMALL_M)
     return {
@@ -109,7 +109,7 @@ def label_numeric_factors(study: Study) -> dict[str, str]:
 
 
 def tabulate_shares_in_position(study: Study) -> pd.DataFrame:
-    """Tabulate shares of seas in position over two parameters, for reference and worst solvers.
+    """Return a table of shares of seas in position over two parameters, reference and worst.
 
     Columns: configuration, x and y (the first numeric factors), within (a share) and judged runs.
     """
@@ -143,14 +143,14 @@ def _replace_by_bin_centres(values: "pd.Series[float]") -> "pd.Series[float]":
 
 
 def convert_difference_to_cm(difference: PairedDifference) -> dict[str, float | None]:
-    """Convert a paired mean difference [m] to [cm]: mean, interval ends (or None), pairs."""
+    """Return a paired difference [m] in [cm] by key: mean, interval ends (or None), pairs."""
     mean = difference.mean_interval
     low, high = (100 * end if np.isfinite(end) else None for end in (mean.low, mean.high))
     return {"mean_cm": 100 * mean.value, "low_cm": low, "high_cm": high, "pairs": difference.pairs}
 
 
 def tabulate_error_excess_by_sea(study: Study) -> tuple[pd.DataFrame, pd.DataFrame, int]:
-    """Tabulate configurations' errors over the reference [cm]: means, values by sea, count."""
+    """Return configurations' errors over the reference [cm]: means, values by sea, their count."""
     reference = study.get_compared_series(study.reference_name, "r_95_m")
     most = max(2, MOST_DOTS // max(1, len(study.results_by_cost) - 1))
     rows, seas, count = [], [], 0

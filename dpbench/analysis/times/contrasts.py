@@ -104,7 +104,7 @@ def compute_log_ratio_half_width(
 def compare_paired_times(
     records: Records, first: Verdict, second: Verdict
 ) -> list[PairedComparison]:
-    """Compare two configurations' step times on the QP sequences that both replayed.
+    """Return two configurations' step time ratios on the QP sequences that both replayed.
 
     One comparison for each number of variables, the fewest first: the ratio depends on the size.
     Sequences of one size have equal weight; `first` has the smaller p99, or the smaller largest
@@ -139,7 +139,7 @@ def compare_paired_times(
 def find_faster_inconclusive(
     records: Records, verdicts: Verdicts, chosen: Verdict
 ) -> list[Verdict]:
-    """Find configurations of inconclusive verdict that are surely faster than the chosen one.
+    """Return configurations of inconclusive verdict that are surely faster than the chosen one.
 
     Those without anything against the requirements.
     """
@@ -196,7 +196,7 @@ class RouteGain:
 
 
 def compare_routes(records: Records, sequence: str) -> list[RouteGain]:
-    """Compare the ways to call each solver, native or not, by step time; fastest solver first.
+    """Return each solver's speed-ups by call mode over the next simpler one, fastest solver first.
 
     None where no native route has a neighbour.
     """
@@ -238,7 +238,7 @@ def find_right_levels_by_solver(
 
 
 def count_wins_of_formulations(records: Records, requirements: Requirements) -> Counter[str]:
-    """Count how often each QP formulation has the least median step time.
+    """Return how often each QP formulation has the least median step time.
 
     Of the configurations that are right on a sequence in two at least.
     """
@@ -406,7 +406,7 @@ class Sweep:
 
 
 def find_sweeps(records: Records, requirements: Requirements) -> list[Sweep]:
-    """Find the scenarios replayed with two or more pairs of MPC horizons."""
+    """Return the scenarios replayed with two or more pairs of MPC horizons."""
     # A sweep compares formulations, which `Records.select_runs` does not.
     replays = [run for run in records.all_runs if run.mode == "replay" and run.units == "scaled"]
     problems = group_by_key(replays, _make_key_without_horizons)
@@ -434,7 +434,7 @@ def _make_key_without_horizons(run: RunRecord) -> str:
 
 
 def _build_sweep(records: Records, runs: Sequence[RunRecord], requirements: Requirements) -> Sweep:
-    """Group the replays of one problem at several horizons by configuration."""
+    """Return the replays of one problem at several horizons, grouped by configuration."""
     sequences: dict[Horizons, str] = {}
     points: dict[Configuration, dict[Horizons, SweepPoint]] = {}
     for run in runs:

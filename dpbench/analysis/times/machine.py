@@ -50,7 +50,7 @@ def select_delayed_loops(records: Records) -> list[RunRecord]:
 
 
 def separate_own_switches(runs: Sequence[RunRecord]) -> list[RunRecord]:
-    """Separate context switches that a solver causes itself from those of the machine, per run."""
+    """Return runs, those whose solver switches context itself with such switches kept apart."""
     rates = np.array([run.involuntary_switches / run.replay_s for run in runs])
     known = rates[np.isfinite(rates)]
     allowed = max(float(np.median(known)), MAX_SWITCHES_PER_S) if len(known) else np.inf
@@ -68,7 +68,7 @@ def separate_own_switches(runs: Sequence[RunRecord]) -> list[RunRecord]:
 
 
 def sum_disturbances(runs: Sequence[RunRecord]) -> Disturbance:
-    """Sum what disturbed replays: repetitions, context switches, stolen processor time."""
+    """Return the sum of what disturbed replays: repetitions, context switches, stolen time."""
     parts = [
         Disturbance(
             rounds=run.rounds + run.disturbed_rounds - run.counting_disturbed,

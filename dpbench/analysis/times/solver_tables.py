@@ -146,7 +146,7 @@ def tabulate_experiment_verdicts(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def _order_call_modes(matrix: RunMatrix, usual: Configuration, level: str) -> list[Configuration]:
-    """Order a solver's configurations of one settings level, those in the usual call mode first.
+    """Return a solver's configurations of one settings level, those in the usual call mode first.
 
     The others follow from pass to fail, then by time. Only the usual one if none was run.
     """
@@ -164,7 +164,7 @@ def _order_call_modes(matrix: RunMatrix, usual: Configuration, level: str) -> li
 def _make_experiment_row(
     matrix: RunMatrix, known: Sequence[Configuration], p: int
 ) -> dict[str, Any]:
-    """Describe the first of some configurations that has a verdict in an experiment."""
+    """Return a table row of the first of some configurations with a verdict in an experiment."""
     judged = (
         c for c in known if matrix.get_state_in_experiment(matrix.find_index(c), p) != "not run"
     )

@@ -80,7 +80,7 @@ class Uncertainty:
 
 
 def estimate_uncertainty(records: Records) -> Uncertainty:
-    """Estimate the uncertainty factors of step times from the spread between repetitions."""
+    """Return the factors by which step times are uncertain, from spread between repetitions."""
     factors: dict[Configuration, list[Floats]] = {}
     for run in records.select_runs(mode="replay", units="scaled"):
         times = records.get_step_times(run)
@@ -156,7 +156,7 @@ class StallModel:
     shape: float
 
     def compute_tail_probability(self, count: int, exposed_ns: float, allowed: int = 0) -> float:
-        """Return P(`count` or more late): stalls in `exposed_ns`, 1 % of `allowed` timings."""
+        """Return the probability that `count` or more timings are late by the machine's stalls."""
         mean = self.rate * exposed_ns
         if count <= 0:
             return 1.0
@@ -175,7 +175,7 @@ MachineAt = Callable[[float], StallModel]
 def find_late_timings(
     records: Records, requirements: Requirements, uncertainty: Uncertainty
 ) -> dict[str, list[LateTimings]]:
-    """Test all replays and closed loops for solver calls that are late; return them by run id."""
+    """Return, by run id, test results on late solver calls of all replays and closed loops."""
     scaled = [run for run in records.runs if run.units == "scaled" and run.has_steps]
     runs = [run for run in scaled if not run.is_baseline_law]
     replays = [run for run in runs if run.mode == "replay" and records.has_comparable_times(run)]
@@ -219,7 +219,7 @@ def waits_for_threads(run: RunRecord, samples: int) -> bool:
 
 
 def adjust_p_values(tests: Sequence[LateTimings]) -> list[LateTimings]:
-    """Adjust the p-values of tests for late timings by Holm's method, as one family."""
+    """Return tests for late timings with p-values adjusted by Holm's method, as one family."""
     family = [test for test in tests if not math.isnan(test.machine)]
     adjusted = adjust_p_values_by_holm(np.array([test.p for test in family]))
     return [
@@ -235,7 +235,7 @@ def _test_replays_for_late_timings(
     requirements: Requirements,
     kind: Kind,
 ) -> list[LateTimings]:
-    """Test each replay for late timings against stalls in other solvers' replays."""
+    """Return each replay's test for late timings against stalls in other solvers' replays."""
     tests: list[LateTimings] = []
     sources = choose_runs_that_show_stalls(replays, arms, delays, requirements)
     for _ in range(PASSES):
@@ -256,7 +256,7 @@ def _test_replays_for_late_timings(
 
 
 def _make_stall_model_by_limit(others: Sequence[Delays], has_waits: bool) -> MachineAt | None:
-    """Return a function from time limit to stall model, fitted to other runs; or None."""
+    """Return a function from time limit to stall model; None if no other run is comparable."""
     if has_waits:
         comparable = [other for other in others if other.has_waits]
     else:
@@ -270,7 +270,7 @@ def choose_runs_that_show_stalls(
     delays: Mapping[str, Delays],
     requirements: Requirements,
 ) -> list[RunRecord]:
-    """Choose the runs that show the machine's stalls: test solvers, else the calmest half."""
+    """Return the runs that show the machine's stalls: test solvers, else the calmest half."""
     if arms:
         return list(arms)
     stalls: Counter[str] = Counter()
@@ -283,7 +283,7 @@ def choose_runs_that_show_stalls(
 
 
 def _fit_stall_model(others: Sequence[Delays], limit_ns: float) -> StallModel:
-    """Estimate the rate of machine stalls beyond half a limit from other solvers' runs.
+    """Return the model of machine stalls beyond half a limit, from other solvers' runs.
 
     Their first round is left out: it is slow where answers are remembered, and not by the machine.
     """
@@ -295,7 +295,7 @@ def _fit_stall_model(others: Sequence[Delays], limit_ns: float) -> StallModel:
 
 
 def estimate_stall_model(stalls: Floats, exposed_ns: Floats) -> StallModel:
-    """Estimate stall rate and dispersion from counts (R,) in computing times (R,) [ns].
+    """Return a model of stalls from counts (R,) in computing times (R,) [ns].
 
     The rate has half a stall added (Jeffreys), the shape is that of the moments.
     """
@@ -309,7 +309,7 @@ def estimate_stall_model(stalls: Floats, exposed_ns: Floats) -> StallModel:
 def _test_replay_for_late_timings(
     run: RunRecord, own: Delays, machine: MachineAt | None, requirements: Requirements, kind: Kind
 ) -> LateTimings:
-    """Test whether a replay has more late timings than the machine's stalls explain."""
+    """Return a replay's late timings, with the p-value that stalls of the machine explain them."""
     counts, samples = own.count_late_by_repetition(requirements.p99_ns), int(own.samples.sum())
     late = int(counts.sum())
     if machine is None:
@@ -329,7 +329,7 @@ def _test_replay_for_late_timings(
 
 
 def _test_run_timed_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTimings:
-    """Test a run timed once per step for late timings that the machine does not explain."""
+    """Return late timings of a run timed once a step, with p-value that the machine caused them."""
     late, samples = int(own.count_late_by_repetition(limit_ns).sum()), int(own.samples.sum())
     explained = _count_late_explained_by_machine(run, own)
     p = float(binom.sf(late - np.nan_to_num(explained) - 1, samples, ALLOWED))
@@ -363,7 +363,7 @@ def _test_steps_past_deadline(
     delays: Mapping[str, Delays],
     requirements: Requirements,
 ) -> list[LateTimings]:
-    """Test step timings past the deadline against equally long stalls in other solvers' runs."""
+    """Return tests of step timings past the deadline against stalls in other solvers' runs."""
     limit_ns = requirements.deadline_ns
     stalls: dict[str, list[tuple[int, float]]] = {}
     for run in (*replays, *arms):

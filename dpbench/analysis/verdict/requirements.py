@@ -23,7 +23,7 @@ class Requirements:
 
     @classmethod
     def from_suite(cls, suite: SuiteDescription) -> "Requirements":
-        """Read the limits on error, failed steps and time from a suite, or take defaults."""
+        """Return the limits on error, failed steps and time of a suite, or the defaults."""
         # Folders of earlier releases have them as `demand`.
         known: dict[str, Any] = {**suite.get("requirements", suite.get("demand", {}))}
         return cls(**{f.name: known[f.name] for f in fields(cls) if f.name in known})

@@ -72,7 +72,7 @@ class RunMatrix:
     def from_records(
         cls, records: Records, verdicts: Verdicts, studied: Sequence[RunRecord], kept: int
     ) -> Self:
-        """Arrange a folder's runs by configuration and scenario or replay; judge each one.
+        """Return a folder's runs by configuration and scenario or replay, each one judged.
 
         studied : runs of studies that are experiments; the first `kept` are among the runs.
         """
@@ -183,7 +183,7 @@ class RunMatrix:
         return compute_speed_margins(self.records, self.requirements).get(configuration)
 
     def count_infeasible_steps(self, configuration: Configuration) -> tuple[int, bool]:
-        """Count a configuration's infeasible QPs; return if the solver reported all of them."""
+        """Return a configuration's number of infeasible QPs, and whether all were reported."""
         judged = self._list_judged_runs(configuration)
         known = [run for _, run in judged if run.infeasible_steps > 0]
         # A replay counts a step in each of its rounds.

@@ -124,12 +124,12 @@ def _make_ship_key(run: RunRecord) -> tuple[object, ...]:
 
 
 def _count_or_minus_one(count: float) -> float:
-    """Return a count; -1 where it is missing (NaN), so that it equals and orders."""
+    """Return a count; −1 where it is missing (NaN), so that it can be compared and sorted."""
     return -1.0 if math.isnan(count) else count
 
 
 def _name_scenario_of_ship(run: RunRecord, *, several: bool) -> str:
-    """Name the scenario of a run, with the horizons where there are `several`."""
+    """Return the name of a run's scenario, with the horizons where there are `several`."""
     if run.horizons is None or run.study or not several:
         return run.scenario
     return "{} {}/{}".format(run.scenario, *run.horizons)

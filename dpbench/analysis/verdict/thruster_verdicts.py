@@ -55,7 +55,7 @@ def is_mostly_thruster_control(records: Records) -> bool:
 
 
 def compare_thrusters_with_forces(records: Records, requirements: Requirements) -> ThrusterVerdicts:
-    """Judge solvers both where the MPC commands thrusters and where three forces."""
+    """Return verdicts on solvers where MPC commands thrusters and where three forces."""
     of_thrusters = [run for run in records.runs if run.commands_thrusters]
     of_forces = [
         run for run in records.runs if run.scenario_documents and not run.commands_thrusters
@@ -87,7 +87,7 @@ class ThrusterControlLoops:
 def select_thruster_control_loops(
     records: Records, requirements: Requirements
 ) -> ThrusterControlLoops:
-    """Select closed loops that command thrusters, in scenarios that some solver gets right."""
+    """Return loops that command thrusters by configuration, and each scenario's best loop."""
     loops = (run for run in records.select_runs(mode="closed_loop") if isfinite(run.power_share))
     runs = [run for run in loops if not run.is_baseline_law]
     right = [run for run in runs if is_right_to_the_end(run, requirements)]

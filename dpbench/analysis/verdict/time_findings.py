@@ -61,7 +61,7 @@ def find_late_timings_and_uncertainty(
 def find_slow_loops(
     runs: Sequence[RunRecord], requirements: Requirements, uncertainty: Uncertainty
 ) -> list[Finding]:
-    """Find closed loops whose median solve time is near or beyond the limit on the p99.
+    """Return findings on closed loops whose median solve time is near or over the p99 limit.
 
     Late beyond its uncertainty, borderline within; the median needs `LOOP_TIMINGS` to be late.
     """
@@ -85,7 +85,7 @@ def find_slow_loops(
 
 
 def find_work_in_other_threads(runs: Sequence[RunRecord]) -> list[Finding]:
-    """Find runs whose solver computed more in other threads than in the timed calls.
+    """Return findings on runs whose solver computed more in other threads than in timed calls.
 
     A worker has one core. Windows are left out: steps solved before each round would count.
     """
@@ -110,7 +110,7 @@ _DOUBTFUL: Mapping[str, Doubt] = {
 def convert_late_timings_to_findings(
     runs: Sequence[RunRecord], late: Mapping[str, Sequence[LateTimings]]
 ) -> list[Finding]:
-    """Convert late timings of runs to findings for a verdict, the worst run of each kind first."""
+    """Return findings on late timings for a verdict, the worst run of each kind first."""
     found = [one for run in runs for one in late.get(run.run_id, ())]
     by_kind: dict[Cause | Doubt, list[LateTimings]] = group_by_key(found, _choose_cause_or_doubt)
     findings = []
@@ -122,7 +122,7 @@ def convert_late_timings_to_findings(
 
 
 def _choose_cause_or_doubt(one: LateTimings) -> Cause | Doubt:
-    """Choose the finding on late timings: a cause where they are proven, else a doubt."""
+    """Return the kind of finding on late timings: a cause where they are proven, else a doubt."""
     if one.is_disturbed:
         return "late when disturbed"
     return one.kind if one.is_proven_late else _DOUBTFUL[one.kind]
@@ -134,7 +134,7 @@ def judge_replay_times(
     requirements: Requirements,
     uncertainty: Uncertainty,
 ) -> tuple[list[Finding], dict[str, Any]]:
-    """Judge replays' step times by the limits; return findings, and percentiles by name."""
+    """Return findings on replays' step times by the limits, and the percentiles by name."""
     findings: list[Finding] = []
     figures: list[_ReplayTimes] = []
     for run in replays:
@@ -214,7 +214,7 @@ class _Percentiles:
 
     @classmethod
     def of(cls, run: RunRecord, times_ns: Floats) -> "_Percentiles":
-        """Compute the percentiles of a replay's step times (K,) [ns]."""
+        """Return the percentiles of a replay's step times (K,) [ns]."""
         p95, p99 = percentile_or_nan(times_ns, 95), compute_p99_ns(run, times_ns)
         return cls(float(np.median(times_ns)), p95, p99, float(times_ns.max()))
 
@@ -242,7 +242,7 @@ class _ReplayTimes:
 
     @classmethod
     def from_replay(cls, run: RunRecord, times: StepTimes) -> "_ReplayTimes":
-        """Compute the percentiles and extremes of one replay's step times."""
+        """Return the percentiles and extremes of one replay's step times."""
         own_ns = find_own_times_ns(run, times)
         return cls(
             run,
@@ -265,7 +265,7 @@ class _ReplayTimes:
 def _compare_with_limits(
     figures: _ReplayTimes, requirements: Requirements, factor: float
 ) -> list[Finding]:
-    """Compare a replay's times with p99 limit and deadline; return findings if late or near.
+    """Return findings on a replay's times that are beyond p99 limit or deadline, or near.
 
     A time is late if the solver's own part of it is beyond the limit, too: see `find_own_times_ns`.
     Single timings are tested against the machine in `lateness.py`.
@@ -339,7 +339,7 @@ class SpeedMargin:
 def compute_speed_margins(
     records: Records, requirements: Requirements
 ) -> Mapping[Configuration, SpeedMargin]:
-    """Compute, for each timed configuration, how much slower a computer may be."""
+    """Return, by timed configuration, how much slower a computer may be."""
     replays = [run for run in records.select_runs(mode="replay", units="scaled") if run.has_steps]
     of_configuration = group_by_key(
         replays, lambda run: run.configuration.moved_to_common_formulation

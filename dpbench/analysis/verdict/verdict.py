@@ -127,7 +127,7 @@ class Verdicts:
 def judge_solvers(
     records: Records, requirements: Requirements, among: Sequence[RunRecord] | None = None
 ) -> Verdicts:
-    """Judge all solver configurations by accuracy and time limits, in suite order.
+    """Return verdicts on all solver configurations by accuracy and time limits, in suite order.
 
     among : the runs that are judged, of `records.runs`; by default all of them.
     """
@@ -149,7 +149,7 @@ def judge_solvers(
 
 
 def _select_longest_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:
-    """Select the longest of the runs that share mode and problem."""
+    """Return the longest of the runs that share mode and problem."""
     alike = group_by_key(runs, lambda run: (run.mode, run.problem))
     return [max(own, key=lambda run: run.steps_planned) for own in alike.values()]
 
@@ -176,7 +176,7 @@ def judge_configuration(
     asked: Sequence[RunRecord],
     requirements: Requirements,
 ) -> Verdict:
-    """Judge one configuration by its runs and the limits on accuracy and time.
+    """Return the verdict on a configuration's runs, by the limits on accuracy and time.
 
     runs : its longest run of each scenario and replay; asked : those of its solver's reference.
     """
@@ -231,7 +231,7 @@ def explain_outcome(run: RunRecord) -> str:
 
 
 def _count_or_zero(count: float) -> int:
-    """Convert a count to an integer; a missing one (NaN) is 0."""
+    """Return a count as an integer; a missing one (NaN) is 0."""
     return int(count) if math.isfinite(count) else 0
 
 
@@ -242,7 +242,7 @@ def _count_judged_steps(run: RunRecord) -> int:
 
 
 def _find_missing_runs(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
-    """Find the reference configuration's runs that another configuration lacks or cut short."""
+    """Return findings on runs of the reference configuration that another lacks or cut short."""
     known = {(run.mode, run.problem): run for run in runs}
     absent: list[RunRecord] = []
     gaps: list[Finding] = []
@@ -260,7 +260,7 @@ def _find_missing_runs(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) ->
 def _find_wrong_answers(
     records: Records, runs: Sequence[RunRecord], requirements: Requirements
 ) -> list[Finding]:
-    """List findings on answers missing, inaccurate or failed by more than requirements allow."""
+    """Return findings on answers missing, inaccurate or failed by more than requirements allow."""
     off = [run for run in runs if run.error_move_max > requirements.error_move]
     silent = tuple(run for run in off if math.isinf(run.error_move_max))
     wrong = [run for run in off if math.isfinite(run.error_move_max)]
@@ -279,7 +279,7 @@ def _find_wrong_answers(
 
 
 def _find_unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
-    """Find the runs that stopped early or have steps without a certified optimum."""
+    """Return findings on runs that stopped early or have steps without a certified optimum."""
     doubts = []
     for run in runs:
         done, asked = run.steps_done, run.steps_planned
@@ -306,7 +306,7 @@ MOST_OWN = 12
 
 
 def sort_fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """Sort verdicts on configurations by p99 step time, else the largest; untimed ones last."""
+    """Return verdicts on configurations sorted by p99, else by largest time; untimed ones last."""
     return sorted(
         verdicts,
         key=lambda v: (
@@ -317,7 +317,7 @@ def sort_fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
 
 
 def sort_best_first(verdicts: Iterable[Verdict]) -> list[Verdict]:
-    """Sort verdicts on configurations from pass to fail, then by time."""
+    """Return verdicts on configurations sorted from pass to fail, then by time."""
     return sorted(sort_fastest_first([*verdicts]), key=lambda v: STATES.index(v.state))
 
 
@@ -389,7 +389,7 @@ class SolverChoice:
 
 
 def choose_solver(verdicts: Verdicts) -> SolverChoice:
-    """Choose, of the solvers that pass and can be deployed, the one of smallest p99 step time.
+    """Return the fastest solver that passes and can be deployed, or none; and the runner-up.
 
     Where none does, those that are borderline are compared, else those that nothing contradicts.
     """
@@ -440,7 +440,7 @@ def list_best_verdict_of_each_solver(verdicts: Verdicts) -> list[Verdict]:
 
 
 def group_own_settings(verdicts: Verdicts) -> dict[tuple[str, str], list[Verdict]]:
-    """Group the verdicts on settings of one's own by solver and options."""
+    """Return the verdicts on settings of one's own, grouped by solver and options."""
     own = [verdict for verdict in verdicts.all_verdicts if verdict.configuration.options]
     return group_by_key(own, lambda v: (v.configuration.solver, v.configuration.options))
 
