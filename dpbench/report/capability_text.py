@@ -24,7 +24,7 @@ from dpbench.report.formats import format_rounded_down, join_with_and, plural
 
 
 def describe_capability(plot: CapabilityResult) -> Iterator[str]:
-    """State a ship's capability numbers, and the least wind it holds intact and after a loss."""
+    """Yield sentences on a ship's capability numbers, and least wind held intact, after a loss."""
     if plot.edges.empty:
         return
     intact = plot.edges[plot.edges["case"] == INTACT]
@@ -40,7 +40,7 @@ def describe_capability(plot: CapabilityResult) -> Iterator[str]:
 
 
 def _format_least_wind(edges: pd.DataFrame) -> str:
-    """Format the least wind held over all directions [m/s], and its direction."""
+    """Return a text of the least wind held over all directions [m/s], and its direction."""
     least = edges.nsmallest(1, "wind_mps").iloc[0]
     is_alike = len(edges) > 1 and (edges["wind_mps"] == least["wind_mps"]).all()
     where = "every direction" if is_alike else f"{least['from_deg']:.0f}°"
@@ -48,7 +48,7 @@ def _format_least_wind(edges: pd.DataFrame) -> str:
 
 
 def describe_time_held(of_group: pd.DataFrame) -> str:
-    """Describe when a thruster loss can be held: throughout, until a time, or never."""
+    """Return in words when a thruster loss can be held: throughout, until a time, or never."""
     states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
     if states == [HELD]:
         return "throughout"
@@ -64,7 +64,7 @@ def describe_time_held(of_group: pd.DataFrame) -> str:
 
 
 def describe_losses_held(analysis: ConsequenceAnalysis) -> str:
-    """State which losses of thrusters can be held and when, and what of the force is asked for."""
+    """Return a text on which thruster losses can be held and when, and the force asked for."""
     when: dict[str, list[str]] = {}
     for group, of_group in analysis.spans.groupby("group", sort=False):
         when.setdefault(describe_time_held(of_group), []).append(str(group))
@@ -73,7 +73,7 @@ def describe_losses_held(analysis: ConsequenceAnalysis) -> str:
 
 
 def describe_answers_at_edge(plot: CapabilityResult) -> str:
-    """Name the solvers that answer every QP at the largest winds held rightly; "" without runs."""
+    """Return which solvers answer all QPs at the largest winds held rightly; "" without runs."""
     if not plot.answers:
         return ""
     right = sorted(a.solver for a in plot.answers if a.has_only_right_answers)
@@ -84,7 +84,7 @@ def describe_answers_at_edge(plot: CapabilityResult) -> str:
 
 
 def describe_consequence_solver(records: Records, solver: str) -> str:
-    """Name a solver for the consequence analysis beside that of the MPC; "" where it is the same.
+    """Return a sentence on a solver for the consequence analysis; "" where the MPC's will do.
 
     The configuration that answers all QPs rightly and takes the least share of a sample counts, if
     its solver also answers those at the edge of every capability plot. None is named where all of
@@ -127,7 +127,7 @@ def _list_kinds(answers: Sequence[Answers | BatchAnswers]) -> list[str]:
 
 
 def describe_required_force(analysis: ConsequenceAnalysis) -> str:
-    """Name the force that the thrusters must make after a loss."""
+    """Return in words the force that the thrusters must make after a loss."""
     return f"force through a 60 s filter, times a dynamic margin of {analysis.margin:g}"
 
 

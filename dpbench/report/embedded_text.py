@@ -21,7 +21,7 @@ MOST_PAIRS = 2
 
 
 def name_core_and_precision(target: str, *, single: bool) -> str:
-    """Return a core and the precision of the code on it; double precision is not named."""
+    """Return the name of a core and of its code's precision; double precision is not named."""
     title = TARGETS[target].title if target in TARGETS else target
     return f"{title}, float" if single else title
 
@@ -58,7 +58,7 @@ class CoreTimes:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """Solver, sequence and core; p99, worst step, and the share of the deadline it takes."""
+        """Texts of a row: solver, sequence, core; p99, worst step, and share of the deadline."""
         worst_ns = convert_instructions_to_ns(self.worst)
         share = format_sample_share(worst_ns / self.deadline_ns)
         return (
@@ -84,7 +84,7 @@ def make_calculator_rows(results: EmbeddedResults, requirements: Requirements) -
 def describe_embedded_cost(
     results: EmbeddedResults, requirements: Requirements, solver: str
 ) -> str:
-    """State what a solver costs on an embedded core; "" where that was not counted."""
+    """Return a sentence on what a solver costs on an embedded core; "" where not counted."""
     largest = results.find_largest_count_of_solver(solver)
     if largest is None or largest[1].error_move > requirements.error_move:
         return ""
@@ -102,7 +102,7 @@ def describe_embedded_cost(
 
 
 def describe_cheapest_solver(sequence: CountedSequence, requirements: Requirements) -> str:
-    """State which solver executes the fewest instructions within the required error."""
+    """Return which solver executes the fewest instructions within the required error."""
     right = [one for one in sequence.solvers if one.error_move <= requirements.error_move]
     where = name_sequence_and_core(sequence)
     if not right:
@@ -121,7 +121,7 @@ def describe_cheapest_solver(sequence: CountedSequence, requirements: Requiremen
 def yield_ranking_sentences(
     sequences: Sequence[CountedSequence], requirements: Requirements
 ) -> Iterator[str]:
-    """Yield where instructions and the desk's times rank solvers alike, and where otherwise."""
+    """Yield sentences: where instructions and desk times rank solvers alike, where otherwise."""
     apart = f"where both p99 differ by more than {100 * (APART - 1):.0f} %"
     alike = []
     for sequence in sequences:

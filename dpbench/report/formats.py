@@ -176,17 +176,17 @@ _NOT_SHOWN = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 
 
 def one_line(text: str) -> str:
-    """Replace line breaks and other characters that are not shown by spaces."""
+    """Return a text with spaces for line breaks and other characters that are not shown."""
     return "".join(" " if unicodedata.category(c) in _NOT_SHOWN else c for c in text)
 
 
 def escape_markdown(text: str) -> str:
-    """Escape text within a line of Markdown: no HTML, link or picture; marks such as ` stay."""
+    """Return a text escaped for a line of Markdown: no HTML, link or picture; marks like ` stay."""
     return _LINK.sub(r"]\\", _TAG.sub("&lt;", one_line(text)))
 
 
 def escape_markdown_paragraph(text: str) -> str:
-    """Escape a paragraph of Markdown, so that it is no heading, list or block of code."""
+    """Return Markdown escaped so that its paragraph is no heading, list or block of code."""
     return _BLOCK.sub(r"\\", escape_markdown(text).lstrip())
 
 

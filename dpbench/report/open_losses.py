@@ -44,7 +44,7 @@ def find_open_losses(
     plots: Sequence[CapabilityResult],
     analyses: Sequence[ConsequenceAnalysis],
 ) -> OpenLosses:
-    """Find the listed losses that are not simulated, or not held by level 1 or an analysis."""
+    """Return sentences on losses that are not simulated, or not held by level 1 or an analysis."""
     if not plots and not analyses:
         return OpenLosses()
     known = [scenario for scenario in map(records.build_scenario, records.scenarios) if scenario]
@@ -81,7 +81,7 @@ def _list_groups(
     plots: Sequence[CapabilityResult],
     analyses: Sequence[ConsequenceAnalysis],
 ) -> list[str]:
-    """List a ship's failure groups that a plot or an analysis of it names."""
+    """Return a ship's failure groups that a capability plot or an analysis of it names."""
     named = {str(case) for plot in plots if plot.vessel == vessel for case in plot.edges["case"]}
     for analysis in analyses:
         if _scenario_of(analysis) in scenarios:
@@ -128,7 +128,7 @@ def _has_left_after(group: str, thrusters: ThrusterSet, ships: Sequence[ShipResu
 def _level_1_findings(
     group: str, scenarios: Sequence[Scenario], plots: Sequence[CapabilityResult]
 ) -> Iterator[str]:
-    """Yield the largest wind held without a group where that of a scenario is larger."""
+    """Yield in words the winds held without a thruster group that are below a scenario's."""
     seen = set()
     for plot in plots:
         held_mps = _held_wind_by_direction(plot, group)
@@ -148,7 +148,7 @@ def _level_1_findings(
 
 
 def _held_wind_by_direction(plot: CapabilityResult, group: str) -> Mapping[float, float]:
-    """Return the largest wind held [m/s] without a group by direction [°]; all of them or none."""
+    """Return the largest wind held [m/s] without a group by direction [°]; empty if one lacks."""
     own = plot.edges[plot.edges["case"] == group]
     held = dict(zip(own["from_deg"].astype(float), own["wind_mps"].astype(float), strict=True))
     return held if len(held) == len(FROM_DEG) else {}
@@ -157,7 +157,7 @@ def _held_wind_by_direction(plot: CapabilityResult, group: str) -> Mapping[float
 def _analysis_findings(
     group: str, scenarios: Sequence[str], analyses: Sequence[ConsequenceAnalysis]
 ) -> Iterator[str]:
-    """Yield when a loss can be held by each consequence analysis that finds it not held once."""
+    """Yield in words when a loss is held, for each consequence analysis that once finds it not."""
     for analysis in analyses:
         own = analysis.spans[analysis.spans["group"] == group]
         if _scenario_of(analysis) in scenarios and (own["state"] == LOST).any():

@@ -84,7 +84,7 @@ class Report:
         capability: pd.DataFrame | None = None,
         counted: pd.DataFrame | None = None,
     ) -> "Report":
-        """Build the report on the results of a folder; write no file.
+        """Return the report on the results of a folder; write no file.
 
         baseline : solver to compare with; designs, capability, counted : stored tables of the
         folder, see `load_stability_records`, `load_capability_plots` and
@@ -125,7 +125,7 @@ class Report:
         return own | {f.name: f.chart for topic in self.topics for f in topic.figures}
 
     def summary_rows(self) -> list[tuple[str, str]]:
-        """List the summary that a run prints last on the terminal, as keyword and text."""
+        """Return keyword and text of each line of the summary that a run prints last."""
         lead = next((topic for topic in self.topics if topic.leads), None)
         ship = self.recommendation.ship
         rows = [("warning", ship.warning), ("ship", ship.text), ("caution", ship.caution)]
@@ -168,7 +168,7 @@ RUN_MEANINGS = {name: meaning for name, (_, meaning) in RUN_COLUMNS.items()}
 def build_tables(
     results: Results, data: PageData, recommendation: Recommendation, topics: Sequence[Topic]
 ) -> dict[str, pd.DataFrame]:
-    """Build all tables of the report as data frames by name; some may be empty."""
+    """Return all tables of the report as data frames by name; some may be empty."""
     verdicts, ladder = tabulate_verdicts(data), tabulate_best_times(data).drop(columns="id")
     if len(verdicts):
         why = [recommendation.why(verdict) for verdict in data.verdicts.all_verdicts]
@@ -237,7 +237,7 @@ def convert_to_frame(table: Table) -> pd.DataFrame:
 
 
 def encode_csv(table: pd.DataFrame) -> bytes:
-    """Encode a table as CSV; an apostrophe precedes texts that a spreadsheet takes for formulas."""
+    """Return a table as CSV; an apostrophe precedes texts that a spreadsheet takes for formulas."""
     named = table.rename(columns={name: _disarm_formula(name) for name in table.columns})
     texts = [i for i, dtype in enumerate(named.dtypes) if not is_numeric_dtype(dtype)]
     for i in texts:
@@ -247,7 +247,7 @@ def encode_csv(table: pd.DataFrame) -> bytes:
 
 
 def _disarm_formula(value: Any) -> Any:
-    """Put an apostrophe before a text that a spreadsheet would take for a formula."""
+    """Return a cell, with an apostrophe before a text that a spreadsheet takes for a formula."""
     if not isinstance(value, str) or not value.startswith(_FORMULA):
         return value
     try:

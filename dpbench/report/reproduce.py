@@ -56,7 +56,7 @@ class Reproduction:
 def reproduce_paper(
     out: str | Path | None = None, *, progress: Progress | None = None
 ) -> Reproduction:
-    """Run the paper's case under exactly solved MPC and the clipped law; write figures, claims.
+    """Run the paper's case with exact MPC and the clipped law; write and return figures, claims.
 
     Files as of `write_reproduction`; the runs are in the folder `runs` beside them. Finished
     loops are not run again.
@@ -74,7 +74,7 @@ def reproduce_paper(
 
 
 def write_reproduction(runs: Path, folder: Path) -> Reproduction:
-    """Write figures, data and claims of the paper from the runs of a result folder.
+    """Write figures, data and claims of the paper from a result folder's runs; return them.
 
     `figure4_path` to `figure7_increments` as PDF, SVG and CSV; `claims.md` and `claims.csv`.
     """
@@ -135,7 +135,7 @@ def _make_claims_document(topic: Topic, results: Results) -> str:
 
 
 def _list_contradicted(judged: Sequence[Claim]) -> list[str]:
-    """List the claims that the runs contradict or do not cover, at most `MOST_NAMED` of them."""
+    """Return the claims that the runs contradict or do not cover, at most `MOST_NAMED`."""
     named = [f"{claim.state}: {claim.claim}" for claim in judged if claim.state != "reproduced"]
     rest = len(named) - MOST_NAMED
     unnamed = [f"and {plural(rest, 'other')}: see claims.md"] if rest > 0 else []

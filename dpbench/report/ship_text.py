@@ -41,7 +41,7 @@ class ShipSummary:
 
 
 def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
-    """State in which scenarios the controller holds the ship, by the exactly solved loop alone."""
+    """Return sentences on the scenarios in which the controller, exactly solved, holds the ship."""
     if not ships:
         return ShipSummary()
     known = [ship for ship in ships if ship.state != "not run"]
@@ -81,7 +81,7 @@ def list_losses(run: RunRecord) -> list[tuple[float, list[str]]]:
 
 
 def _name_failures(lost: Sequence[ShipResult]) -> str:
-    """Name what was lost before each of these ships left; "" where one left without a failure."""
+    """Return words for what was lost before each of these ships left; "" if one lost nothing."""
     before = [
         [
             name
@@ -98,7 +98,7 @@ def _name_failures(lost: Sequence[ShipResult]) -> str:
 
 
 def _describe_lost(lost: Sequence[ShipResult]) -> str:
-    """Describe when and how far lost ships leave their station, those of a study together."""
+    """Return when and how far lost ships leave their station as text, those of a study together."""
     by_study = group_by_key((ship for ship in lost if ship.run.study), lambda ship: ship.run.study)
     alone = sorted(
         (ship for ship in lost if not ship.run.study),
@@ -117,7 +117,7 @@ def _describe_lost(lost: Sequence[ShipResult]) -> str:
 
 
 def _describe_departure(ship: ShipResult) -> str:
-    """Describe when a lost ship leaves its station, its largest offset and the last."""
+    """Return as text when a lost ship leaves its station, its largest offset and the last."""
     run = ship.run
     heading = f"; largest heading error {significant(run.exact_heading_max_deg)}°"
     turned = heading if run.exact_heading_max_deg > HEADING_DEG else ""
@@ -132,7 +132,7 @@ def _describe_departure(ship: ShipResult) -> str:
 
 
 def describe_ship(ship: ShipResult) -> str:
-    """State in one line what the controller does to the ship of a scenario."""
+    """Return a line on what the controller does to the ship of a scenario."""
     run = ship.run
     if ship.state == "not run":
         return f"`{ship.name}`: not run"
@@ -146,7 +146,7 @@ def describe_ship(ship: ShipResult) -> str:
 
 
 def describe_unmet(ships: Sequence[ShipResult], scenarios: Sequence[Scenario]) -> list[str]:
-    """Name what no QP of these ships and scenarios met: active limits, losses, waves and others."""
+    """Return the names of what no QP of these runs met: active limits, losses, waves and others."""
     known = [ship.run for ship in ships if ship.state != "not run"]
     documents = [scenario.files["scenario"] for scenario in scenarios]
     environments = [document.get("environment") or {} for document in documents]
@@ -168,12 +168,12 @@ def describe_unmet(ships: Sequence[ShipResult], scenarios: Sequence[Scenario]) -
 
 
 def _format_station_limits(ship: ShipResult) -> str:
-    """State the limits of a ship's station: radius and heading."""
+    """Return the limits of a ship's station as text: radius and heading."""
     return f"{ship.run.station_radius_m:.3g} m, {HEADING_DEG:g}°"
 
 
 def _describe_kept(known: Sequence[ShipResult]) -> str:
-    """State in how many scenarios and seas the ship stays on station, and its largest offset."""
+    """Return in how many scenarios and seas the ship stays on station, and its largest offset."""
     kept = [ship for ship in known if ship.state == "on station"]
     if not kept:
         return ""
@@ -195,7 +195,7 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
 
 
 def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
-    """State how far ships outside of studies are off after a loss, the farthest first."""
+    """Yield how far ships outside of studies are off after a loss as text, the farthest first."""
     after = [ship for ship in known if not ship.run.study and _has_loss(ship)]
     after.sort(key=lambda ship: -ship.run.exact_loss_offset_max_m / ship.run.station_radius_m)
     for ship in after[:MOST_NAMED]:
@@ -219,7 +219,7 @@ def _has_loss(ship: ShipResult) -> bool:
 
 
 def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
-    """Name the ships on station that are still moving away at the end, or come near its limits."""
+    """Return lines on ships on station still moving away at the end, or coming near a limit."""
     kept = sorted(
         (ship for ship in known if ship.state == "on station"),
         key=lambda ship: -ship.used_share_of_station_limits,
@@ -251,21 +251,21 @@ def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
 
 
 def _describe_rise(ship: ShipResult) -> str:
-    """Name a ship whose offset rises after a loss: how far it is at the end, and how long after."""
+    """Return a text on a ship whose offset rises after a loss: how far it is, how long after."""
     run = ship.run
     far = f"{significant(run.exact_offset_end_m)} m of {run.station_radius_m:.3g} m"
     return f"`{ship.name}` ({far}, {_format_time_since_loss(run)})"
 
 
 def _format_time_since_loss(run: RunRecord) -> str:
-    """Format how long after the last loss of thrusters a run ends."""
+    """Return as text how long after the last loss of thrusters a run ends."""
     end_s = run.exact_steps * run.sample_s
     lost_s = [at_s for at_s, _ in list_losses(run) if at_s < end_s]
     return f"{significant(end_s - max(lost_s))} s after the loss" if lost_s else "at the end"
 
 
 def _describe_rest(ships: Sequence[ShipResult]) -> list[str]:
-    """Name the ships that have not reached their setpoint, and those without a loop."""
+    """Return lines on ships that have not reached their setpoint, and on those without a loop."""
     away = [ship for ship in ships if ship.state == "not there"]
     absent = [ship for ship in ships if ship.state == "not run"]
     sentences = []
@@ -281,7 +281,7 @@ def _describe_rest(ships: Sequence[ShipResult]) -> list[str]:
 
 
 def _describe_limits(known: Sequence[ShipResult]) -> list[str]:
-    """State the share of steps with active limits, and where the QP was never hard."""
+    """Return lines on the share of steps with active limits, and where the QP was never hard."""
     by_share = sorted(known, key=lambda ship: ship.run.exact_active_share)
     least, most = by_share[0], by_share[-1]
     low, high = (format_share(ship.run.exact_active_share) for ship in (least, most))
@@ -300,7 +300,7 @@ def _describe_limits(known: Sequence[ShipResult]) -> list[str]:
 
 
 def _locate_ship(ship: ShipResult) -> str:
-    """Name a scenario, or the point and realisation of a study."""
+    """Return the name of a ship's scenario, or of the point and realisation of a study."""
     run = ship.run
     if not run.study:
         return f"`{ship.name}`"
@@ -308,12 +308,12 @@ def _locate_ship(ship: ShipResult) -> str:
 
 
 def _name_sea(run: RunRecord) -> str:
-    """Name the point and realisation of a run of a study."""
+    """Return the name of the point and realisation of a study's run."""
     return f"point {run.study_point:.0f}, sea {run.replicate:.0f}"
 
 
 def _name_ships(ships: Sequence[ShipResult]) -> str:
-    """Name the first scenarios of some ships, and count the others."""
+    """Return the names of the first scenarios of some ships, and a count of the others."""
     names = [f"`{name}`" for name in dict.fromkeys(ship.run.study or ship.name for ship in ships)]
     others = len(names) - MOST_NAMED
     return join_with_and([*names[:MOST_NAMED], *([f"{others} more"] if others > 0 else [])])

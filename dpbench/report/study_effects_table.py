@@ -31,7 +31,7 @@ COLUMNS = (
 
 
 def build_effects_table(studies: Sequence[Study]) -> pd.DataFrame:
-    """Tabulate every effect of all studies with the ends of its 95 % interval, as `COLUMNS`."""
+    """Return a table of every effect of all studies with its 95 % interval, as `COLUMNS`."""
     rows = [
         (
             *(study.name, effect.configuration, effect.factor, effect.levels_text),
@@ -106,7 +106,7 @@ def convert_effect_and_interval(effect: Effect) -> tuple[float, float, float]:
 
 
 def _interval_text(effect: Effect) -> str:
-    """Return whether an effect has an interval, and if it has none, why."""
+    """Return a text on whether an effect's interval is known: "95 %", "none", "in every …"."""
     if not np.isfinite(effect.mean_difference.mean_interval.low):
         return "none"
     return "in every realisation" if effect.mean_difference.is_constant else "95 %"

@@ -54,7 +54,7 @@ NOBODY = "No solver was run, so there is nothing to judge."
 
 
 def describe_requirements(requirements: Requirements) -> str:
-    """State the limits on a solver's error, failed steps and time in one sentence."""
+    """Return a sentence on the limits on a solver's error, failed steps and time."""
     share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
     failed = (
         "no failed step"
@@ -119,7 +119,7 @@ def describe_main_reason(verdict: Verdict) -> str:
 
 
 def describe_own_settings(verdicts: Verdicts) -> list[str]:
-    """State the verdict on each settings of one's own, and the best of each grid."""
+    """Return lines on the verdict on each settings of one's own, and the best of each grid."""
     own = list_best_verdict_of_own_settings(verdicts)
     modes = group_own_settings(verdicts).values()
     shown = zip(own[:MOST_OWN], modes, strict=False)
@@ -130,13 +130,13 @@ def describe_own_settings(verdicts: Verdicts) -> list[str]:
 
 
 def _name_own_settings(verdict: Verdict) -> str:
-    """Name a solver with settings of one's own, such as `osqp[rho=1.6]` or `osqp mine`."""
+    """Return the name of a solver with one's own settings, as `osqp[rho=1.6]` or `osqp mine`."""
     c = verdict.configuration
     return f"{c.solver} {c.settings}" if c.options_text else f"{c.solver}[{c.settings}]"
 
 
 def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) -> str:
-    """State verdict, error, failed steps and p99 of a solver at settings of one's own.
+    """Return verdict, error, failed steps and p99 of a solver at settings of one's own as text.
 
     modes : verdicts on all call modes of these settings, of which the verdict is the best.
     """
@@ -155,7 +155,7 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) ->
 
 
 def _describe_failing_modes(verdict: Verdict, modes: Sequence[Verdict]) -> str:
-    """Name the other call modes of the same settings that fail, with the reason of each."""
+    """Return in words the other call modes of the same settings that fail, with the reasons."""
     return "".join(
         f" {v.configuration.route} {v.configuration.policy} fails: "
         f"{strip_markdown(describe_finding(v.causes[0]))}."
@@ -165,7 +165,7 @@ def _describe_failing_modes(verdict: Verdict, modes: Sequence[Verdict]) -> str:
 
 
 def describe_best_of_grids(own: Sequence[Verdict]) -> list[str]:
-    """Name the best of three or more settings of a solver that set the same options.
+    """Return lines on the best of three or more settings of a solver that set the same options.
 
     Also the options of which it has the least or largest value that was tried.
     """
@@ -181,7 +181,7 @@ def _format_options_by_name(verdict: Verdict) -> dict[str, str]:
 
 
 def _describe_best_of_grid(points: Sequence[Verdict]) -> str:
-    """State the best of several settings of a solver, and whether it is at the grid's edge."""
+    """Return a line on the best of a solver's settings, and whether it is at the grid's edge."""
     best = min(points, key=_make_sort_key_in_grid)
     edges = []
     for option, value in _format_options_by_name(best).items():
@@ -203,7 +203,7 @@ def _make_sort_key_in_grid(verdict: Verdict) -> tuple[int, float]:
 
 
 def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
-    """State how many runs their time limit stopped, and of which configurations; "" for none."""
+    """Return a text on how many runs their time limit stopped, and of what; "" for none."""
     ran = [run for run in runs if run.outcome != "refused"]
     stopped = [run.configuration.label for run in ran if run.outcome == "timed_out"]
     if not stopped:
@@ -215,7 +215,7 @@ def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
 
 
 def name_counts(counts: Sequence[tuple[str, int]]) -> str:
-    """List names with their counts, the largest first: three, and how many more there are."""
+    """Return names with their counts as text, the largest first: three, and how many more."""
     ordered = sorted(counts, key=lambda named: -named[1])
     named = [f"{count} of {name}" for name, count in ordered[:MOST_NAMED]]
     more = len(ordered) - MOST_NAMED
@@ -224,7 +224,7 @@ def name_counts(counts: Sequence[tuple[str, int]]) -> str:
 
 
 def describe_selection(listed: Sequence[str], ran: Collection[str]) -> str:
-    """State which solvers of a suite a result folder leaves out; "" where it has every one.
+    """Return a text on the solvers of a suite that a folder leaves out; "" where it has all.
 
     listed : of the suite, by name; ran : those with a run, refused ones too.
     """
@@ -236,7 +236,7 @@ def describe_selection(listed: Sequence[str], ran: Collection[str]) -> str:
 
 
 def describe_deployment(solver: str) -> str:
-    """State a solver's licence, its language, and whether it generates C code."""
+    """Return a text on a solver's licence, its language, and whether it generates C code."""
     known = find_solver_record_or_none(solver)
     if known is None:
         return "Its licence and language are not known here."
@@ -250,7 +250,7 @@ def describe_deployment(solver: str) -> str:
 def explain_no_recommendation(
     view: Records, verdicts: Verdicts, recommendation: SolverChoice
 ) -> str:
-    """Explain why no solver is recommended: none deployable, none timed, or none passes."""
+    """Return why no solver is recommended, as text: none deployable, none timed, none passes."""
     if recommendation.faster is not None:
         return (
             "No solver that can be deployed passes; "
@@ -274,7 +274,7 @@ def format_usual_time(verdict: Verdict) -> str:
 
 
 def describe_paired_times(by_size: Sequence[PairedComparison]) -> str:
-    """State the ratio of two configurations' step times at the smallest and the largest QP."""
+    """Return in words two configurations' step time ratio at the smallest and largest QP."""
     if not by_size:
         return "no step was replayed by both"
     if len(by_size) == 1:
@@ -286,7 +286,7 @@ def describe_paired_times(by_size: Sequence[PairedComparison]) -> str:
 
 
 def _describe_time_ratio(compared: PairedComparison) -> str:
-    """State the ratio of two configurations' step times, with its interval or why it has none."""
+    """Return in words two configurations' step time ratio, its interval or why it has none."""
     typically = "typically " if compared.is_unstable else ""
     wording = f"{typically}{significant(compared.ratio.value)} times as long over the same steps"
     if not math.isfinite(compared.ratio.high):
@@ -304,7 +304,7 @@ def _describe_time_ratio(compared: PairedComparison) -> str:
 
 
 def describe_findings(findings: Sequence[Finding]) -> str:
-    """Describe the reasons for a verdict in clauses joined by semicolons."""
+    """Return the reasons for a verdict as clauses joined by semicolons."""
     return "; ".join(map(describe_finding, findings))
 
 
@@ -313,7 +313,7 @@ _ENDINGS: dict[str, str] = read_words(__file__)["endings"]
 
 
 def describe_finding(finding: Finding) -> str:
-    """Describe one reason for a verdict, as a late or wrong step, in a clause."""
+    """Return one reason for a verdict, as a late or wrong step, as a clause."""
     words = {"value": finding.value, "steps": plural(finding.steps, "step")}
     if not finding.runs:
         return _WORDS[finding.kind].format(**words)
@@ -349,13 +349,13 @@ def describe_finding(finding: Finding) -> str:
 
 
 def describe_answer(steps: RunSteps, at: int) -> str:
-    """Describe a solver's answer at one step: claimed solved or not, true or not."""
+    """Return words on a solver's answer at one step: claimed solved or not, true or not."""
     claimed = "claimed" if steps.claimed[at] else "not claimed"
     return f"{claimed}, {'true' if steps.true[at] else 'not true'}"
 
 
 def name_experiment(row: RunRecord) -> str:
-    """Name the scenario, replay or hardest steps that a run solved."""
+    """Return the name of the scenario, replay or hardest steps that a run solved."""
     if row.steps_searched_for_hardest:
         return f"the hardest steps of `{row.scenario}`"
     if row.mode == "replay":
@@ -364,7 +364,7 @@ def name_experiment(row: RunRecord) -> str:
 
 
 def _name_experiments(rows: Sequence[RunRecord]) -> str:
-    """List scenarios and replays of some runs as text."""
+    """Return the names of scenarios and replays of some runs as one text."""
     loops = [f"`{row.scenario}`" for row in rows if row.mode != "replay"]
     windows = [f"`{row.scenario}`" for row in rows if row.steps_searched_for_hardest]
     replays = [
@@ -381,25 +381,25 @@ def _name_experiments(rows: Sequence[RunRecord]) -> str:
 
 
 def describe_judged_runs(verdict: Verdict) -> str:
-    """State on how many closed loops and replays a configuration was judged."""
+    """Return a text on how many closed loops and replays a configuration was judged by."""
     kinds = {"closed loop": verdict.loops, "replay": verdict.replays, "window": verdict.windows}
     return join_with_and([plural(count, kind) for kind, count in kinds.items() if count])
 
 
 def describe_disturbance(disturbance: Disturbance) -> str:
-    """Describe whether other programs disturbed the timing: "quiet", or disturbed by what."""
+    """Return words on whether other programs disturbed timing: "quiet", or disturbed by what."""
     complaints = disturbance.complaints()
     return f"disturbed: {join_with_and(complaints)}" if complaints else "quiet"
 
 
 def describe_disturbed_times(records: Records) -> str:
-    """Describe what disturbed the timed replays, with what to do; "" on a quiet machine."""
+    """Return what disturbed the timed replays, and what to do, as text; "" on a quiet machine."""
     state = describe_disturbance(sum_disturbances(select_timed_replays(records)))
     return "" if state == "quiet" else f"{state}: times are better measured again"
 
 
 def describe_calibration(p50_ns: dict[str, float]) -> str:
-    """Describe how exactly the benchmark measured waits of known length."""
+    """Return words on how exactly the benchmark measured waits of known length."""
     missed = [name for name, p50 in p50_ns.items() if is_within_tolerance(name, p50) is False]
     wording = ", ".join(f"{name} {format_time(p50)}" for name, p50 in p50_ns.items())
     verdict = f"missed by {join_with_and(missed)}" if missed else "within the bar"
@@ -407,7 +407,7 @@ def describe_calibration(p50_ns: dict[str, float]) -> str:
 
 
 def list_machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
-    """List a machine's processor, cores, frequency, BLAS and clock, as label and text."""
+    """Return label and text of a machine's processor, cores, frequency, BLAS and clock."""
 
     def of(key: str, unit: str = "") -> str:
         value = machine.get(key, "not recorded")
@@ -427,7 +427,7 @@ def list_machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
 
 
 def list_disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
-    """List what disturbed replays, as label and text: context switches, stolen time, throttling."""
+    """Return label and text of what disturbed replays: switches, stolen time, throttling."""
     disturbed = f"{format_count(disturbance.disturbed)} of {plural(disturbance.rounds, 'round')}"
     throttled, steal_share = format_count(disturbance.throttled), disturbance.steal_share
     stolen = "not visible" if isnan(steal_share) else format_share(steal_share)
@@ -440,7 +440,7 @@ def list_disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
 
 
 def list_switching_solvers(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
-    """List the solvers that cause context switches themselves, as label and text."""
+    """Return label and text of each solver that causes context switches itself."""
     own = find_largest_by_name(
         (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows
     )

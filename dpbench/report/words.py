@@ -48,23 +48,23 @@ def _template_environment() -> Environment:
 
 @cache
 def _compile_template(words: str) -> Template:
-    """Compile a text to a Jinja template; cached by text."""
+    """Return a text compiled to a Jinja template; cached by text."""
     return _template_environment().from_string(words)
 
 
 def fill_template(words: str, **values: Any) -> str:
-    """Fill values into a text that is itself a Jinja template."""
+    """Return a text that is itself a Jinja template, filled with given values."""
     return _compile_template(words).render(values)
 
 
 def render_document(template: str, **values: Any) -> str:
-    """Render a document from a template in `documents/templates`."""
+    """Return a document rendered from a template in `documents/templates`."""
     return _template_environment().get_template(f"{template}.j2").render(values)
 
 
 @cache
 def read_words(module: str) -> dict[str, Any]:
-    """Read a module's texts from the TOML file of the same name beside it."""
+    """Return a module's texts from the TOML file of the same name beside it."""
     return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))
 
 

@@ -27,7 +27,7 @@ from dpbench.report.report import Report, write_tables
 
 
 def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
-    """Write the report of a result folder into it: page, Markdown, figures, tables.
+    """Write a result folder's report into it (page, Markdown, figures, tables); return the path.
 
     Parameters
     ----------

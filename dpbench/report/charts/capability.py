@@ -27,7 +27,7 @@ _CLEAR_MPS = 1.8
 
 
 def draw_capability_rose(table: pd.DataFrame, title: str) -> Any:
-    """Draw the largest wind a ship can hold by direction, a polar curve per failure case.
+    """Return a polar chart of the largest wind a ship holds by direction, a curve per failure.
 
     table : columns `COLUMNS`, directions clockwise from ahead; cases in the order of the legend.
         Points are hollow where an optional column `untrue` counts solvers with an untrue claim.
@@ -81,7 +81,7 @@ Place = dict[str, Any]
 
 
 def _draw_points(closed: pd.DataFrame, place: Place) -> list[Any]:
-    """Draw largest winds held by direction as points, hollow where solvers claim falsely."""
+    """Return chart layers: largest winds held as points, hollow where solvers claim falsely."""
     tooltips = style.tooltips(
         "case:N",
         style.tooltip("from_deg:Q", "from [°]"),
@@ -110,7 +110,7 @@ def _polar_coordinates(radius: Any, from_deg: Any) -> dict[str, Any]:
 
 
 def _draw_web_lines(parts: Iterable[dict[str, Any]], place: Place) -> Any:
-    """Draw the grid of the polar wind chart, rings or spokes, as thin lines."""
+    """Return a chart layer of the polar wind chart's grid, rings or spokes, as thin lines."""
     chart = alt.Chart(pd.concat(map(pd.DataFrame, parts)))
     return chart.mark_line(color=style.GRID, strokeWidth=1).encode(**place)
 
@@ -151,7 +151,7 @@ _LOOKS = {
 
 
 def draw_answer_shares(table: pd.DataFrame, title: str) -> Any:
-    """Draw, for each solver, the share of right, wrong and missing answers to capability QPs.
+    """Return a chart of each solver's shares of right, wrong, missing answers to capability QPs.
 
     table : columns `ANSWERS`, a row for each solver and kind of answer; solvers from the top.
     """
@@ -178,7 +178,7 @@ _NAMED = 0.45
 
 
 def draw_loss_spans(table: pd.DataFrame, title: str) -> Any:
-    """Draw when the ship can hold position after losing thrusters, a time bar for each loss.
+    """Return a chart of when the ship can hold position after losing thrusters, a bar per loss.
 
     table : columns `analysis.suites.consequence.SPAN`, groups in the order of the bars.
     """
@@ -213,7 +213,7 @@ _RIGHT, _NOT_RIGHT = "all answers right", "wrong or no answer"
 
 
 def draw_sample_shares(table: pd.DataFrame, title: str) -> Any:
-    """Draw the largest share of a control sample that each solver takes for a batch of QPs.
+    """Return a chart of the largest share of a control sample each solver takes for a QP batch.
 
     table : columns name, percent and right, in the order of the marks.
     """

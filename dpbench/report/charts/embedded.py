@@ -11,7 +11,7 @@ COLUMNS = ("label", "group", "p50", "p99", "worst", "k")
 
 
 def draw_instructions(table: pd.DataFrame) -> Any:
-    """Draw the median, p99 and worst step of each solver in instructions, a row for each.
+    """Return a chart of each solver's median, p99 and worst step in instructions, a row for each.
 
     With `narrow` names stand above their bars.
 

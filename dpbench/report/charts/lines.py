@@ -18,7 +18,7 @@ def draw_lines(
     *,
     limit: float | None = None,
 ) -> Any:
-    """Draw y over x, a line per solver configuration, log axes; hollow points are not good.
+    """Return a chart of y over x, a line per solver configuration, log axes; bad points hollow.
 
     table : columns `COLUMNS`, x and y positive.
     x, y : title and format of each axis; limit : drawn across.
@@ -48,7 +48,7 @@ def draw_lines(
 
 
 def draw_dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
-    """Draw measured over requested values as dots, with the line on which both are equal.
+    """Return a chart of measured over requested values as dots, with the line of equality.
 
     table : columns name, x and y, all positive.
     """
@@ -69,7 +69,7 @@ def draw_dots(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
 
 
 def draw_count_tiles(table: pd.DataFrame, title: str, x: str, y: str) -> Any:
-    """Draw a table of counts by two keys as tiles, with the number in each."""
+    """Return a chart of a table of counts by two keys as tiles, with the number in each."""
     columns, rows = (list(dict.fromkeys(table[name])) for name in ("x", "y"))
     above = alt.Axis(orient="top", labelAngle=-40)
     base = alt.Chart(table).encode(

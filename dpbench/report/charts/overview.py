@@ -36,7 +36,7 @@ def shorten_settings(levels: Sequence[str]) -> dict[str, str]:
 
 
 def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
-    """Draw a tile with the verdict for each solver, scenario or replay, and settings.
+    """Return a chart with a verdict tile for each solver, scenario or replay, and settings.
 
     Clicking sets `pick`. More experiments than `MOST_ACROSS` are rows; then `usermeta` has `tall`.
 
@@ -125,7 +125,7 @@ _FIGURES = (
 
 
 def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool = False) -> Any:
-    """Draw largest error over step time, with a line through the points of a solver's settings.
+    """Return a chart of largest error over step time, a line through each solver's settings.
 
     Points are filled as `FULL` says; clicking sets `pick`; `percentile` is p50 or p99.
 
@@ -199,7 +199,7 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
 
 
 def _draw_opacity_legend() -> Any:
-    """Draw a legend of the fill of marks, by verdict."""
+    """Return an invisible chart layer whose legend tells the fill of marks by verdict."""
     scale = style.names_scale(_LEGEND, _LEGEND.values())
     looks_of: dict[str, Any] = {"symbolType": "circle", "symbolStrokeColor": style.INK}
     legend = style.legend_below(columns=_LEGEND_COLUMNS, symbolStrokeWidth=1.5, **looks_of)
@@ -218,7 +218,7 @@ _JITTER = "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'jitter of this machine,
 
 
 def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
-    """Draw all solvers' p50, p99, hardest step and largest timing against the deadline.
+    """Return a chart of all solvers' p50, p99, hardest step, largest timing against the deadline.
 
     The parameter `slow` scales all but the largest timing, which is this machine's; colours are
     verdicts there. With `narrow` names stand above their bars; clicking sets `pick`.
@@ -286,7 +286,7 @@ def _time_axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
 
 
 def _draw_click_areas(base: alt.Chart) -> Iterator[Any]:
-    """Draw, in each row of the deadline chart, an area that takes clicks and a mark if chosen."""
+    """Yield layers of the deadline chart: in each row an area to click, a mark if chosen."""
     pick = style.pick_selection("id")
     factor = alt.param(name="slow", value=1.0)
     clicked = style.draw_whole_rows(base, alt.Undefined, opacity=0.0)
@@ -295,7 +295,7 @@ def _draw_click_areas(base: alt.Chart) -> Iterator[Any]:
 
 
 def _draw_time_bars(base: alt.Chart, x: alt.X) -> Iterator[Any]:
-    """Draw each solver's call overhead, p50 marker, p99 bar, line to hardest step, and whisker."""
+    """Yield layers of each solver's call overhead, p50, p99 bar, line to hardest step, whisker."""
     columns = alt.ExprRef("width < 200 ? 2 : narrow || width < 400 ? 3 : 5")
     looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
     colour = style.colour("now", STATES, style.STATE_COLOURS, title="verdict", **looks)
@@ -316,7 +316,7 @@ def _draw_time_bars(base: alt.Chart, x: alt.X) -> Iterator[Any]:
 
 
 def _draw_limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
-    """Yield rules and labels at the limits of p99 and deadline [ms]."""
+    """Yield chart layers with rules and labels at the limits of p99 and deadline [ms]."""
     words: dict[str, Any] = {"baseline": "top", "fontSize": 12}
     limits = (
         ("p99", p99_ms, f"p99 limit {p99_ms:g} ms", 0.75, style.LATE),

@@ -41,7 +41,7 @@ class PrintedFigure(Figure):
 
 
 def draw_path(tables: PathTables) -> Figure:
-    """Draw the ship's north-east path under each control law, with the 1 m circle (Figure 4)."""
+    """Return a Matplotlib figure of the ship's north-east path by control law (Figure 4)."""
     figure, (axes,) = _make_axes([COLUMN_IN])
     axes.plot(tables.circle["e"], tables.circle["n"], ":", color=style.SOFT, linewidth=0.8)
     _draw_laws(axes, tables.lines, "e", "n")
@@ -54,7 +54,7 @@ def draw_path(tables: PathTables) -> Figure:
 
 
 def draw_panels(panels: Sequence[Panel], over: str = TIME) -> Figure:
-    """Draw panels one below the other, over the same time (Figures 5 to 7) or steps."""
+    """Return a Matplotlib figure of panels, one below the other, over one time axis or steps."""
     figure, rows = _make_axes([1.1] * len(panels), sharex=True)
     for axes, panel in zip(rows, panels, strict=True):
         _draw_laws(axes, panel.table, "t", "value", drawstyle="steps-post")
@@ -71,7 +71,7 @@ def draw_panels(panels: Sequence[Panel], over: str = TIME) -> Figure:
 def draw_step_strips(
     table: pd.DataFrame, forces: pd.DataFrame | None, error_limit: float
 ) -> Figure:
-    """Draw one run's solve time, error, iterations and forces, over its steps.
+    """Return a Matplotlib figure of a run's solve time, error, iterations and forces over steps.
 
     table, forces, error_limit : as of `charts.steps.draw_step_strips`.
     """
@@ -101,7 +101,7 @@ def draw_step_strips(
 
 
 def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Figure:
-    """Draw all solvers' p50, p99, hardest step and largest timing against the deadline.
+    """Return a Matplotlib figure of all solvers' step times (p50 to largest) and the deadline.
 
     table, p99_ms : as of `charts.overview.draw_deadline_chart`.
     """
@@ -123,7 +123,7 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
 
 
 def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Figure:
-    """Draw largest error over median step time, a line through the points of a solver's settings.
+    """Return a Matplotlib figure of largest error over median step time, a line per solver.
 
     table, error_limit : as of `charts.overview.draw_accuracy`; hollow points do not pass.
     """
@@ -166,14 +166,14 @@ def _make_axes(
 
 
 def _draw_laws(axes: Axes, table: pd.DataFrame, x: str, y: str, **look: Any) -> None:
-    """Draw y over x, a line for each control law."""
+    """Draw y over x into given Matplotlib axes, a line for each control law."""
     for i, (law, own) in enumerate(table.groupby("law", sort=False)):
         colour, dash = style.PALETTE[i % len(style.PALETTE)], _DASHES[i % len(_DASHES)]
         axes.plot(own[x], own[y], dash, color=colour, linewidth=1.0, label=str(law), **look)
 
 
 def _add_legend(figure: Figure, axes: Axes) -> Figure:
-    """Add a legend below a figure, of what has a label in these axes."""
+    """Add a legend below a figure, of what has a label in these axes; return the figure."""
     handles, labels = axes.get_legend_handles_labels()
     room = 18.0 * figure.get_figwidth()  # letters in a row
     columns = max(1, min(len(labels), int(room / (8 + max(map(len, labels))))))

@@ -38,13 +38,13 @@ class _ChartKey:
 
 
 def compile_vega(chart: Any) -> dict[str, Any]:
-    """Compile an Altair chart to a Vega specification without its title."""
+    """Return the Vega specification of an Altair chart, without its title."""
     compiled: dict[str, Any] = json.loads(_compile_chart(_ChartKey(chart)))
     return {name: value for name, value in compiled.items() if name != "title"}
 
 
 def render_svg(chart: Any, *, titled: bool = True) -> str:
-    """Render a chart as SVG, with text as text instead of outlines."""
+    """Return a chart as SVG, with text as text instead of outlines."""
     return _svg_of(_compile_chart(_ChartKey(chart)) if titled else json.dumps(compile_vega(chart)))
 
 
@@ -74,7 +74,7 @@ _svg_of = lru_cache(maxsize=64)(vlc.vega_to_svg)
 
 @lru_cache(maxsize=64)
 def _compile_chart(chart: _ChartKey) -> str:
-    """Compile an Altair chart to Vega JSON, with labels that avoid each other."""
+    """Return an Altair chart as Vega JSON, with labels that avoid each other."""
     if not can_draw():
         raise InputError("figures", "", NOT_DRAWN, "no limit, or 80 GB")
     # The tests validate every figure against the grammar, which takes longer than drawing it.
@@ -114,7 +114,7 @@ def _label_mark() -> dict[str, Any]:
 
 
 def encode_figure(chart: Any, kind: str) -> bytes:
-    """Encode a chart as SVG, PDF, PNG or self-contained HTML."""
+    """Return a chart encoded as SVG, PDF, PNG or self-contained HTML."""
     if kind == "html":
         page = io.StringIO()
         chart.save(page, format="html", inline=True)
@@ -127,7 +127,7 @@ def encode_figure(chart: Any, kind: str) -> bytes:
 
 
 def save_figure(chart: Any, path: Path) -> Path:
-    """Write a chart to a file, in the format of the file name's ending."""
+    """Write a chart to a file, in the format of the name's ending; return the path."""
     write_bytes_to_file_or_pipe(path, encode_figure(chart, path.suffix.lstrip(".")))
     return path
 

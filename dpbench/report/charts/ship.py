@@ -24,7 +24,7 @@ _WIDTH = 285
 
 
 def draw_path(laws: Sequence[Law], scenario: Scenario) -> Any:
-    """Draw the ship's north-east path under each control law, with the 1 m circle (Figure 4)."""
+    """Return a chart of the ship's north-east path by control law, with 1 m circle (Figure 4)."""
     tables = make_path_tables(laws, scenario)
     x, y = (
         alt.X("e:Q", title="east [m]", scale=alt.Scale(domain=tables.ranges["e"], nice=False)),
@@ -48,27 +48,27 @@ def draw_path(laws: Sequence[Law], scenario: Scenario) -> Any:
 
 
 def draw_pose_errors(laws: Sequence[Law], scenario: Scenario) -> Any:
-    """Draw north, east, heading and radial error over time under each control law (Figure 5)."""
+    """Return a chart of position and heading errors over time by control law (Figure 5)."""
     chart = _stack_panels(make_error_panels(laws, scenario), laws)
     wording = "North, east, heading and radial error against time."
     return style.set_style(chart, "Errors of position and heading", wording)
 
 
 def draw_forces(laws: Sequence[Law], scenario: Scenario) -> Any:
-    """Draw the applied force in each axis over time, with its limits (Figure 6)."""
+    """Return a chart of the applied force in each axis over time, with its limits (Figure 6)."""
     chart = _stack_panels(make_force_panels(laws, scenario), laws)
     return style.set_style(chart, "Forces", "Force applied in each axis, with its limits.")
 
 
 def draw_increments(laws: Sequence[Law], scenario: Scenario) -> Any:
-    """Draw the change of force in each step over time, with the rate limits (Figure 7)."""
+    """Return a chart of each axis' change of force a step, with the rate limits (Figure 7)."""
     chart = _stack_panels(make_increment_panels(laws, scenario), laws)
     about = "Change of the force in each step, with its limits."
     return style.set_style(chart, "Increments", about)
 
 
 def draw_steps_together(runs: Sequence[Law], error_limit: float) -> Any:
-    """Draw step time, error of the first move and iterations of several runs over their steps.
+    """Return a chart of step time, first move's error and iterations of several runs over steps.
 
     runs, error_limit : as of `make_step_panels`.
     """
@@ -78,14 +78,14 @@ def draw_steps_together(runs: Sequence[Law], error_limit: float) -> Any:
 
 
 def _stack_panels(panels: Sequence[Panel], laws: Sequence[Law], over: str = TIME) -> Any:
-    """Draw panels one below the other, over the same time or steps."""
+    """Return a chart of panels one below the other, over the same time or steps."""
     drawn = [_draw_panel(panel, laws, over if panel is panels[-1] else "") for panel in panels]
     shared = alt.Resolve(scale=alt.ScaleResolveMap(x="shared"))
     return alt.vconcat(*drawn, spacing=4, resolve=shared)
 
 
 def _draw_panel(panel: Panel, laws: Sequence[Law], over: str) -> Any:
-    """Draw the lines of a panel, with its limits or the note on them; `over` names its x axis."""
+    """Return a chart of a panel's lines, with its limits or a note; `over` names its x axis."""
     lines = _draw_law_lines(panel, laws, over)
     if panel.limits:
         return alt.layer(lines, _draw_limits(panel.limits))
@@ -97,7 +97,7 @@ def _draw_panel(panel: Panel, laws: Sequence[Law], over: str) -> Any:
 
 
 def _draw_law_lines(panel: Panel, laws: Sequence[Law], over: str) -> Any:
-    """Draw one quantity of a panel, a line for each control law; `over` names the x axis."""
+    """Return a chart of a panel's quantity, a line per control law; `over` names the x axis."""
     scale, axis = style.log_scale() if panel.is_log else alt.Scale(), alt.Axis(tickCount=4)
     line = (
         alt.Chart(panel.table)
@@ -113,7 +113,7 @@ def _draw_law_lines(panel: Panel, laws: Sequence[Law], over: str) -> Any:
 
 
 def _draw_limits(values: Sequence[float]) -> Any:
-    """Draw horizontal dashed rules at the given limits in a chart of forces over time."""
+    """Return a chart layer of horizontal dashed rules at the limits of forces over time."""
     chart = alt.Chart(pd.DataFrame({"limit": list(values)}))
     return chart.mark_rule(strokeDash=[5, 3], color=style.SOFT).encode(y=alt.Y("limit:Q"))
 

@@ -64,7 +64,7 @@ class Panel:
 
 
 def make_path_tables(laws: Sequence[Law], scenario: Scenario) -> PathTables:
-    """Tabulate the ship's path under each control law, thinned for drawing."""
+    """Return tables of the ship's path under each control law, thinned for drawing."""
     tables = []
     for law in laws:
         thin = law.steps.iloc[:: len(law.steps) // _count_points_per_run(laws) + 1]
@@ -79,7 +79,7 @@ def make_path_tables(laws: Sequence[Law], scenario: Scenario) -> PathTables:
 
 
 def make_error_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
-    """Tabulate north, east, heading and radial error over time under each control law."""
+    """Return panels of north, east, heading and radial error over time under each control law."""
     panels = []
     for name, unit in (("north", "m"), ("east", "m"), ("heading", "°"), ("radial", "m")):
         table = _tabulate_by_law_over_time(
@@ -94,18 +94,18 @@ def make_error_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
 
 
 def make_force_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
-    """Tabulate the applied force in each axis over time, with its limits."""
+    """Return panels of the applied force in each axis over time, with its limits."""
     return _make_axis_panels(laws, "tau", "", scenario.vessel.tau_min, scenario.vessel.tau_max)
 
 
 def make_increment_panels(laws: Sequence[Law], scenario: Scenario) -> list[Panel]:
-    """Tabulate the change of force in each step over time, with the rate limits."""
+    """Return panels of the change of force in each step over time, with the rate limits."""
     most = scenario.force_step_max
     return _make_axis_panels(laws, "dtau", "Δ", -most, most)
 
 
 def make_step_panels(runs: Sequence[Law], error_limit: float) -> list[Panel]:
-    """Tabulate step time, error of the first move and iterations over the steps of several runs.
+    """Return panels of step time, error of the first move and iterations over runs' steps.
 
     runs : with steps of the columns `charts.steps.COLUMNS`.
     """
@@ -126,7 +126,7 @@ def make_step_panels(runs: Sequence[Law], error_limit: float) -> list[Panel]:
 def _make_axis_panels(
     laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector
 ) -> list[Panel]:
-    """Make a panel per axis: force, or its change a step, over time; with limits or a note."""
+    """Return a panel per axis: force, or its change a step, over time; with limits or a note."""
     panels = []
     for (name, key, unit, scale, shown), *limits in zip(DRAWN_FORCES, low, high, strict=True):
         field = f"{column}_{key}_{unit}"
@@ -142,7 +142,7 @@ def _make_axis_panels(
 
 
 def _format_range(low: float, high: float) -> str:
-    """Format two limits: ±high where they are symmetric, else both."""
+    """Return two limits as text: ±high where they are symmetric, else both."""
     if np.isclose(low, -high):
         return f"±{high:.4g}"
     return f"{low:+.4g} to {high:+.4g}".replace("-", "−")
@@ -151,7 +151,7 @@ def _format_range(low: float, high: float) -> str:
 def _tabulate_by_law_over_time(
     laws: Sequence[Law], value: Callable[..., npt.ArrayLike | pd.Series], over: str = "t_s"
 ) -> pd.DataFrame:
-    """Tabulate a quantity over the column `over` for each control law, thinned for drawing."""
+    """Return a table of a quantity by control law over the column `over`, thinned for drawing."""
     tables = []
     for law in laws:
         values, t = np.asarray(value(law), dtype=np.float64), law.steps[over].to_numpy()

@@ -15,7 +15,7 @@ _WIDTH = 620
 
 
 def draw_step_strips(table: pd.DataFrame, forces: pd.DataFrame | None, error_limit: float) -> Any:
-    """Draw one run's solve time, error, iterations and forces, over its steps.
+    """Return a chart of one run's solve time, error, iterations and forces, over its steps.
 
     table : columns `COLUMNS`; `raw_us` the largest timing of a step, NaN in a closed loop.
     forces : columns k, force (of `FORCES`) and share of its limit; None of a replay.
@@ -58,7 +58,7 @@ def _step_axis(*, last: bool = False) -> alt.X:
 
 
 def _draw_step_times(steps: alt.Chart) -> list[Any]:
-    """Draw the solve time of each step, with a line up to its largest timing."""
+    """Return chart layers of each step's solve time, with a line up to its largest timing."""
     # Of a closed loop there is one timing a step.
     raw = "isValid(datum.raw_us) ? format(datum.raw_us, '.3~g') : 'the same'"
     largest = style.tooltip("raw:N", "largest timing [µs]")
@@ -71,7 +71,7 @@ def _draw_step_times(steps: alt.Chart) -> list[Any]:
 
 
 def _draw_step_errors(steps: alt.Chart, error_limit: float) -> list[Any]:
-    """Draw the error of each step's first move, with the limit."""
+    """Return chart layers of the error of each step's first move, with the limit."""
     scale = style.log_scale(domainMax=10.0, clamp=True, nice=False)
     axis = alt.Axis(format=".0e", tickCount=5)
     shown = f"datum.error === null ? null : max(datum.error, {style.FLOOR})"
@@ -86,7 +86,7 @@ def _draw_step_errors(steps: alt.Chart, error_limit: float) -> list[Any]:
 
 
 def _draw_iterations(steps: alt.Chart) -> list[Any]:
-    """Draw each step's iterations over the number of active limits."""
+    """Return chart layers of each step's iterations over the number of active limits."""
     base = steps.encode(tooltip=style.tooltips("k:Q", "iterations:Q", "active:Q"))
     area = base.mark_area(color=style.LINE, opacity=0.8, interpolate="step")
     area = area.encode(y=alt.Y("active:Q", title="iterations, active"))
@@ -97,7 +97,7 @@ def _draw_iterations(steps: alt.Chart) -> list[Any]:
 
 
 def _draw_force_shares(forces: alt.Chart) -> Any:
-    """Draw the forces of a loop over time, as shares of their limits."""
+    """Return a chart of the forces of a loop over time, as shares of their limits."""
     scale, axis = alt.Scale(domain=[-1.05, 1.05], clamp=True), alt.Axis(values=[-1, 0, 1])
     return forces.mark_line(strokeWidth=1.3, interpolate="step-after").encode(
         y=alt.Y("share:Q", title="force / limit", scale=scale, axis=axis),
@@ -106,7 +106,7 @@ def _draw_force_shares(forces: alt.Chart) -> Any:
 
 
 def draw_step_pairs(first: str, second: str) -> Any:
-    """Draw two configurations' step times against each other on equal axes.
+    """Return a chart of two configurations' step times against each other, without data.
 
     The page fills the data set `pairs`: k, a_us, b_us, sequence.
 

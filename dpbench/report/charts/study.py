@@ -20,7 +20,7 @@ _CHOSEN = "datum.chosen"
 
 
 def draw_within_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -> Any:
-    """Draw the share of seas within the radius over two parameters, a map per configuration.
+    """Return a chart of shares of seas within the radius by two parameters, a map per solver.
 
     table : columns configuration, x, y, within and runs.
     x, y : names of the keys; drawn : place values on axes instead of a grid.
@@ -51,7 +51,7 @@ def draw_within_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: 
 
 
 def draw_within_lines(table: pd.DataFrame, title: str, x: str) -> Any:
-    """Draw the share of seas within the radius over one parameter, a line per configuration."""
+    """Return a chart of shares of seas within the radius by one parameter, a line per solver."""
     share: dict[str, Any] = {"axis": alt.Axis(format=".0%"), "scale": alt.Scale(domain=[0.0, 1.0])}
     chart = alt.Chart(table).mark_line(point=True)
     chart = chart.encode(
@@ -66,7 +66,7 @@ def draw_within_lines(table: pd.DataFrame, title: str, x: str) -> Any:
 
 
 def draw_excess_errors(table: pd.DataFrame, seas: pd.DataFrame, title: str, small_cm: float) -> Any:
-    """Draw each solver's position error over the reference: dot per sea, mean, interval.
+    """Return a chart of solvers' position error over the reference: dot per sea, mean, interval.
 
     table : name and `mean_cm`, in the order of the rows.
     seas : name, error_excess_cm, point, replicate.
@@ -92,7 +92,7 @@ def draw_excess_errors(table: pd.DataFrame, seas: pd.DataFrame, title: str, smal
 
 
 def draw_effects(table: pd.DataFrame, title: str, names: Sequence[str]) -> Any:
-    """Draw the effect of each factor on each measure as points with intervals, about zero.
+    """Return a chart of each factor's effect on each measure: points with intervals, about zero.
 
     table : columns measure, effect, configuration, value, low, high; names : configurations.
     """
@@ -144,13 +144,13 @@ def _draw_mean_errors(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
 
 
 def _draw_small_error_band(small_cm: float, low: alt.X | str = "low:Q", **look: Any) -> Any:
-    """Draw a vertical band over the error differences that are too small to matter."""
+    """Return a chart layer: a vertical band over error differences too small to matter."""
     ends = style.inline_chart({"low": -small_cm, "high": small_cm})
     return ends.mark_rect(color=style.GRID, **look).encode(x=low, x2=alt.X2("high:Q"))
 
 
 def draw_study_points(*, tiles: bool) -> Any:
-    """Draw a study's parameter points coloured by share of seas within the radius.
+    """Return a chart, without data, of study points coloured by share of seas within the radius.
 
     The page fills the data set `design`: x, y, state (of `WITHIN`), said, chosen, point.
     """
@@ -184,7 +184,7 @@ def draw_study_points(*, tiles: bool) -> Any:
 
 
 def draw_point_errors(small_cm: float) -> Any:
-    """Draw solvers' position errors over the reference at one study point, and means over all.
+    """Return a chart, without data, of solvers' errors over the reference at a study's point.
 
     The page fills `means` (name, as of `mean_cm`, c, chosen) and `seas` (name, c, error_excess_cm,
     replicate, chosen).
@@ -215,7 +215,7 @@ def draw_point_errors(small_cm: float) -> Any:
 
 
 def draw_point_seas() -> Any:
-    """Draw the largest radial error in each sea of one study point, beside the reference's.
+    """Return a chart, without data, of largest radial errors in each sea of a study's point.
 
     The page fills `there`: order, value, who, replicate, chosen; and `radius`: limit.
     """
@@ -248,7 +248,7 @@ def draw_point_seas() -> Any:
 
 
 def draw_tuning_front(table: pd.DataFrame, title: str, margin: float) -> Any:
-    """Draw the offset of tried controllers against their wear, with the front and the margin.
+    """Return a chart of tried controllers' offset against wear, with the front and the margin.
 
     table : columns share, wear_per_h, kind (of `TRIED`) and options; margin : largest share.
     """

@@ -117,13 +117,13 @@ def inline_chart(*values: dict[str, Any], name: Any = alt.Undefined) -> alt.Char
 
 
 def draw_limit_rule(limit: float, across: str = "y") -> Any:
-    """Draw a dashed line at a limit on time or error."""
+    """Return a chart layer with a dashed line at a limit on time or error."""
     rule = inline_chart({"limit": limit}).mark_rule(color=FAIL, strokeDash=[4, 3])
     return rule.encode(**{across: "limit:Q"})
 
 
 def draw_whole_rows(base: alt.Chart, shown: Any, wide: int = ROW_STEP["wide"], **look: Any) -> Any:
-    """Draw, in each row of a chart, a bar over its whole width and height."""
+    """Return a chart layer with a bar over the whole width and height of each row."""
     height = alt.ExprRef(f"narrow ? {ROW_STEP['narrow']} : {wide}")
     ends: dict[str, Any] = {"x": alt.value(0), "x2": alt.value("width")}
     return base.mark_rule(strokeWidth=height, **look).encode(**ends, opacity=shown)
@@ -146,7 +146,7 @@ _WORDS: dict[str, Any] = {
 
 
 def set_style(chart: Any, title: str, description: str) -> Any:
-    """Set title, description and common style of a chart in place."""
+    """Set title, description and common style of a chart in place; return the chart."""
     # Altair's own methods would copy all of its parts.
     chart.title = alt.Title(title, anchor="start", fontSize=13, fontWeight=600, color=INK, offset=8)
     chart.description = description

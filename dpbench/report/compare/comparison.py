@@ -60,7 +60,7 @@ STOPPED = "not comparable (stopped by a time limit)"
 
 
 def make_solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[FigureChange]) -> Table:
-    """Tabulate whether each solver became slower, faster, worse or better from run A to B."""
+    """Return a table of whether each solver became slower, faster, worse or better from A to B."""
     names = [c.timing.pair.a.solver for c in compared] + [a.pair.a.solver for a in answers]
     rows = []
     for solver in sorted(set(names)):
@@ -86,7 +86,7 @@ def make_solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[Figu
 
 
 def _merge_verdicts(counts: Counter[str], order: tuple[str, ...]) -> str:
-    """Merge counts of verdicts on a solver's configurations into one verdict text."""
+    """Return one verdict text that sums up counts of verdicts on a solver's configurations."""
     claims = [verdict for verdict in order[:2] if counts[verdict]]
     if len(claims) == 2:
         return f"{claims[0]} and {claims[1]}"
@@ -101,7 +101,7 @@ def make_times_table(
     ordered: bool = False,
     reference: str = "",
 ) -> Table:
-    """Tabulate step times in runs A and B, their ratio and the verdict on it."""
+    """Return a table of step times in runs A and B, their ratio and the verdict on it."""
     machine = f"that ratio of {reference}, the reference"
     if not reference:
         machine = (
@@ -139,7 +139,7 @@ def make_times_table(
 
 
 def describe_shared_factor(shared: SharedFactor) -> str:
-    """State the step time change that all configurations of a QP sequence share, and its cause."""
+    """Return a sentence on the time change all of a QP sequence share, and its cause."""
     moved = "rose" if shared.factor >= 1.0 else "fell"
     wording = f"`{shared.sequence}`: step times of "
     wording += f"{plural(shared.configurations, 'configuration')} {moved} together "
@@ -156,7 +156,7 @@ def describe_shared_factor(shared: SharedFactor) -> str:
 
 
 def make_changes_table(answers: Sequence[FigureChange], margin: float) -> Table | None:
-    """Tabulate the accuracy and control quantities that changed from run A to B; None if none."""
+    """Return a table of accuracy and control quantities that changed from A to B; None if none."""
     changed = [answer for answer in answers if answer.change in ("worse", "better")]
     if not changed:
         return None
@@ -183,7 +183,7 @@ def make_changes_table(answers: Sequence[FigureChange], margin: float) -> Table 
 
 
 def describe_change(answer: FigureChange) -> str:
-    """Describe an accuracy or control quantity in both runs, in one line."""
+    """Return one line on an accuracy or control quantity in both runs."""
     column = answer.measure.column
     values = " → ".join(_format_range(column, values) for values in (answer.a, answer.b))
     pair = answer.pair
@@ -292,7 +292,7 @@ def compare(
     margin: float = 0.05,
     alpha: float = 0.05,
 ) -> Comparison:
-    """Compare result folder B with folder A: step times, accuracy and control.
+    """Return the comparison of result folder B with A: step times, accuracy and control.
 
     Parameters
     ----------
@@ -340,7 +340,7 @@ def compare(
 def _compare_times(
     views: tuple[Records, Records], timings: list[Timing], solver: str, margin: float, alpha: float
 ) -> tuple[list[ComparedTimes], list[SharedFactor], list[str]]:
-    """Judge step time ratios between two folders; return verdicts, shared changes and remarks."""
+    """Return verdicts on step time ratios between two folders, shared changes and remarks."""
     wording = []
     bare = [name for name, view in zip("AB", views, strict=True) if not view.has_steps]
     if bare and timings:
@@ -361,14 +361,14 @@ def _compare_times(
 
 
 def _describe_machine(view: Records) -> str:
-    """Describe a folder's processor and how far other load disturbed its runs."""
+    """Return a text on a folder's processor and how far other load disturbed its runs."""
     wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
     disturbance = sum_disturbances(select_timed_replays(view))
     return f"{wording}, {describe_disturbance(disturbance)}" if disturbance.seconds > 0 else wording
 
 
 def describe_changed_options(pairs: Pairs) -> list[str]:
-    """State which options of settings of one's own changed under the same name."""
+    """Return lines on options of settings of one's own that changed under the same name."""
     changed = [pair for pair in pairs.pairs if pair.changed_options_text]
     return list(
         dict.fromkeys(
@@ -384,7 +384,7 @@ def _make_summary_lines(
     figures: list[FigureChange],
     pairs: Pairs,
 ) -> list[str]:
-    """Summarise a comparison in lines: cells, step times, answers and unpaired runs."""
+    """Return lines that sum up a comparison: cells, step times, answers and unpaired runs."""
     lines = [f"{plural(len(pairs.pairs), 'cell')} compared", *describe_changed_options(pairs)]
     verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:

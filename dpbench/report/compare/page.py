@@ -41,7 +41,7 @@ LEFT_OUT = ("B/A", "steps × rounds")
 
 
 def write_comparison(path: Path, comparison: Comparison) -> Path:
-    """Write the page that compares two result folders, as one HTML file."""
+    """Write the page that compares two result folders, as one HTML file; return its path."""
     order = sort_claims_first(comparison.compared)
     charts, times, left_out = dict[str, Any](), None, 0
     if order:
@@ -82,7 +82,7 @@ def _page_times_table(order: Sequence[ComparedTimes], comparison: Comparison) ->
 
 
 def _pack_data(order: Sequence[ComparedTimes], charts: dict[str, Any], times: Table) -> str:
-    """Pack the compared step times for the script of a comparison's page."""
+    """Return the compared step times packed as text for the script of a comparison's page."""
     block, addresses = Block(), _make_selection_addresses(order)
     cells_of = replace(times, shown=None).page_rows
     rows = [
@@ -138,7 +138,7 @@ def _make_selection_addresses(order: Sequence[ComparedTimes]) -> list[str]:
 
 
 def make_lead_sentences(comparison: Comparison) -> list[str]:
-    """Summarise a comparison of two runs in sentences: step times, accuracy, shared changes."""
+    """Return sentences on a comparison of two runs: step times, accuracy, shared changes."""
     together = [
         strip_markdown(f"All together: {describe_shared_factor(shared)}.")
         for shared in comparison.shared
@@ -158,7 +158,7 @@ def make_lead_sentences(comparison: Comparison) -> list[str]:
 
 
 def describe_verdict(one: ComparedTimes) -> str:
-    """State the verdict on one configuration's step time ratio with its interval."""
+    """Return a sentence with the verdict on a configuration's step time ratio, and its interval."""
     assessment, timing = one.assessment, one.timing
     interval = format_interval(assessment.ratio.low, assessment.ratio.high)
     return (
@@ -169,7 +169,7 @@ def describe_verdict(one: ComparedTimes) -> str:
 
 
 def _describe_slower(comparison: Comparison) -> str:
-    """State how many configurations are slower in B, and which one most."""
+    """Return a sentence on how many configurations are slower in B, and which one most."""
     slower = [c for c in comparison.compared if c.assessment.verdict == "slower"]
     count = len(comparison.compared)
     if not count:
@@ -202,7 +202,7 @@ _TIPS = [
 
 
 def draw_ratios(table: pd.DataFrame, margin: float) -> Any:
-    """Draw the step time ratio B/A of each configuration with its interval.
+    """Return a chart of the step time ratio B/A of each configuration with its interval.
 
     table : of `make_ratio_table`; margin : ratio that counts as equal.
     """
@@ -228,7 +228,7 @@ def draw_ratios(table: pd.DataFrame, margin: float) -> Any:
 
 
 def draw_both_runs(table: pd.DataFrame) -> Any:
-    """Draw the median step time in B against that in A, a mark per configuration."""
+    """Return a chart of the median step time in B against that in A, a mark per configuration."""
     low = 0.8 * float(table[["a_us", "b_us"]].min().min())
     high = 1.25 * float(table[["a_us", "b_us"]].max().max())
     scale = style.log_scale(domain=[low, high])
@@ -243,7 +243,7 @@ def draw_both_runs(table: pd.DataFrame) -> Any:
 
 
 def sort_claims_first(compared: Sequence[ComparedTimes]) -> list[ComparedTimes]:
-    """Sort compared step times: slower first, then faster, then undecided, each by ratio."""
+    """Return compared step times sorted: slower, faster, then undecided, each by ratio."""
     rank = {"slower": 0, "faster": 1}
     return sorted(
         compared, key=lambda c: (rank.get(c.assessment.verdict, 2), -c.assessment.ratio.value)
@@ -251,7 +251,7 @@ def sort_claims_first(compared: Sequence[ComparedTimes]) -> list[ComparedTimes]:
 
 
 def make_ratio_table(compared: Sequence[ComparedTimes]) -> pd.DataFrame:
-    """Tabulate the step time ratio of runs B and A by configuration, the largest ratio first."""
+    """Return a table of step time ratios B/A by configuration, the largest ratio first."""
     rows = [
         {
             "id": str(i),
@@ -270,7 +270,7 @@ def make_ratio_table(compared: Sequence[ComparedTimes]) -> pd.DataFrame:
 
 
 def select_furthest_rows(table: pd.DataFrame, ends: int) -> pd.DataFrame:
-    """Select of a table of time ratios the rows judged to differ, and those at both ends."""
+    """Return the rows of a table of time ratios that are judged to differ, or at both ends."""
     judged = table["verdict"].isin(("slower", "faster"))
     place = pd.Series(range(len(table)), index=table.index)
     return table[judged | (place < ends) | (place >= len(table) - ends)]

@@ -69,7 +69,7 @@ class Releases:
 
 
 def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> Releases:
-    """Compare each solver's versions over result folders; times relative to solver `reference`.
+    """Return the comparison of solvers' versions over result folders, by times of `reference`.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def releases(folders: Sequence[str | Path], *, reference: str | None = None) -> 
 
 
 def _merge_folders(texts: Mapping[str, str]) -> list[str]:
-    """List the texts of folders, each with the names of its folders where not all have it."""
+    """Return each text of result folders once, with the folders' names where not all have it."""
     by_text = group_by_key((name for name, text in texts.items() if text), texts.__getitem__)
     return [
         text if len(names) == len(texts) else f"{join_with_and(names)}: {text}"
@@ -133,7 +133,7 @@ def _group_histories_by_solver(histories: Histories) -> dict[str, list[History]]
 
 
 def _describe_solver_history(solver: str, own_histories: Sequence[History]) -> str:
-    """State how step time, error and failed steps of a solver changed over its versions."""
+    """Return a text on how a solver's step time, error and failed steps changed over versions."""
     changed = [history for history in own_histories if history.has_several_versions]
     ends = [(history.releases[0], history.releases[-1]) for history in changed]
     sides = list(zip(*ends, strict=True))
@@ -150,7 +150,7 @@ def _describe_solver_history(solver: str, own_histories: Sequence[History]) -> s
 
 
 def _describe_time_change(changed: Sequence[History]) -> str:
-    """State the change of a solver's p50 over its versions, on its first timed problem."""
+    """Return in words the change of a solver's p50 over versions, on its first timed problem."""
     timed = next((h for h in changed if math.isfinite(h.newest_to_oldest_time_ratio)), None)
     if timed is None:
         return "not timed"
@@ -165,7 +165,7 @@ def _describe_time_change(changed: Sequence[History]) -> str:
 
 
 def _list_comparability_notes(histories: Histories, records: Mapping[str, Records]) -> list[str]:
-    """List what limits a comparison of folders: machines, reference, scatter, runs left out."""
+    """Return notes on what limits a comparison of folders: machines, reference, scatter, gaps."""
     lines = [
         f"{name}: {view.machine.get('cpu_model', 'an unnamed CPU')}, machine {view.machine['id']}, "
         f"{view.suite.get('started_utc', '')[:10] or 'no date'}"
@@ -193,7 +193,7 @@ def _list_comparability_notes(histories: Histories, records: Mapping[str, Record
 
 
 def _make_version_tables(histories: Histories) -> list[Table]:
-    """Make a table of versions for each solver, and one of solvers with one version."""
+    """Return a table of versions for each solver, and one of solvers with one version."""
     changed = _group_histories_by_solver(histories)
     note = (
         "To the one before: its p50 over that of the release above it, below 1 is faster; the load "
@@ -275,7 +275,7 @@ MOST_PANELS = 4
 
 
 def write_releases(path: Path, releases: Releases) -> Path:
-    """Write the page that compares solver versions, without any script."""
+    """Write the page that compares solver versions, without any script; return its path."""
     table = tabulate_releases(releases.histories, MOST_PANELS)
     table["age"] = table["age"].map(AGES)
     unit = f"× {releases.histories.reference}" if releases.histories.reference else "µs"
@@ -304,7 +304,7 @@ def write_releases(path: Path, releases: Releases) -> Path:
 
 
 def draw_release_times(table: pd.DataFrame, unit: str) -> Any:
-    """Draw p50, p99 and largest step time of each solver version, a panel per problem.
+    """Return a chart of each solver version's p50, p99 and largest step time, a panel a problem.
 
     table : of `tabulate_releases`, age in words, the first row on top; unit : of the times.
     """
@@ -320,7 +320,7 @@ def draw_release_times(table: pd.DataFrame, unit: str) -> Any:
 
 
 def draw_release_errors(table: pd.DataFrame, allowed: float) -> Any:
-    """Draw the largest error of the first move of each solver version, with its limit.
+    """Return a chart of each solver version's largest error of the first move, with its limit.
 
     table : as of `draw_release_times`; an error of 0 or none at all has no point.
     """
@@ -351,7 +351,7 @@ def _make_version_rows_chart(table: pd.DataFrame) -> Any:
 
 
 def _arrange_panels(layers: Sequence[Any], title: str, description: str) -> Any:
-    """Arrange layers into a chart with one panel for each problem."""
+    """Return a chart of given layers with one panel for each problem."""
     chart = alt.layer(*layers, width=_WIDTH, height=alt.Step(20))
     header = alt.Header(title=None, labelAnchor="start", labelOrient="top", labelFontSize=12)
     row = alt.Row("problem:N", title=None, header=header, sort=None)

@@ -130,7 +130,7 @@ def _count_configurations(verdicts: Verdicts) -> int:
 
 
 def _unlisted_text(verdicts: Verdicts, listed: int) -> str:
-    """Name the file with the other call modes and settings, where some are not listed."""
+    """Return a note that names the file with the verdicts not listed; "" where all are listed."""
     more = _count_configurations(verdicts) - listed
     return f"{more} more call modes and settings: `tables/verdicts.csv`." if more > 0 else ""
 
@@ -180,7 +180,7 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
 
 
 def _where(run: RunRecord | None) -> str:
-    """Name the replay or window of a time in plain text; "" for none."""
+    """Return the name of the replay or window of a time in plain text; "" for none."""
     return "" if run is None else strip_markdown(name_experiment(run))
 
 
@@ -225,7 +225,7 @@ def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[
 
 
 def truncate_text(text: str, most_bytes: int, elsewhere: str) -> str:
-    """Cut a text to whole lines within a number of bytes; name the file with the rest."""
+    """Return a text cut to whole lines within a number of bytes; it names the file with more."""
     raw = text.encode()
     if len(raw) <= most_bytes:
         return text
@@ -284,7 +284,7 @@ def compare_solver(
 
 
 def _choose_rows_of_solver(own: Sequence[Verdict]) -> list[Verdict]:
-    """Choose the best verdict on each of a solver's settings, and others up to the least of rows.
+    """Return the best verdict on each of a solver's settings, and others up to a least number.
 
     They are sorted from pass to fail, then by time; those that fail by failed steps and error.
     """
@@ -301,7 +301,7 @@ def _choose_rows_of_solver(own: Sequence[Verdict]) -> list[Verdict]:
 
 
 def _describe_verdict(verdict: Verdict, reference: Verdict, count: int) -> str:
-    """State whether a solver's best configuration passes, why not, and of how many it is best.
+    """Return a text on whether a solver's best configuration passes, and of how many it is best.
 
     reference : verdict on its usual call mode and settings.
     """
@@ -317,7 +317,7 @@ def _describe_verdict(verdict: Verdict, reference: Verdict, count: int) -> str:
 
 
 def _compare_step_times(data: PageData, own: Verdict, other: Verdict) -> str:
-    """Compare the step times of two verdicts' configurations in a sentence."""
+    """Return a sentence that compares the step times of two verdicts' configurations."""
     faster, slower = sort_fastest_first([own, other])
     wording = describe_paired_times(compare_paired_times(data.records, faster, slower))
     names = f"`{slower.configuration.label}` against `{faster.configuration.label}`"
@@ -325,7 +325,7 @@ def _compare_step_times(data: PageData, own: Verdict, other: Verdict) -> str:
 
 
 def _make_worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:
-    """Make a Markdown table of a solver's worst steps, beside other solvers' values there."""
+    """Return a Markdown table of a solver's worst steps, beside other solvers' values there."""
     if not worst:
         return ""
     names = [verdict.configuration.solver for verdict in others]
@@ -351,7 +351,7 @@ def _make_worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequen
 
 
 def _format_measure(measure: Measure, value: float) -> str:
-    """Format a time [ns], an error or a number of iterations, depending on `measure`."""
+    """Return a time [ns], an error or a number of iterations as text, depending on `measure`."""
     if measure == "time":
         return format_time(value)
     return format_error(value) if measure == "error" else format_count(value)

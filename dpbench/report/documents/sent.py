@@ -66,7 +66,7 @@ _LOADS = re.compile(r"url\s*\((?!#)|@import|image-set|[\\&]", re.IGNORECASE)
 
 
 def refuse_active_page(page: str, where: str) -> None:
-    """Refuse a page in which a browser would run or load something.
+    """Raise ResultsError if a browser would run or load something in a page.
 
     Raises ResultsError naming the line, and the tag or attribute.
     """
@@ -193,7 +193,7 @@ def check_sent_folder(folder: Path) -> str:
 
 
 def _list_unknown_files(folder: Path) -> list[str]:
-    """List files of a sent folder that do not belong there."""
+    """Return the names of files in a sent folder that do not belong there."""
     allowed = (*SENT, *WHERE_THERE)
     return sorted(path.name for path in folder.iterdir() if path.name not in allowed)
 
@@ -204,7 +204,7 @@ def _list_files_to_send(folder: Path) -> list[str]:
 
 
 def _check_runs(folder: Path, results: Results) -> None:
-    """Check that the runs sent are of one machine, and that none was lost."""
+    """Raise ResultsError unless the runs sent are of one machine and none was lost."""
     path, runs = str(folder / "runs.parquet"), results.runs
     if not len(runs):
         raise ResultsError(path, "", "no run", "at least one")

@@ -103,7 +103,7 @@ def make_statement_svg(folder: Path, results: Results, data: PageData) -> str:
 
 
 def _wrap(text: str, size: float) -> list[str]:
-    """Wrap a text of a font size [points] into lines that fit between the margins."""
+    """Return a text in lines that fit between the margins at a font size [points]."""
     lines = [""]
     for word in text.split():
         longer = f"{lines[-1]} {word}".lstrip()
@@ -122,7 +122,7 @@ def _width_em(text: str) -> float:
 
 
 def write_statement(path: Path, folder: Path, results: Results, data: PageData) -> Path:
-    """Write the one-page statement on the recommended solver, as .pdf or .svg."""
+    """Write the one-page statement on the recommended solver, as .pdf or .svg; return the path."""
     drawn = make_statement_svg(folder, results, data)
     if path.suffix == ".svg":
         write_bytes_to_file_or_pipe(path, drawn.encode())
@@ -264,7 +264,7 @@ def _describe_held(
     analyses: Sequence[ConsequenceAnalysis],
     vessels: Iterable[Vessel],
 ) -> list[str]:
-    """Describe DP capability and consequence analyses of a folder, a line each, and rudders."""
+    """Return lines on a folder's DP capability plots, consequence analyses, and rudders."""
     rudders = dict.fromkeys(v.thrusters.caution_on_rudders for v in vessels if v.thrusters)
     lines = [
         " ".join([*describe_capability(plot), describe_answers_at_edge(plot)]) for plot in plots
@@ -281,7 +281,7 @@ def _split_source(file: Mapping[str, Any]) -> tuple[str, str]:
 def _list_assumed_values(
     files: Sequence[Mapping[str, Any]], vessels: Iterable[Vessel]
 ) -> list[str]:
-    """List what vessel documents do not give: values of thrusters, and of the hull for level 1."""
+    """Return what vessel documents do not give: values of thrusters, and of the hull (level 1)."""
     assumed = [own for file in files if (own := _split_source(file)[1])]
     hulls = [vessel.capability for vessel in vessels if vessel.capability is not None]
     keys = dict.fromkeys(key for hull in hulls for key in hull.assumed)
@@ -289,7 +289,7 @@ def _list_assumed_values(
 
 
 def _render_svg(lines: Iterable[TextLine], picture: LoopPicture | None) -> str:
-    """Render lines of text and the picture as one SVG page."""
+    """Return lines of text and the picture as one SVG page."""
     parts: list[str] = []
     y = float(MARGIN)
     for line in lines:
@@ -323,7 +323,7 @@ def describe_scenario(ship: ShipResult) -> Iterator[str]:
 
 
 def _describe_weather(environment: Mapping[str, Any]) -> str:
-    """State mean wind, waves and current with their directions; or that there are none."""
+    """Return in words the mean wind, waves and current with directions; or that there are none."""
     wind, waves, current = (environment.get(key) for key in ("wind", "waves", "current"))
     parts = []
     if wind:
@@ -340,14 +340,14 @@ def _describe_weather(environment: Mapping[str, Any]) -> str:
 
 
 def describe_thrusters(thrusters: Sequence[Mapping[str, Any]]) -> str:
-    """List the thrusters of a vessel document by switchboard, with their powers; "" without any."""
+    """Return the thrusters of a vessel document by switchboard, with powers, as text; or ""."""
     by_board = group_by_key(thrusters, lambda one: str(one.get("group") or "no group"))
     boards = [f"{board}: {', '.join(map(_name_thruster, own))}" for board, own in by_board.items()]
     return "; ".join(boards)
 
 
 def _name_thruster(thruster: Mapping[str, Any]) -> str:
-    """Name a thruster with its power and the directions it pushes in, where they are known."""
+    """Return a thruster's name with power and push directions, where they are known."""
     power_kW, sector_deg = thruster.get("power_kW"), thruster.get("sector_deg")
     facts = [f"{power_kW:g} kW"] if power_kW else []
     facts += [describe_sector(*sector_deg)] if sector_deg else []

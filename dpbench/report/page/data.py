@@ -93,7 +93,7 @@ def _compute_mean_excess_error(study: Study, name: str) -> dict[str, Any]:
 
 
 def _round_values(values: Iterable[float]) -> list[float | None]:
-    """Round numbers to four significant digits; None for NaN and infinity."""
+    """Return numbers rounded to four significant digits; None for NaN and infinity."""
     return [float(f"{x:.4g}") if math.isfinite(x) else None for x in values]
 
 
@@ -108,7 +108,7 @@ class PageData(RunMatrix):
     def from_verdicts(
         cls, records: Records, verdicts: Verdicts, counted: pd.DataFrame | None = None
     ) -> Self:
-        """Build the report page's data from a folder's runs and the verdicts on solvers.
+        """Return the report page's data, from a folder's runs and the verdicts on solvers.
 
         counted : steps of `embedded.parquet`, if there are any.
         """
@@ -138,7 +138,7 @@ class PageData(RunMatrix):
 
     @property
     def opening(self) -> tuple[int, int] | None:
-        """Indices of configuration and study run that a page on studies shows first; or None."""
+        """Indices of configuration and study run the page shows first; None if not of studies."""
         if self.judged_experiment_indices or not self.studies:
             return None
         study, shown = self.studies[0], select_shown_runs(self.records.study)[:MOST_LOOPS]
@@ -325,7 +325,7 @@ def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
 
 
 def select_tiles(tiles: pd.DataFrame) -> pd.DataFrame:
-    """Select from the table of verdicts the scenarios with the fewest passes, as many as fit."""
+    """Return the verdict table's rows of the scenarios with the fewest passes, as many as fit."""
     if len(tiles) <= MOST_TILES:
         return tiles
     experiments = tiles.groupby("experiment", sort=False)["verdict"]

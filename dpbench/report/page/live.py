@@ -26,7 +26,7 @@ Charts = dict[str, Any]
 
 
 def _draw_deadline_charts(data: PageData) -> Charts:
-    """Draw the chart of all solvers' step times against the deadline; none if not timed."""
+    """Return, by name, the chart of solvers' step times and deadline; empty if not timed."""
     timed = tabulate_best_times(data)
     if timed.empty:
         return {}
@@ -38,7 +38,7 @@ def _draw_deadline_charts(data: PageData) -> Charts:
 
 
 def _draw_verdict_grids(data: PageData) -> Charts:
-    """Draw the grid of verdicts, wide and for narrow screens."""
+    """Return the charts of verdicts by name: the grid, wide and for narrow screens."""
     tiles = select_tiles(tabulate_experiment_verdicts(data)).replace(
         inf, "inf"
     )  # JSON has no infinity
@@ -59,7 +59,7 @@ MATRIX = (
 
 
 def _explain_verdict_grid(data: PageData) -> str:
-    """Explain the chart of verdicts by scenario in text, and how many scenarios it leaves out."""
+    """Return a text on the chart of verdicts by scenario, and how many scenarios it leaves out."""
     tiles = tabulate_experiment_verdicts(data)
     tables = tiles, select_tiles(tiles)
     there, drawn = (table["experiment"].nunique() if len(table) else 0 for table in tables)
@@ -79,7 +79,7 @@ def _explain_verdict_grid(data: PageData) -> str:
 
 
 def _draw_empty_step_charts(data: PageData) -> Charts:
-    """Draw the empty charts of one run's steps, which the page's script fills."""
+    """Return by name the empty charts of one run's steps, which the page's script fills."""
     if not data.runs:
         return {}
     forces = pd.DataFrame(columns=["k", "force", "share"])
@@ -91,7 +91,7 @@ def _draw_empty_step_charts(data: PageData) -> Charts:
 
 
 def _draw_empty_pair_chart(data: PageData) -> Charts:
-    """Draw the empty chart of two solvers' step times, which the page's script fills."""
+    """Return by name the empty chart of two solvers' step times, which the page's script fills."""
     has_pair = len(_find_replayed_configurations(data)) > 1
     return {"pairs": draw_step_pairs("first", "second")} if has_pair else {}
 
@@ -102,14 +102,14 @@ def _find_replayed_configurations(data: PageData) -> set[int]:
 
 
 def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
-    """Pack, for each two configurations, the half-width of their log time ratio's interval."""
+    """Return JSON data: the half-width of each two configurations' log time ratio, packed."""
     timed, widths, sizes = compute_half_widths_of_pairs(data)
     reach = data.block.add_as_uint16_logs(widths)
     return {"paired": {"c": timed, "reach": reach, "variables": sizes}}
 
 
 def _draw_accuracy(data: PageData) -> Charts:
-    """Draw error against tolerance level, if several levels were run."""
+    """Return by name the chart of error by tolerance level; empty if only one was run."""
     points = tabulate_tolerance_levels(data)
     return {} if points.empty else {"accuracy": draw_accuracy(points, data.requirements.error_move)}
 
@@ -127,7 +127,7 @@ def _draw_empty_study_charts(data: PageData) -> Charts:
 
 
 def _draw_counts(data: PageData) -> Charts:
-    """Draw the instructions of each solver's C on embedded cores; none if not counted."""
+    """Return by name the chart of instructions of each solver's C on embedded cores; or empty."""
     cores = {(sequence.target, sequence.single) for sequence in data.counts.sequences}
     rows, one_core = [], len(cores) == 1
     for sequence in data.counts.sequences:
@@ -140,7 +140,7 @@ def _draw_counts(data: PageData) -> Charts:
 
 
 def _pack_counts(data: PageData, _: Results) -> dict[str, Any]:
-    """Pack the instructions of the calculator's rows; nothing if not counted."""
+    """Return JSON data: the instructions of the calculator's rows, packed; empty if not counted."""
     rows = make_calculator_rows(data.counts, data.requirements)
     counts = [{"solver": row.solver, "p99": row.p99, "worst": row.worst} for row in rows]
     return {"counts": counts} if counts else {}
@@ -179,12 +179,12 @@ SECTIONS = (
 
 
 def draw_section_charts(data: PageData) -> dict[str, Charts]:
-    """Draw the charts that follow the reader's selection, by section of the page and name."""
+    """Return the charts that follow the reader's selection, by section of the page and name."""
     return {section.id: section.charts(data) for section in SECTIONS}
 
 
 def select_static_charts(charts: Mapping[str, Mapping[str, Any]]) -> Charts:
-    """Select the charts that the page shows before any script has run, by name."""
+    """Return, by name, the charts that the page shows before any script has run."""
     return {
         name: charts[section.id][name]
         for section in SECTIONS

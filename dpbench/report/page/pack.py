@@ -80,7 +80,7 @@ class Block:
         return self._append_encoded_array("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
 
     def add_rising_indices(self, values: ArrayLike, length: int) -> int:
-        """Add rising indices below `length`, return the array's index; ValueError for wide gaps."""
+        """Add rising indices below `length`; return the array's index. ValueError for wide gaps."""
         apart = np.diff(np.asarray(values, dtype=np.int64), prepend=0)
         if apart.size and apart.max() > INFINITE:
             raise ValueError(f"places {apart.max()} apart")
@@ -110,7 +110,7 @@ class Block:
 
 
 def encode_as_uint16_logs(values: ArrayLike) -> NDArray[np.uint16]:
-    """Encode positive numbers as uint16 logarithms; negative ones and NaN count as missing."""
+    """Return positive numbers as uint16 logarithms; negative ones and NaN count as missing."""
     x = np.asarray(values, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         codes = np.round(PER_DECADE * (np.log10(x) - np.log10(SMALLEST))) + 2
@@ -161,7 +161,7 @@ class Room:
 
 
 def pack_steps(block: Block, run: ThinnedRun) -> dict[str, int]:
-    """Add a run's step times, errors, iterations and flags to packed arrays; return indices."""
+    """Add a run's step times, errors, iterations, flags to packed arrays; return indices."""
     steps, first = run.steps, int(run.steps.k[0])
     count = run.last - first + 1
     # Of a whole run the places follow from the missing ones, which pack to nothing.
@@ -190,7 +190,7 @@ def pack_steps(block: Block, run: ThinnedRun) -> dict[str, int]:
 
 
 def pack_track(block: Block, track: Track, reference: Track | None) -> dict[str, Any]:
-    """Add a ship's positions and forces to packed arrays, as differences from a reference run."""
+    """Add ship positions and forces, less a reference run's, to packed arrays; return indices."""
     position, force = track.position.copy(), track.force.copy()
     if reference is not None and reference.every == track.every:
         count = min(len(position), len(reference.position))

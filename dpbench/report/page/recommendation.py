@@ -91,7 +91,7 @@ class Recommendation:
 
     @staticmethod
     def why(verdict: Verdict) -> str:
-        """Explain why a configuration does not pass; "" where it passes."""
+        """Return a text on why a configuration does not pass; "" where it passes."""
         if verdict.refusal:
             return verdict.refusal
         if verdict.state == "pass":
@@ -102,7 +102,7 @@ class Recommendation:
 def build_recommendation(
     data: PageData, machine: Mapping[str, Any], baseline: str | None = None
 ) -> Recommendation:
-    """Build the report's headline: solver to use, one to compare, notes and code to paste.
+    """Return the report's headline: solver to use, one to compare, notes and code to paste.
 
     baseline : solver to compare with; by default a faster one, or the next.
 
@@ -136,7 +136,7 @@ def build_recommendation(
 
 
 def _describe_machine(data: PageData, machine: Mapping[str, Any]) -> str:
-    """Name the machine, and what disturbed it; "" for nothing."""
+    """Return the machine's name and what disturbed it, as text; "" for nothing."""
     name = f"{machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} cores"
     disturbed = describe_disturbed_times(data.records)
     return (
@@ -146,7 +146,7 @@ def _describe_machine(data: PageData, machine: Mapping[str, Any]) -> str:
 
 
 def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> str:
-    """State the solver to use with its p99 and error, or why there is none.
+    """Return a text on the solver to use with its p99 and error, or why there is none.
 
     is_lost : the controller does not hold a ship, so that the sentence speaks of the QPs alone.
     """
@@ -173,14 +173,14 @@ def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> s
 
 
 def _describe_infeasible_steps(data: PageData, c: Configuration) -> str:
-    """State how many QPs had no solution, and if the solver reported that; "" for none."""
+    """Return a text on how many QPs had no solution, and if the solver said so; "" for none."""
     steps, is_reported = data.count_infeasible_steps(c)
     wording = ", as the solver reported" if is_reported else ""
     return f" ({plural(steps, 'step')} had no solution{wording})" if steps else ""
 
 
 def _explain_no_choice(data: PageData, found: SolverChoice) -> str:
-    """Explain why no solver is recommended; "" if the results are not meant for a choice."""
+    """Return a text on why no solver is recommended; "" if no choice is meant."""
     records = data.records
     if any(not run.is_baseline_law for run in records.runs):
         return strip_markdown(explain_no_recommendation(records, data.verdicts, found))
@@ -243,7 +243,7 @@ def _yield_inconclusive_notes(data: PageData, found: SolverChoice) -> Iterator[t
 
 
 def describe_speed_margin(data: PageData, chosen: Verdict) -> str:
-    """State how much slower a computer may be for a solver, and the steps that limit it."""
+    """Return a text on how much slower a computer may be for a solver, and its limiting steps."""
     margin, requirements = data.get_speed_margin(chosen.configuration), data.requirements
     if margin is None:
         return ""
@@ -275,7 +275,7 @@ def describe_speed_margin(data: PageData, chosen: Verdict) -> str:
 
 
 def _yield_untimed_loops_sentences(data: PageData) -> Iterator[str]:
-    """Name the judged closed loops whose QPs no replay timed, if any."""
+    """Yield a sentence that names judged closed loops whose QPs no replay timed, if any."""
     judged = [run for run in data.records.runs if run.units == "scaled" and run.scenario]
     replayed = {run.scenario for run in judged if run.mode == "replay"}
     loops = dict.fromkeys(run.scenario for run in judged if run.mode == "closed_loop")
@@ -293,7 +293,7 @@ def _describe_slow_step(step: SlowStep, wait_ns: float = 0.0) -> str:
 
 
 def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:
-    """Make the badges of a solver's verdicts, one per scenario or replay, or counted."""
+    """Return the badges of a solver's verdicts, one per scenario or replay, or counted."""
     if first is None:
         return []
     c = data.find_index(first)
@@ -321,7 +321,7 @@ def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:
 
 
 def _describe_other_call_modes(data: PageData, chosen: Configuration, p: int) -> str:
-    """State a solver's verdicts when called otherwise, if not run in the chosen way; or ""."""
+    """Return a text on a solver's verdicts in other call modes if not run in this one; or ""."""
     if (data.find_index(chosen), p) in data.runs:
         return ""
     modes: dict[str, list[str]] = {}

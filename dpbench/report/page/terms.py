@@ -72,7 +72,7 @@ class Terms:
         self._here: set[str] = set()
 
     def start_section(self) -> str:
-        """Start a new section of the page, in which every term is linked again; return ""."""
+        """Start a new page section, in which every term is linked once more; return ""."""
         self._here.clear()
         return ""
 
@@ -116,7 +116,7 @@ MOST_EXPERIMENTS = 60
 
 
 def describe_experiments(data: PageData) -> dict[int, GlossaryEntry]:
-    """Describe what happens in each scenario and replay that enters verdicts, by its index."""
+    """Return what happens in each scenario and replay that enters verdicts, by its index."""
     first: dict[int, RunRecord] = {}
     for (_, p), run in data.runs.items():
         if p not in first or not first[p].has_steps:
@@ -133,7 +133,7 @@ def describe_experiments(data: PageData) -> dict[int, GlossaryEntry]:
 
 
 def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -> str:
-    """Describe the scenario of a closed loop or replay in plain text, for the page."""
+    """Return a plain text on the scenario of a closed loop or replay, for the page."""
     scenario = data.build_scenario_of_run(run) if run.scenario else None
     if scenario is None:
         return ""
@@ -153,7 +153,7 @@ def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -
 
 
 def _describe_replay(data: PageData, run: RunRecord) -> str:
-    """State which steps of a closed loop are replayed, and the share with active limits."""
+    """Return as text which steps of a loop are replayed, and the share with active limits."""
     first = run.first_step
     window = f"steps {first} to {first + run.steps_planned} of " if "[" in run.sequence else ""
     kept = data.thinned_runs.get(run.run_id)

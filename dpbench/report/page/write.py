@@ -169,7 +169,7 @@ def _select_at_opening(
 def _describe_experiment(
     data: PageData, experiment: Experiment, run: RunRecord | None
 ) -> dict[str, Any]:
-    """Describe a scenario, replay or study run for the page's script: label, mode, reference."""
+    """Return label, mode and reference of a scenario, replay or study run for the page's script."""
     wording: dict[str, Any] = {
         "label": experiment.label,
         "mode": experiment.mode,
@@ -305,14 +305,14 @@ WORDS = (
 
 
 def use_page_colours(text: str) -> str:
-    """Replace the fixed colours in a chart's text by CSS variables of the page."""
+    """Return a chart's text with CSS variables of the page for its fixed colours."""
     for colour, variable in VARIABLES.items():
         text = text.replace(colour, variable)
     return text
 
 
 def _encode_picture_as_url(chart: Any) -> str:
-    """Encode a chart as a `data:` URL of an SVG picture in the colours of the page."""
+    """Return a chart as a `data:` URL of an SVG picture in the colours of the page."""
     head, rest = use_page_colours(render_svg(chart)).split(">", 1)
     colours = read_page_file("templates/page.css").split("* {", 1)[0]
     styled = f"{head}><style>{colours}</style>{rest}"
@@ -352,7 +352,7 @@ def compile_vega_in_page_colours(chart: Any) -> dict[str, Any]:
 
 
 def render_page(template: str, scripts: Sequence[str] = (), **shown: Any) -> str:
-    """Render an HTML page from a named template, with the common style and scripts."""
+    """Return an HTML page made of a named template, with the common style and scripts."""
     texts = [*map(read_script, list_vendored_scripts()), *scripts]
     shown |= {
         "css": Markup(read_page_file("templates/page.css")),

@@ -53,7 +53,7 @@ def build_capability_topic(records: Records, table: pd.DataFrame | None) -> Topi
 
 
 def _describe_answers(plot: CapabilityResult) -> Iterator[str]:
-    """Name the solvers right on all QPs at the largest winds held, and those with untrue claims."""
+    """Yield sentences: solvers right on all QPs at largest winds held, those with untrue claims."""
     yield describe_answers_at_edge(plot)
     wrong = [a for a in plot.answers if a.wrong]
     if wrong:
@@ -65,7 +65,7 @@ def _describe_answers(plot: CapabilityResult) -> Iterator[str]:
 
 
 def _draw_capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
-    """Yield the capability rose, and a chart of right and wrong claims."""
+    """Yield the figures of a capability plot: its rose, and a chart of right and wrong claims."""
     if len(plot.edges):
         hollow = bool((plot.edges["untrue"] > 0).any())
         note = "; hollow where a solver made an untrue claim" if hollow else ""
@@ -163,7 +163,7 @@ def _name_file_of_analysis(analysis: ConsequenceAnalysis) -> str:
 
 
 def _describe_consequences(analysis: ConsequenceAnalysis) -> str:
-    """State which losses can be held, the solvers right on all QPs, the fastest, missed alarms."""
+    """Return sentences: losses held, solvers right on all QPs, the fastest, missed alarms."""
     answers = analysis.answers
     right = [a for a in answers if a.has_only_right_answers]
     head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs rightly"
@@ -180,7 +180,7 @@ def _describe_consequences(analysis: ConsequenceAnalysis) -> str:
 
 
 def make_consequence_row(best: BatchAnswers, right: Sequence[bool]) -> dict[str, str]:
-    """Convert a configuration's answers on thruster losses to a table row."""
+    """Return the table row of a configuration's answers on thruster losses."""
     return {
         "configuration": best.name,
         "p99 share": format_sample_share(best.p99),

@@ -78,7 +78,7 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
 
 
 def describe_count_reproduced(judged: "Sequence[Claim]") -> str:
-    """State how many of the paper's claims are reproduced, and how many were not measured."""
+    """Return a sentence: how many claims of the paper are reproduced, how many not measured."""
     states = [claim.state for claim in judged]
     held, missing = states.count("reproduced"), states.count("not measured")
     open_ones = f"; not measured, without whole runs of both laws: {missing}" if missing else ""
@@ -86,7 +86,7 @@ def describe_count_reproduced(judged: "Sequence[Claim]") -> str:
 
 
 def _make_stability_table(designs: Designs) -> Table:
-    """Tabulate each controller's closed-loop spectral radius and the sway offset it holds."""
+    """Return a table of each controller's closed-loop spectral radius and sway offset it holds."""
     return Table(
         (
             "controller",
@@ -108,7 +108,7 @@ def _make_stability_table(designs: Designs) -> Table:
 
 
 def _format_bracket(bracket: Bracket | None) -> str:
-    """Format the largest sway offset a controller holds and the least it does not hold [m]."""
+    """Return as text the largest sway offset a controller holds and the least it does not [m]."""
     if bracket is None:
         return MISSING
     if bracket.fails_m is None:
@@ -131,7 +131,7 @@ class Claim:
 
 
 def judge_claims(records: Records) -> list[Claim]:
-    """Judge all claims of the paper by the runs of a result folder, in the paper's order."""
+    """Return the findings on all claims of the paper by a folder's runs, in the paper's order."""
     requested = [
         (text, assess_paper_claim(records, where, by)) for text, where, by in _WORDS["claims"]
     ]
@@ -142,7 +142,7 @@ def judge_claims(records: Records) -> list[Claim]:
 
 
 def list_choices(records: Records) -> list[tuple[str, str]]:
-    """List what the paper leaves open, and the choice of the scenario `paper` in these records."""
+    """Return what the paper leaves open, and the choice of the recorded scenario `paper`."""
     scenario = records.build_scenario(PAPER)
     if scenario is None or not is_paper_scenario(records, PAPER):
         return []

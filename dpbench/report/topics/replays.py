@@ -113,7 +113,7 @@ def build_levels_topic(records: Records, requirements: Requirements) -> Topic | 
 
 
 def _describe_right_levels(records: Records, requirements: Requirements) -> str:
-    """State with which tolerance levels each solver is right on every step."""
+    """Return a text on the tolerance levels with which each solver is right on every step."""
     good = find_right_levels_by_solver(records, requirements)
     by_default = [name for name, levels in good.items() if "default" in levels]
     others = [
@@ -160,7 +160,7 @@ def _make_median_tables(
     varied: Callable[[RunRecord], str],
     kept: Callable[[RunRecord], str],
 ) -> list[Table]:
-    """Tabulate median step times, a table per QP sequence, with rows and columns by given keys."""
+    """Return tables of median step times, one per QP sequence, rows and columns by given keys."""
     replays = [run for run in runs if run.mode == "replay" and not run.is_baseline_law]
     tables = []
     problems = group_by_key(replays, lambda run: (run.sequence, run.units))
@@ -181,7 +181,7 @@ def _make_median_tables(
 
 
 def _format_median_time(records: Records, run: RunRecord | None, requirements: Requirements) -> str:
-    """Format the median step time of a run, or why there is none."""
+    """Return the median step time of a run as text, or why there is none."""
     times = None if run is None else records.get_step_times(run)
     if run is None or times is None:
         return MISSING if run is None else run.outcome.replace("_", " ")
@@ -220,7 +220,7 @@ def build_worst_case_topic(records: Records) -> Topic | None:
 
 
 def _make_step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] | None:
-    """Convert a run's time, iterations and error at one step to a row of texts; or None."""
+    """Return a run's time, iterations and error at one step as a row of texts; None without one."""
     at = np.flatnonzero(steps.k == k)
     if not len(at):
         return None

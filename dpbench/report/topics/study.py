@@ -147,7 +147,7 @@ def _yield_failed_steps_sentences(study: Study) -> Iterator[str]:
 
 
 def _describe_larger_errors(study: Study) -> str:
-    """State which configurations have significantly larger errors than the reference."""
+    """Return which configurations have significantly larger errors than the reference, as text."""
     others = study.results_by_cost[1:]
     excess_m = {c.name: c.error_excess_m.mean_interval.value for c in others if c.error_excess_m}
     worse = sorted(
@@ -177,7 +177,7 @@ def _format_share_with_bound(share: float, study: Study) -> str:
 
 
 def _describe_loosest_tolerances(study: Study) -> str:
-    """State the loosest tolerance of each solver that costs no more than a small limit."""
+    """Return in words each solver's loosest tolerance that costs no more than a small limit."""
     cheap = {s: c for s, c in study.loosest_cheap_by_solver.items() if c is not None}
     none = [s for s, c in study.loosest_cheap_by_solver.items() if c is None]
     limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
@@ -192,7 +192,7 @@ def _describe_loosest_tolerances(study: Study) -> str:
 
 
 def _draw_study_figures(study: Study) -> Iterator[Figure]:
-    """Yield charts of a study: share within the radius over its points, errors by realisation."""
+    """Yield figures of a study: share within the radius over points, errors by realisation."""
     name = study.name.replace("@", "-").replace("/", "-")
     maps, whole = (
         study_tables.tabulate_shares_in_position(study),
@@ -291,7 +291,7 @@ def _format_difference(difference: PairedDifference, scale: float) -> str:
 
 
 def draw_effect_figures(study: Study, name: str) -> Iterator[Figure]:
-    """Draw what each factor changes in the step time and the radial error."""
+    """Yield figures of what each factor changes in the step time and the radial error."""
     names = [configuration.name for configuration in study.results_by_cost][:MOST_DRAWN]
     rows = [
         {
@@ -315,5 +315,5 @@ def draw_effect_figures(study: Study, name: str) -> Iterator[Figure]:
 
 
 def _shorten_factor(factor: str) -> str:
-    """Shorten the dotted keys of a factor to their last parts."""
+    """Return a factor's dotted keys, each shortened to its last part."""
     return ", ".join(key.rpartition(".")[2] for key in factor.split(", "))

@@ -63,7 +63,7 @@ def build_horizon_topic(records: Records, requirements: Requirements) -> Topic |
 
 
 def _format_growth(swept: SweptConfiguration) -> dict[str, str]:
-    """Format the range of timed QP sizes of a configuration, and its median step times at the ends.
+    """Return a configuration's range of timed QP sizes and median step times at the ends, as cells.
 
     No power law: at few variables the fixed cost of a call dominates, so no exponent fits them all.
     """
@@ -79,7 +79,7 @@ def _format_growth(swept: SweptConfiguration) -> dict[str, str]:
 def _describe_longest_horizons(
     all_sweeps: Sequence[Sweep], requirements: Requirements
 ) -> list[str]:
-    """State for each sweep the longest horizons that a solver manages within the limit."""
+    """Return a line for each sweep on the longest horizons a solver manages within the limit."""
     wording = []
     for sweep in all_sweeps:
         largest = {
@@ -105,12 +105,12 @@ def _describe_longest_horizons(
 
 
 def _name_judging_statistic(sweep: Sweep) -> str:
-    """Name what must be within the time limit: "p99", or each step if there are few."""
+    """Return what must be within the time limit: "p99", or each step if there are few."""
     return "p99" if sweep.has_p99 else f"each of {sweep.steps} steps"
 
 
 def _format_longest_horizons(sweep: Sweep, swept: SweptConfiguration, limit_ns: float) -> str:
-    """Format a solver's longest horizons within a time limit, with `?` if in doubt."""
+    """Return a solver's longest horizons within a time limit as text, with `?` if in doubt."""
     if sweep.has_p99 and not swept.has_p99:
         return MISSING
     largest = sweep.find_longest_horizons_within(swept, limit_ns)

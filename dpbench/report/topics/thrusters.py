@@ -81,7 +81,7 @@ def _describe_thruster_load(
     configurations: dict[str, list[RunRecord]],
     requirements: Requirements,
 ) -> str:
-    """State how often thrusters are at their limits, and how many configurations stay right."""
+    """Return a text on how often thrusters are at limits, and how many solvers stay right."""
     hardest = max(best.values(), key=lambda run: run.at_limit_thrusters)
     whole = sum(
         {run.scenario for run in runs if is_right_to_the_end(run, requirements)} == set(best)
@@ -99,7 +99,7 @@ def _describe_thruster_load(
 def make_wear_row(
     name: str, runs: Sequence[RunRecord], best: dict[str, RunRecord], requirements: Requirements
 ) -> dict[str, str]:
-    """Convert a solver's closed loops to a table row: loops right, power, wear, largest offset."""
+    """Return the table row of a solver's closed loops: loops right, power, wear, largest offset."""
     ended = [run for run in runs if run.steps_done == best[run.scenario].steps_done]
     right = sum(is_right_to_the_end(run, requirements) for run in runs)
     off = [run.dev_position_max_m for run in ended if math.isfinite(run.dev_position_max_m)]
@@ -145,7 +145,7 @@ def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None
 def _describe_solver_to_use(
     records: Records, chosen: Verdict | None, margin: SpeedMargin | None
 ) -> str:
-    """State which solver to use if the MPC commands thrusters, and its share of the deadline."""
+    """Return a text on the solver to use if MPC commands thrusters, and its deadline share."""
     if chosen is None:
         return "No solver can be recommended for a controller that steers thrusters."
     c = chosen.configuration
@@ -161,7 +161,7 @@ def _describe_solver_to_use(
 
 
 def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
-    """State which solvers of three forces fail with thrusters; "" without such a suite."""
+    """Return a text on solvers of three forces that fail with thrusters; "" without such runs."""
     before = commanded.passing_with_forces
     if not before:
         return ""
@@ -179,7 +179,7 @@ def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
 
 
 def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
-    """List solvers as text, grouped by why they fail with thrusters."""
+    """Return solvers as text, grouped by why they fail with thrusters."""
     of_fault = group_by_key(solvers, lambda solver: commanded.faults[solver])
     return "; ".join(f"{join_with_and(names)}, {fault}" for fault, names in of_fault.items())
 
@@ -187,7 +187,7 @@ def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:
 def _yield_offset_after_loss_sentences(
     records: Records, chosen: Verdict | None, requirements: Requirements
 ) -> Iterator[str]:
-    """State how far from its reference the ship stays after thrusters are lost."""
+    """Yield sentences on how far from its reference the ship stays after thrusters are lost."""
     if chosen is None:
         return
     for run in records.select_runs(mode="closed_loop", units="scaled"):
@@ -216,7 +216,7 @@ def _compute_seconds_after_loss(run: RunRecord) -> float:
 
 
 def _yield_consequence_sentences(records: Records, chosen: Verdict | None) -> Iterator[str]:
-    """State which further thruster losses could be held, and which solvers report so rightly."""
+    """Yield sentences: thruster losses that could be held, solvers that report so rightly."""
     analyses = build_consequence_analyses(records)
     if not analyses:
         return

@@ -42,7 +42,7 @@ COVERED = (
 
 
 def _describe_round_spread(records: Records) -> list[str]:
-    """State by which ratio two step times must differ, within a run and between runs."""
+    """Return lines on the ratio by which two step times must differ, in a run and between runs."""
     usual, high = compute_repetition_spread(records)
     if math.isnan(high):
         return []
@@ -55,7 +55,7 @@ def _describe_round_spread(records: Records) -> list[str]:
 
 
 def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) -> str:
-    """State how exactly the benchmark measured waits of known length.
+    """Return a text on how exactly the benchmark measured waits of known length.
 
     measured : median of each [ns]; shortest_ns : the shortest wait.
     """
@@ -73,7 +73,7 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
 
 
 def _describe_machine_load(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
-    """State whether other work disturbed the machine while it timed solvers."""
+    """Return a text on whether other work disturbed the machine while it timed solvers."""
     if complaints := disturbance.complaints():
         return (
             f"Other work disturbed the machine: {join_with_and(complaints)}. Times may be too "
