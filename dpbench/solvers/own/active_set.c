@@ -72,7 +72,7 @@
 #define NEAR ROUNDING_OF(1e-8)          /* a row so near its limit may be active */
 #define STEEP REAL(1e-4)                /* an active row nearer to the others leans on them */
 #define SETTLED ROUNDING_OF(1e-12)      /* a smaller correction leaves nothing to correct */
-#define SHARE REAL(0.2)           /* of the worst violation, by which others are still brought in */
+#define SHARE REAL(0.9)           /* of its violation that a row found keeps: others did not cure it */
 #define ON_LIMIT ROUNDING_OF(1e-13) /* an active row so near its limit needs no refinement */
 #define LOST ROUNDING_OF(3e-8)       /* nor does a gradient that rounding may have changed by less */
 #define SMALL ROUNDING_OF(1e-9)         /* allowed in a row, and in the gradient of 1 + |q| */
@@ -308,32 +308,44 @@ static void append_row(active_set *s, int i, int side, as_real d) {
     s->side[i] = side;
 }
 
-/* Drop the k-th active row: plane rotations make the factor triangular again. T, L⁻¹ of something,
- * becomes that of the same without this row. */
-static void drop_row(active_set *s, int k) {
+/* The rotation that zeroes what is right of the diagonal in row r, given what is on it, in T too. */
+SELDOM static void rotate(active_set *s, int r, as_real x, as_real *last) {
+    const as_real y = 1 / factor_row(s, r + 1)[r + 1], h = root(x * x + y * y);
+    const as_real p = s->r_low[r] = x / h, q = s->e[r] = y / h, next = s->T[r + 1];
+    factor_row(s, r)[r] = 1 / h;
+    s->T[r] = p * *last + q * next;
+    *last = p * next - q * *last;
+}
+
+/* Drop the k-th active row: plane rotations make the factor triangular again, two rows at a time. T,
+ * L⁻¹ of something, becomes that of the same without this row. */
+SELDOM static void drop_row(active_set *s, int k) {
     const int w = --s->count, i = s->active[k];
-    as_real *cosine = s->r_low, *sine = s->e;
     s->side[i] = NEITHER;
     s->lam[i] = 0;
     as_real last = s->T[k];
-    for (int r = k; r < w; r++) {
-        as_real *to = factor_row(s, r);
-        const as_real *from = factor_row(s, r + 1);
-        s->active[r] = s->active[r + 1];
-        for (int c = 0; c < k; c++) to[c] = from[c];
-        as_real x = from[k];
-        for (int c = k; c < r; c++) {
-            const as_real y = from[c + 1], p = cosine[c], q = sine[c];
-            to[c] = p * x + q * y;
-            x = p * y - q * x;
+    for (int r = k; r < w; r++) s->active[r] = s->active[r + 1];
+    for (int r = k; r < w; r += 2) {
+        const int both = r + 1 < w; /* else the second one is the first */
+        as_real *to = factor_row(s, r), *from = to + r + 1, *second = both ? from + r + 2 : from;
+        as_real *const second_to = both ? from : to;
+        for (int c = 0; c < k; c++) {
+            to[c] = from[c];
+            second_to[c] = second[c];
         }
-        const as_real y = 1 / from[r + 1], h = root(x * x + y * y);
-        const as_real p = x / h, q = y / h, next = s->T[r + 1];
-        cosine[r] = p;
-        sine[r] = q;
-        to[r] = 1 / h;
-        s->T[r] = p * last + q * next;
-        last = p * next - q * last;
+        as_real x = from[k], z = second[k];
+        for (int c = k; c < r; c++) {
+            const as_real y = from[c + 1], v = second[c + 1], p = s->r_low[c], q = s->e[c];
+            to[c] = p * x + q * y;
+            second_to[c] = p * z + q * v;
+            x = p * y - q * x;
+            z = p * v - q * z;
+        }
+        rotate(s, r, x, &last);
+        if (!both) return;
+        const as_real y = second[r + 1], p = s->r_low[r], q = s->e[r];
+        second_to[r] = p * z + q * y;
+        rotate(s, r + 1, p * y - q * z, &last);
     }
 }
 
@@ -440,25 +452,25 @@ static void restore_signs(active_set *s) {
         renew_set(s);
         wrong = start_multipliers(s);
     }
-    for (;; wrong = solve_multipliers(s)) {
-        int drop = -1;
-        as_real least = 1;
-        for (int k = 0; k < s->count && wrong > 0; k++) {
+    for (; wrong > 0; wrong = solve_multipliers(s)) {
+        int drop = 0;
+        as_real least = 2; /* more than any share */
+        for (int k = 0; k < s->count; k++) {
+            if (!has_wrong_sign(s, s->active[k], s->R[k])) continue;
             const as_real lam = size_of(s->lam[s->active[k]]),
                           share = lam / (lam + size_of(s->R[k]));
-            if (!has_wrong_sign(s, s->active[k], s->R[k]) || (drop >= 0 && share >= least))
-                continue;
+            if (share >= least) continue;
             drop = k;
             least = share;
         }
         for (int k = 0; k < s->count; k++) {
             as_real *lam = s->lam + s->active[k];
-            *lam = drop < 0 ? s->R[k] : *lam + least * (s->R[k] - *lam);
+            *lam += least * (s->R[k] - *lam);
         }
-        if (drop < 0) return;
         drop_row(s, drop);
         s->iterations++;
     }
+    for (int k = 0; k < s->count; k++) s->lam[s->active[k]] = s->R[k];
 }
 
 /* z = base − Σ λ_i P⁻¹c_i and the values of the rows (eq. 32) */
@@ -596,7 +608,6 @@ static int activate_violated(
     active_set *s, as_real noise, as_real close, as_real size, int refined) {
     active_set_view *found = &s->found;
     while (found->count > 0) {
-        const as_real least = larger(noise, found->by[0] * SHARE);
         for (int c = 0; c < found->count; c++) {
             const int j = found->rows[c];
             as_real v = s->z[j];
@@ -604,7 +615,7 @@ static int activate_violated(
             if (c > 0) { /* z is that of before */
                 v = row_times(s, j, s->base);
                 for (int k = 0; k < s->count; k++) v -= s->lam[s->active[k]] * s->T[k];
-                if (violation(s, j, v) <= least) continue;
+                if (violation(s, j, v) <= larger(noise, SHARE * found->by[c])) continue;
             }
             const int which = v > s->high[j] ? 1 : -1;
             const as_real g = which > 0 ? s->high[j] : s->low[j];

@@ -21,27 +21,43 @@ void active_set_place(active_set *s, int n, int m, as_real *reals, int *integers
     s->column = integers + n;
 }
 
-/* X := P⁻¹ in place: P = UᵀU row by row, then W = U⁻ᵀ into the lower triangle and WᵀW; 0 unless
- * P is positive definite. */
+/* out += sign Σ X_ki X_k over the first `length` numbers of `count` rows X_k, which begin at `row`;
+ * X_ki is i numbers after that. */
+static void add_own_rows(
+    as_real *out, int length, as_real sign, const as_real *row, int i, int count, int n) {
+    for (; count > 3; count -= 4, row += 4 * n)
+        add_four(out, length, sign * row[i], row, sign * row[n + i], row + n,
+                 sign * row[2 * n + i], row + 2 * n, sign * row[3 * n + i], row + 3 * n);
+    for (; count > 0; count--, row += n) add_scaled(out, sign * row[i], row, length);
+}
+
+/* X := X⁻¹ in place: X = UᵀU row by row, then W = U⁻ᵀ into the lower triangle and WᵀW; 0 unless X is
+ * positive definite. */
 static int invert(as_real *X, int n) {
-    for (int k = 0; k < n; k++) {
-        as_real *row = X + (size_t)k * (size_t)n;
-        if (!(row[k] > 0)) return 0;
-        row[k] = 1 / root(row[k]);
-        if (is_infinite(row[k])) return 0;
-        for (int c = k + 1; c < n; c++) row[c] *= row[k];
-        for (int i = k + 1; i < n; i++) add_scaled(X + i * n + i, -row[i], row + i, n - i);
+    as_real *row = X;
+    for (int i = 0; i < n; i++, row += n) {
+        add_own_rows(row + i, n - i, -1, X + i, 0, i, n);
+        if (!(row[i] > 0)) return 0;
+        row[i] = 1 / root(row[i]);
+        if (is_infinite(row[i])) return 0;
+        for (int c = i + 1; c < n; c++) row[c] *= row[i];
     }
-    for (int i = 0; i < n; i++) {
-        as_real *row = X + (size_t)i * (size_t)n;
+    row = X;
+    for (int i = 0; i < n; i++, row += n) {
         clear(row, i);
-        for (int k = 0; k < i; k++) add_scaled(row, -X[k * n + i], X + k * n, k + 1);
+        for (int k = 0; k < i; k += 4) { /* rows k … k+3 of W begin with k+1, k+2 … numbers */
+            const int four = k + 4 <= i ? 4 : i - k;
+            add_own_rows(row, k + 1, -1, X + k * n, i, four, n);
+            for (int j = 1; j < four; j++)
+                add_scaled(row + k + 1, -X[(k + j) * n + i], X + (k + j) * n + k + 1, j);
+        }
         for (int c = 0; c < i; c++) row[c] *= row[i];
     }
-    for (int i = 0; i < n; i++) {
-        as_real *row = X + (size_t)i * (size_t)n, t = row[i];
+    row = X;
+    for (int i = 0; i < n; i++, row += n) {
+        const as_real t = row[i];
         for (int c = 0; c <= i; c++) row[c] *= t;
-        for (int k = i + 1; k < n; k++) add_scaled(row, X[k * n + i], X + k * n, i + 1);
+        add_own_rows(row, i + 1, 1, row + n, i, n - 1 - i, n);
         for (int c = 0; c < i; c++) X[c * n + i] = row[c];
     }
     return 1;
@@ -73,8 +89,8 @@ static int write_rows(active_set *s, const as_real *A) {
     s->largest = 1;
     for (int i = 0; i < N; i++, G += n) {
         if (i >= n) {
-            first[i - n] = end;
-            clear(G, n);
+            const int k = i - n;
+            first[k] = end;
             for (int c = 0; c < n; c++) {
                 const as_real x = *A++;
                 if (is_infinite(x)) return ACTIVE_SET_DATA_NOT_FINITE;
@@ -82,11 +98,16 @@ static int write_rows(active_set *s, const as_real *A) {
                 a[end] = x;
                 column[end++] = c;
                 s->largest = larger(s->largest, size_of(x));
-                add_scaled(G, x, inverse_row(s, c), n);
             }
-            first[i - n + 1] = end;
-            const int found = parent[i - n] = find_parent(s, i - n);
-            rest[i - n] = first[i - n] + (found < 0 ? 0 : first[found + 1] - first[found]);
+            first[k + 1] = end;
+            const int found = parent[k] = find_parent(s, k);
+            rest[k] = first[k];
+            if (found < 0) clear(G, n);
+            else {
+                copy(G, inverse_row(s, n + found), n);
+                rest[k] += first[found + 1] - first[found];
+            }
+            for (int e = rest[k]; e < end; e++) add_scaled(G, a[e], inverse_row(s, column[e]), n);
         }
         const as_real length = root(larger(entry(s, i, i), 0));
         unit[i] = length > ZERO_ROW ? 1 / length : 1;
@@ -119,50 +140,63 @@ static void swap(int *x, int *y) {
     *y = t;
 }
 
-/* Order the variables by the parts that P falls into, and copy P⁻¹ of each part. */
-static void write_parts(active_set *s) {
+static as_real sum_of_sizes(const as_real *x, int n) {
+    as_real a = 0, b = 0, c = 0, d = 0;
+    for (; n > 3; n -= 4, x += 4) {
+        a += size_of(x[0]);
+        b += size_of(x[1]);
+        c += size_of(x[2]);
+        d += size_of(x[3]);
+    }
+    for (; n > 0; n--) a += size_of(*x++);
+    return (a + b) + (c + d);
+}
+
+/* Order the variables by the parts that P falls into, and invert each part; 0 unless P is positive
+ * definite. */
+static int write_parts(active_set *s) {
     const int n = s->n;
     int *order = (int *)s->order, *sizes = (int *)s->sizes, begin = 0, rest = n;
-    as_real *block = (as_real *)s->blocks;
+    as_real *block = (as_real *)s->blocks, *G = (as_real *)s->G;
     for (int i = 0; i < n; i++) order[i] = i;
+    clear(G, n * n);
+    s->widest = 0;
     while (begin < rest) {
         int end = begin + 1;
         for (int k = begin; k < end; k++)
             for (int j = end; j < rest; j++)
                 if (s->P[order[k] * n + order[j]] != 0) swap(order + end++, order + j);
-        sizes[begin] = end - begin;
-        if (end == begin + 1) {
-            swap(order + begin, order + --rest);
-            continue;
+        const int size = sizes[begin] = end - begin, *part = order + begin;
+        for (int k = 0; k < size; k++)
+            for (int j = 0; j < size; j++) block[k * size + j] = s->P[part[k] * n + part[j]];
+        if (!invert(block, size)) return 0;
+        for (int k = 0; k < size; k++) {
+            for (int j = 0; j < size; j++) G[part[k] * n + part[j]] = block[k * size + j];
+            s->widest = larger(s->widest, sum_of_sizes(block + k * size, size));
         }
-        for (int k = begin; k < end; k++)
-            for (int j = begin; j < end; j++) *block++ = s->G[order[k] * n + order[j]];
-        begin = end;
+        if (size == 1) swap(order + begin, order + --rest);
+        else {
+            block += size * size;
+            begin = end;
+        }
     }
     s->coupled = begin;
+    return 1;
 }
 
 int active_set_factorise(active_set *s, const as_real *P, const as_real *A) {
     const int n = s->n;
-    as_real *own = (as_real *)s->P, *G = (as_real *)s->G;
-    s->steepest = s->widest = 0;
+    as_real *own = (as_real *)s->P;
+    s->steepest = 0;
+    for (int i = 0; i < n; i++)
+        for (int c = 0; c <= i; c++)
+            own[i * n + c] = own[c * n + i] = (P[i * n + c] + P[c * n + i]) / 2;
     for (int i = 0; i < n; i++) {
-        as_real sum = 0;
-        for (int c = 0; c < n; c++) {
-            const as_real p = (P[i * n + c] + P[c * n + i]) / 2;
-            own[i * n + c] = G[i * n + c] = p;
-            sum += size_of(p);
-        }
+        const as_real sum = sum_of_sizes(own + i * n, n);
         if (is_infinite(sum)) return ACTIVE_SET_DATA_NOT_FINITE;
         s->steepest = larger(s->steepest, sum);
     }
-    if (!invert(G, n)) return ACTIVE_SET_NOT_DEFINITE;
-    write_parts(s);
-    for (int i = 0; i < n; i++) {
-        as_real sum = 0;
-        for (int c = 0; c < n; c++) sum += size_of(inverse_row(s, i)[c]);
-        s->widest = larger(s->widest, sum);
-    }
+    if (!write_parts(s)) return ACTIVE_SET_NOT_DEFINITE;
     measure_loss(s);
     return active_set_replace_rows(s, A);
 }
