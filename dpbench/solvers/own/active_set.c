@@ -68,16 +68,11 @@
 #define CLOSE ROUNDING_OF(1e-6)      /* a squared distance below it is computed anew */
 #define NO_PART ROUNDING_OF(1e-11)   /* a smaller share in a combination is rounding */
 #define GROSS REAL(1e-4)             /* a contradiction by so much needs no refined values */
-#define CONTRADICTION ROUNDING_OF(1e-9) /* nor is it rounding above this share of refined ones */
 #define NEAR ROUNDING_OF(1e-8)          /* a row so near its limit may be active */
-#define STEEP REAL(1e-4)                /* an active row nearer to the others leans on them */
-#define SETTLED ROUNDING_OF(1e-12)      /* a smaller correction leaves nothing to correct */
 #define SHARE REAL(0.9)           /* of its violation that a row found keeps: others did not cure it */
 #define ON_LIMIT ROUNDING_OF(1e-13) /* an active row so near its limit needs no refinement */
-#define LOST ROUNDING_OF(3e-8)       /* nor does a gradient that rounding may have changed by less */
 #define SMALL ROUNDING_OF(1e-9)         /* allowed in a row, and in the gradient of 1 + |q| */
-#define EXACT (EPSILON * REAL(1e-3))    /* a correction that the doubled precision has to reach */
-enum { PASSES = 20, POLISHES = 8, ITERATIONS_PER_ROW = 20, NEITHER = 0, LEFT_OUT = 2 };
+enum { POLISHES = 8, ITERATIONS_PER_ROW = 20, NEITHER = 0, LEFT_OUT = 2 };
 enum { OPTIMAL = 0, DOUBTFUL = -10, UNREFINED = -11, CONTRADICTED = -12 };
 
 static as_real root(as_real x) { return (as_real)sqrt((double)x); }
@@ -604,8 +599,7 @@ static int activate(active_set *s, int j, int which, as_real gap, as_real allowe
 
 /* Bring violated rows in until none is left, beginning with those found, which are renewed. Of those
  * of one look all are brought in that are still violated: a look costs as much as several rows. */
-static int activate_violated(
-    active_set *s, as_real noise, as_real close, as_real size, int refined) {
+static int activate_violated(active_set *s, as_real noise, as_real close, as_real size) {
     active_set_view *found = &s->found;
     while (found->count > 0) {
         for (int c = 0; c < found->count; c++) {
@@ -619,8 +613,7 @@ static int activate_violated(
             }
             const int which = v > s->high[j] ? 1 : -1;
             const as_real g = which > 0 ? s->high[j] : s->low[j];
-            const as_real allowed = (refined ? CONTRADICTION : GROSS) *
-                                    (size_of(g) * s->unit[j] + size);
+            const as_real allowed = GROSS * (size_of(g) * s->unit[j] + size);
             const int ending = activate(s, j, which, REAL(which) * (v - g), allowed);
             if (ending != OPTIMAL) return ending;
         }
@@ -644,13 +637,6 @@ static as_real length_of_point(const active_set *s) {
     for (int k = 0; k < s->count; k++)
         square -= s->lam[s->active[k]] * s->z[s->active[k]];
     return root(larger(square, 0));
-}
-
-/* Whether active rows are nearly dependent. */
-static int is_steep(active_set *s) {
-    for (int k = 0; k < s->count; k++)
-        if (factor_row(s, k)[k] * STEEP > s->unit[s->active[k]]) return 1;
-    return 0;
 }
 
 /* Whether the active rows are at their limits, z of a given length, and multipliers have their signs,
@@ -695,12 +681,10 @@ static int search(active_set *s) {
         write_point(s);
         look(s, coarse, close);
     }
-    const int ending = activate_violated(s, coarse, close, 2 * size, 0);
+    const int ending = activate_violated(s, coarse, close, 2 * size);
     if (ending != OPTIMAL) return ending;
     const as_real length = s->count > 0 ? length_of_point(s) : 0;
-    const int sure = !s->refine || (!s->found.near && length <= 2 * size && !is_steep(s) &&
-                                       s->loss * largest_of(s->q, s->n) <= LOST);
-    for (int again = 0; again < 2 && sure; again++) {
+    for (int again = 0; again < 2; again++) {
         if (is_settled(s, length, again + s->iterations)) return s->iterations;
         if (again == 0) settle(s);
     }
@@ -709,7 +693,7 @@ static int search(active_set *s) {
 
 int active_set_solve(active_set *s) {
     int ending = search(s);
-    if (ending <= DOUBTFUL && s->refine) ending = s->refine(s, ending);
+    if (s->refine) ending = s->refine(s, ending);
     else if (ending <= DOUBTFUL)
         ending = ending == CONTRADICTED ? ACTIVE_SET_INFEASIBLE : ACTIVE_SET_INACCURATE;
     s->stale = ending < 0 && ending != ACTIVE_SET_INACCURATE;

@@ -10,6 +10,12 @@
 /* One unit of compilation, as in active_set_setup.c. */
 #include "active_set.c"
 
+#define CONTRADICTION ROUNDING_OF(1e-9) /* no rounding is above this share of refined values */
+#define STEEP REAL(1e-4)                /* an active row nearer to the others leans on them */
+#define LOST ROUNDING_OF(3e-8)          /* a gradient that rounding changed by less needs no refinement */
+#define SETTLED ROUNDING_OF(1e-12)      /* a smaller correction leaves nothing to correct */
+#define EXACT (EPSILON * REAL(1e-3))    /* a correction that the doubled precision has to reach */
+
 static as_real smaller(as_real x, as_real y) { return x < y ? x : y; }
 
 /* ---- refinement and check ------------------------------------------------------------------ */
@@ -187,6 +193,13 @@ static int prove(active_set *s) {
     return DOUBTFUL;
 }
 
+/* Whether active rows are nearly dependent. */
+static int is_steep(active_set *s) {
+    for (int k = 0; k < s->count; k++)
+        if (factor_row(s, k)[k] * STEEP > s->unit[s->active[k]]) return 1;
+    return 0;
+}
+
 /* ---- twice the precision ------------------------------------------------------------------- */
 
 /* high + low += a b, without rounding of the product (Dekker 1971; Ogita, Rump and Oishi 2005) */
@@ -338,41 +351,26 @@ static int is_clear(const active_set *s, as_real next, as_real size) {
         4 * EPSILON * (terms + free) * s->widest <= ROUNDING_OF(5e-7);
 }
 
-/* Refine the answer of a search, and go on where that shows other rows to be violated. */
+/* Refine the answer of a search once; DOUBTFUL unless it is an optimum beyond doubt then. */
 static int refine_search(active_set *s, as_real reach) {
-    const as_real coarse = VIOLATED * reach, first = larger(reach * reach, TINY);
-    as_real size = reach, before = first;
-    for (int pass = 0; pass < PASSES; pass++) {
-        const as_real correction = refine(s, &size), off = root(correction);
-        const int dropped = correct_signs(s, larger(coarse, off));
-        const as_real next = root(correction * smaller(1, correction / before));
-        const int settled = dropped == 0 && next <= SETTLED * size;
-        const as_real noise = larger(VIOLATED * size, next), close = 2 * NEAR * size;
-        for (int c = 0; c < s->n; c++) s->base[c] = s->z[c];
-        add_active_rows(s, s->base, 1);
-        if (dropped > 0) {
-            restore_signs(s);
-            write_point(s);
-        }
-        look(s, noise, close);
-        if (s->found.count == 0 && dropped == 0 && (settled || correction > before / 4)) {
-            if (s->found.near || is_steep(s)) return DOUBTFUL;
-            const int sure = settled && is_clear(s, next, size);
-            return sure || active_set_excess(s) <= 1 ? s->iterations : DOUBTFUL;
-        }
-        before = s->found.count == 0 ? correction : first;
-        /* Whether rows hardly contradict each other is decided on refined values only. */
-        const int ending = activate_violated(s, coarse, close, size, 1);
-        if (ending != OPTIMAL) return ending == CONTRADICTED ? prove(s) : ending;
-    }
-    return DOUBTFUL;
+    as_real size = reach;
+    const as_real correction = refine(s, &size), off = root(correction);
+    const as_real next = off * smaller(1, off / larger(reach, TINY));
+    if (correct_signs(s, larger(VIOLATED * reach, off)) > 0 || next > SETTLED * size) return DOUBTFUL;
+    look(s, larger(VIOLATED * size, next), 2 * NEAR * size);
+    if (s->found.near || is_steep(s)) return DOUBTFUL;
+    return is_clear(s, next, size) || active_set_excess(s) <= 1 ? s->iterations : DOUBTFUL;
 }
 
-/* Refine the answer of a search that ended so, and decide on exact values what is doubtful still. */
+/* Refine the answer of a search where rounding could decide it, and decide on exact values what is
+ * doubtful still. */
 static int refine_answer(active_set *s, int ending) {
     const as_real reach = root(larger(-dot(s->q, s->base, s->n), 0));
+    if (ending >= 0 && !s->found.near && (s->count == 0 || length_of_point(s) <= 2 * reach) &&
+        !is_steep(s) && s->loss * largest_of(s->q, s->n) <= LOST)
+        return ending;
     if (ending == CONTRADICTED) ending = prove(s);
-    if (ending == UNREFINED) ending = refine_search(s, reach);
+    if (ending >= 0 || ending == UNREFINED) ending = refine_search(s, reach);
     return ending == DOUBTFUL ? decide_exactly(s) : ending;
 }
 

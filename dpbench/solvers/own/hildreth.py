@@ -14,7 +14,7 @@ import numpy as np
 from dpbench.errors import SettingsError
 from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.contract import Policy, Route, make_error_for_missing_setup
-from dpbench.solvers.own.compiled_workspace import REFUSED, CompiledWorkspace
+from dpbench.solvers.own.paper_active_set import NOT_SOLVED_YET, PaperActiveSetWorkspace
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class HildrethSettings:
         return cls(**options)  # type: ignore[arg-type] # checked above; keys by the caller
 
 
-class HildrethWorkspace(CompiledWorkspace):
+class HildrethWorkspace(PaperActiveSetWorkspace):
     """Hildreth's dual method as QP solver; `warm` keeps the multipliers between steps."""
 
     def __init__(
@@ -57,7 +57,7 @@ class HildrethWorkspace(CompiledWorkspace):
 
     def solve(self) -> None:
         """Run Hildreth's method until it converges or reaches the limit of sweeps."""
-        if self._ending == REFUSED:
+        if self._ending < NOT_SOLVED_YET:
             return
         if self._problem is None:
             raise make_error_for_missing_setup("solve")

@@ -5,27 +5,16 @@ compiles it.
 """
 
 import ctypes
-import os
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpbench.arrays import Vector
 from dpbench.errors import SolverUnavailableError
-from dpbench.solvers.own.compiling import (
-    FOLDER,
-    compile_own_library_if_missing,
-    make_library_file_name,
-)
+from dpbench.solvers.own.compiling import compile_own_library_if_missing
 
 REAL, INTEGER, POINTER = ctypes.c_double, ctypes.c_int, ctypes.c_void_p
-NOT_FINITE, CROSSED, INFEASIBLE, INACCURATE, FAILED = -1, -2, -3, -4, -5
-"""Status of a solve that returns no number of iterations (`active_set.h`)."""
-REFUSALS = ("", "P or A is not finite", "P is not positive definite")
-"""Meaning of the codes that setting up returns."""
 _FUNCTIONS = {
     "active_set_place": (None, POINTER, INTEGER, INTEGER, POINTER, POINTER),
     "active_set_factorise": (INTEGER, POINTER, POINTER, POINTER),
@@ -68,28 +57,14 @@ class ActiveSet(ctypes.Structure):
 @cache
 def load_own_c_library() -> Any:
     """Load the library, compiled first if missing; SolverUnavailableError where that fails."""
-    own, cached = (
-        FOLDER / make_library_file_name(),
-        _find_writable_library_folder() / make_library_file_name(),
-    )
-    path = own if own.exists() or not cached.exists() else cached
     try:
-        if not path.exists():
-            path = compile_own_library_if_missing(
-                FOLDER if os.access(FOLDER, os.W_OK) else _find_writable_library_folder()
-            )
-        library = ctypes.PyDLL(str(path))
+        library = ctypes.PyDLL(str(compile_own_library_if_missing()))
     except (OSError, RuntimeError) as error:
         raise SolverUnavailableError("dpbench's own solvers", str(error)) from None
     for name, (result, *arguments) in _FUNCTIONS.items():
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
     return library
-
-
-def _find_writable_library_folder() -> Path:
-    """Return the folder for a library whose sources stand where nothing can be written."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dpbench"
 
 
 class Problem:
@@ -108,14 +83,9 @@ class Problem:
         self.pointer = ctypes.c_void_p(ctypes.addressof(self.head))
         data = (array.ctypes.data for array in (self._reals, self._integers))
         load_own_c_library().active_set_place(self.pointer, n, m, *data)
-        views = (
-            self.view_vector_of_c_structure("low", N),
-            self.view_vector_of_c_structure("high", N),
-            self.view_vector_of_c_structure("z", n),
-            self.view_vector_of_c_structure("lam", N),
-        )
-        self.low, self.high, self.z, self.lam = views
-        self.q = self.view_vector_of_c_structure("q", n)
+        vectors = {"q": n, "low": N, "high": N, "z": n, "lam": N}
+        views = (self._view(self._reals, name, length) for name, length in vectors.items())
+        self.q, self.low, self.high, self.z, self.lam = views
         self.P, self.A = np.zeros((n, n)), np.zeros((m, n))
         self.P_pointer, self.A_pointer = self.P.ctypes.data, self.A.ctypes.data
 
@@ -123,8 +93,8 @@ class Problem:
         """Return what P and A determine, by the names of the structure's arrays."""
         n, m = self.A.shape[1], self.A.shape[0]
         first, sizes = (
-            self._view_integers_of_c_structure("first", m + 1),
-            self._view_integers_of_c_structure("sizes", n),
+            self._view(self._integers, name, length)
+            for name, length in (("first", m + 1), ("sizes", n))
         )
         entries, start, blocks = int(first[-1]), 0, 0
         while start < self.head.coupled:
@@ -133,19 +103,14 @@ class Problem:
         reals = {"P": n * n, "G": (n + m) * n, "unit": n + m, "a": entries, "blocks": blocks}
         integers = {"column": entries, "first": m + 1, "parent": m, "rest": m}
         integers |= {"order": n, "sizes": n}
-        found = {
-            name: self.view_vector_of_c_structure(name, length) for name, length in reals.items()
-        }
-        return found | {
-            name: self._view_integers_of_c_structure(name, k) for name, k in integers.items()
+        memories = (self._reals, reals), (self._integers, integers)
+        return {
+            name: self._view(memory, name, length)
+            for memory, lengths in memories
+            for name, length in lengths.items()
         }
 
-    def _view_integers_of_c_structure(self, name: str, length: int) -> NDArray[np.intc]:
-        """Return integers of the C structure as an array that shares their memory."""
-        start = (getattr(self.head, name) - self._integers.ctypes.data) // self._integers.itemsize
-        return self._integers[start : start + length]
-
-    def view_vector_of_c_structure(self, name: str, length: int) -> Vector:
-        """Return a vector of the C structure as an array that shares its memory."""
-        start = (getattr(self.head, name) - self._reals.ctypes.data) // self._reals.itemsize
-        return self._reals[start : start + length]
+    def _view(self, memory: NDArray[Any], name: str, length: int) -> NDArray[Any]:
+        """Return numbers that a field of the C structure points to, sharing their memory."""
+        start = (getattr(self.head, name) - memory.ctypes.data) // memory.itemsize
+        return memory[start : start + length]
