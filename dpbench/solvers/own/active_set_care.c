@@ -226,9 +226,9 @@ static as_real exact_distance(const active_set *s, int i, as_real g) {
     return high + low;
 }
 
-/* Refine z + z_low and λ on the active rows by exact residuals, as long as corrections fall; returns
- * the last one in the norm of P. */
-static as_real polish(active_set *s) {
+/* Refine z + z_low and λ on the active rows by exact residuals, as long as corrections fall and are
+ * above `enough`; returns the last one in the norm of P. */
+static as_real polish(active_set *s, as_real enough) {
     const int n = s->n;
     as_real before = 1 / TINY;
     clear(s->z_low, n);
@@ -256,9 +256,8 @@ static as_real polish(active_set *s) {
             s->T[k] = exact_distance(s, i, limit_of(s, i)) + row_times(s, i, s->e);
         }
         const as_real now = root(correct(s, s->z_low, s->lam_low));
-        if (!(now < before / 2)) return now;
+        if (!(now < before / 2) || now <= enough) return now;
         before = now;
-        if (now == 0) break;
     }
     return before;
 }
@@ -299,8 +298,8 @@ static int decide_exactly(active_set *s) {
     const int N = s->n + s->m;
     int ending = OPTIMAL, left_out = 0, iterations = s->iterations;
     for (int pass = 0; pass < 4 * N; pass++, iterations += s->iterations) {
-        const as_real error = polish(s), bare = -dot(s->q, s->base, s->n);
-        const as_real size = root(larger(write_gradient(s), bare));
+        const as_real bare = larger(-dot(s->q, s->base, s->n), 0);
+        const as_real error = polish(s, EXACT * root(bare)), size = root(larger(write_gradient(s), bare));
         as_real gap = 0;
         int j = -1;
         s->iterations = 0;
