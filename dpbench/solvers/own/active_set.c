@@ -69,7 +69,8 @@
 #define NO_PART ROUNDING_OF(1e-11)   /* a smaller share in a combination is rounding */
 #define GROSS REAL(1e-4)             /* a contradiction by so much needs no refined values */
 #define NEAR ROUNDING_OF(1e-8)          /* a row so near its limit may be active */
-#define SHARE REAL(0.9)           /* of its violation that a row found keeps: others did not cure it */
+#define KEPT REAL(0.95)           /* of its violation: a row found is brought in, others did not cure it */
+#define SHARE REAL(0.3)           /* of the worst violation, by which others are still brought in */
 #define ON_LIMIT ROUNDING_OF(1e-13) /* an active row so near its limit needs no refinement */
 #define SMALL ROUNDING_OF(1e-9)         /* allowed in a row, and in the gradient of 1 + |q| */
 enum { POLISHES = 8, ITERATIONS_PER_ROW = 20, NEITHER = 0, LEFT_OUT = 2 };
@@ -478,7 +479,7 @@ static void write_point(active_set *s) {
 /* ---- violated rows ------------------------------------------------------------------------- */
 
 /* How far row i, at v, is beyond a limit, over its length and less the rounding of the limit. */
-SINGLE static as_real violation(const active_set *s, int i, as_real v) {
+static as_real violation(const active_set *s, int i, as_real v) {
     const as_real over = v - s->high[i], under = s->low[i] - v;
     return s->unit[i] * (over > under ? over - VIOLATED * size_of(s->high[i])
                                       : under - VIOLATED * size_of(s->low[i]));
@@ -609,7 +610,7 @@ static int activate_violated(active_set *s, as_real noise, as_real close, as_rea
             if (c > 0) { /* z is that of before */
                 v = row_times(s, j, s->base);
                 for (int k = 0; k < s->count; k++) v -= s->lam[s->active[k]] * s->T[k];
-                if (violation(s, j, v) <= larger(noise, SHARE * found->by[c])) continue;
+                if (violation(s, j, v) <= larger(SHARE * found->by[0], KEPT * found->by[c])) continue;
             }
             const int which = v > s->high[j] ? 1 : -1;
             const as_real g = which > 0 ? s->high[j] : s->low[j];
