@@ -31,7 +31,7 @@ static void add_own_rows(
     for (; count > 0; count--, row += n) add_scaled(out, sign * row[i], row, length);
 }
 
-/* X := X⁻¹ in place: X = UᵀU row by row, then W = U⁻ᵀ into the lower triangle and WᵀW; 0 unless X is
+/* X := X⁻¹ in place, from its upper triangle: X = UᵀU row by row, then W = U⁻ᵀ into the lower triangle and WᵀW; 0 unless X is
  * positive definite. */
 static int invert(as_real *X, int n) {
     as_real *row = X;
@@ -168,7 +168,7 @@ static int write_parts(active_set *s) {
                 if (s->P[order[k] * n + order[j]] != 0) swap(order + end++, order + j);
         const int size = sizes[begin] = end - begin, *part = order + begin;
         for (int k = 0; k < size; k++)
-            for (int j = 0; j < size; j++) block[k * size + j] = s->P[part[k] * n + part[j]];
+            for (int j = k; j < size; j++) block[k * size + j] = s->P[part[k] * n + part[j]];
         if (!invert(block, size)) return 0;
         for (int k = 0; k < size; k++) {
             for (int j = 0; j < size; j++) G[part[k] * n + part[j]] = block[k * size + j];
