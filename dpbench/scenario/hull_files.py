@@ -53,7 +53,7 @@ class Hull:
 
 
 def read_hull_from_mss_file(path: Path) -> Hull:
-    """Read a hull from a `vessel` structure of the MSS toolbox, a MATLAB file."""
+    """Return the hull in a `vessel` structure of the MSS toolbox, a MATLAB file."""
     names, vessel = read_mat_structure_in_child(path, "vessel")
     if not vessel:
         found = ", ".join(names)[:200] or "nothing"
@@ -133,7 +133,7 @@ def _read_dimensions_and_displacement(vessel: _Fields) -> dict[str, float]:
 
 
 def read_hull_from_csv_table(path: Path) -> Hull:
-    """Read a hull from a CSV table of inertia and damping coefficients."""
+    """Return the hull in a CSV table of inertia and damping coefficients."""
     values = _read_coefficients_by_name(path)
     for name in REQUIRED:
         if name not in values:
@@ -149,7 +149,7 @@ def read_hull_from_csv_table(path: Path) -> Hull:
 
 
 def _read_coefficients_by_name(path: Path) -> dict[str, float]:
-    """Read the hull coefficients of a CSV table by name; InputError for a bad row."""
+    """Return the hull coefficients of a CSV table by name; InputError for a bad row."""
     rows = read_csv_rows(path)
     if not rows or [cell.strip() for cell in rows[0][:2]] != ["coefficient", "value"]:
         first = ",".join(rows[0]) if rows else "an empty file"
@@ -168,7 +168,7 @@ def _read_coefficients_by_name(path: Path) -> dict[str, float]:
 
 
 def _parse_valid_hull_coefficient(path: Path, name: str, text: str) -> float:
-    """Parse a hull coefficient, finite and, unless a coupling, above zero; InputError otherwise."""
+    """Return a hull coefficient, finite and, unless a coupling, above zero; else InputError."""
     try:
         value = float(text)
     except ValueError:

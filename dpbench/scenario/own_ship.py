@@ -128,7 +128,7 @@ def scale_inertia_and_damping(like: str, length_m: float, mass_kg: float) -> tup
 def scale_library_vessel_to_own_ship(
     like: str, own: Particulars, thrust: ThrustLimits, name: str = "own"
 ) -> Vessel:
-    """Scale a library vessel to the dimensions and thrust of the user's ship, and add its drag.
+    """Return a library vessel scaled to the user's ship's dimensions and thrust, with its drag.
 
     Forces that are not given keep the library vessel's share of the force ahead, the moment its
     share of sway force times length. Times, and with them the rate limits, grow with √L. Areas in

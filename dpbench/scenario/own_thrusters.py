@@ -55,7 +55,7 @@ class Berth:
 
 
 def read_rows_of_thruster_table(path: Path) -> list[dict[str, str]]:
-    """Read the rows of a thruster table, by column, without empty cells; InputError if bad."""
+    """Return the rows of a thruster table, by column, without empty cells; InputError if bad."""
     rows = read_csv_rows(path)
     names = [cell.strip() for cell in rows[0]] if rows else []
     for name in names:
@@ -101,7 +101,7 @@ def complete_thruster_values(
 
 
 def _join_sector_columns(keys: dict[str, Any], where: str) -> None:
-    """Replace the two columns of a sector by its key; InputError where one of them is empty."""
+    """Replace, in a row's keys, the two columns of a sector by one; InputError if one is empty."""
     for key, columns in SECTORS.items():
         if not any(column in keys for column in columns):
             continue
@@ -114,7 +114,7 @@ def _join_sector_columns(keys: dict[str, Any], where: str) -> None:
 
 
 def _add_assumed_propeller_values(keys: dict[str, Any]) -> None:
-    """Add a thruster's propeller, diameter and astern share where its row states none."""
+    """Add to a row's keys the thruster's propeller, diameter and astern share if not stated."""
     if keys.get("kind") == "main":
         keys.setdefault("astern", ASTERN)
     if "power_kW" not in keys:
@@ -126,7 +126,7 @@ def _add_assumed_propeller_values(keys: dict[str, Any]) -> None:
 
 
 def _parse_number_or_raise_input_error(text: str, where: str, name: str) -> float:
-    """Parse a number of a table; InputError for other text."""
+    """Return the number in a text of a table; InputError for other text."""
     try:
         return float(text)
     except ValueError:
@@ -144,7 +144,7 @@ def _require_thruster_inside_ship(table: ThrusterTable, berth: Berth, where: str
 def describe_assumed_values(
     rows: Sequence[Mapping[str, str]], tables: Sequence[ThrusterTable]
 ) -> list[str]:
-    """Return a sentence for each kind of value that the table leaves out."""
+    """Return a sentence for each kind of value that a thruster table leaves out."""
     values = list_assumed_values(rows, tables)
     rises, sizes = values.get("rise times", ""), values.get("diameters", "")
     propellers = values.get("propellers", "")
@@ -166,7 +166,7 @@ def describe_assumed_values(
 def list_assumed_values(
     rows: Sequence[Mapping[str, str]], tables: Sequence[ThrusterTable]
 ) -> dict[str, str]:
-    """List the values that the rows leave out, by quantity, with the thrusters that have them."""
+    """Return by quantity the values that rows of thrusters leave out, and whose they are."""
     named = list(zip(rows, tables, strict=True))
     by_power = [(row, table) for row, table in named if "power_kW" in row]
     mains = [(row, table) for row, table in named if table.kind == "main"]
@@ -182,7 +182,7 @@ def list_assumed_values(
 def _list_left_out(
     named: Sequence[tuple[Mapping[str, str], ThrusterTable]], key: str, unit: str = ""
 ) -> str:
-    """List the assumed values of a key with the thrusters that have them; "" without any."""
+    """Return the assumed values of a key with the thrusters they are for, as text; "" without."""
     by_value: dict[str, list[str]] = {}
     for row, table in named:
         if key not in row:

@@ -63,7 +63,7 @@ class FileModel(BaseModel):
 
     @model_serializer(mode="wrap")
     def _omit_default_keys(self, write: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Return the settings to be written, without newer keys at their default value."""
+        """Return the settings to write to a file, without newer keys at their default value."""
         table: dict[str, object] = write(self)
         fields = type(self).model_fields
         for key in self.later_keys:
@@ -143,7 +143,7 @@ def make_unknown_problem_name_error(kind: str, text: str, otherwise: str) -> Unk
 
 
 def read_toml_as_dict(path: Path) -> dict[str, Any]:
-    """Read a TOML document as a dict; InputError where it cannot be read or parsed."""
+    """Return a TOML document as a dict; InputError where it cannot be read or parsed."""
     where, content = str(path), read_bytes(path, "a readable file", most_bytes=MOST_TEXT_BYTES)
     try:
         text = content.decode("utf-8-sig")
@@ -164,12 +164,12 @@ def read_toml_as_dict(path: Path) -> dict[str, Any]:
 
 
 def read_toml_as_model(path: Path, model: type[_Model]) -> _Model:
-    """Read and validate a TOML file as a data model; InputError names the faulty key."""
+    """Return a TOML file as a validated data model; InputError names the faulty key."""
     return validate_settings_as_model(read_toml_as_dict(path), model, str(path))
 
 
 def validate_settings_as_model(document: dict[str, Any], model: type[_Model], where: str) -> _Model:
-    """Convert settings to a validated data model; InputError names the faulty key and value."""
+    """Return settings as a validated data model; InputError names the faulty key and value."""
     for old, new in getattr(model, "old_keys", {}).items():
         if old in document and new not in document:
             warn_of_outdated_name(where, old, new)

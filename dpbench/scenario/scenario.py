@@ -70,7 +70,7 @@ class EstimatorChoice:
     where: str
 
     def build_estimator_for_ship(self, ship: Vessel, sample_s: float) -> Estimator:
-        """Build the estimator for a ship and sample time."""
+        """Return a new state estimator for a ship and sample time."""
         if self.waves is None:
             return MeasuredState()
         if self.kind == "kalman":
@@ -162,7 +162,7 @@ class Scenario:
         )
 
     def _repr_html_(self) -> str:
-        """Show the scenario as a table in a notebook."""
+        """Return the scenario as an HTML table, which a notebook displays."""
         units = ("m", "m", "rad")
         fields = {
             "shows": self.shows,
@@ -205,7 +205,7 @@ class Scenario:
         return estimator
 
     def with_horizons(self, prediction_horizon: int, control_horizon: int) -> "Scenario":
-        """Return the scenario with other horizons N_p and N_c, also in its name.
+        """Return a copy of the scenario with other horizons N_p and N_c, also in its name.
 
         Raises InputError for impossible ones.
 
@@ -226,13 +226,13 @@ class Scenario:
         return replace(build_scenario_from_documents(files, where=where), steps=self.steps)
 
     def truncate(self, steps: int) -> "Scenario":
-        """Return the scenario cut to its first `steps` samples."""
+        """Return a copy of the scenario cut to its first `steps` samples."""
         require_integer_at_least(f"scenario {self.name}: steps", steps, 1)
         return replace(self, steps=min(steps, self.steps))
 
 
 def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Scenario:
-    """Load a scenario by name or from a TOML file; `scenario@vessel` replaces its vessel.
+    """Return a scenario by name or from a TOML file; `scenario@vessel` replaces its vessel.
 
     A relative path is looked for in the folder `beside` first, then in the working folder. Raises
     InputError : one line naming file, key, what was found and what is allowed.
@@ -261,7 +261,7 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
 
 
 def load_vessel(name_or_path: str | Path) -> Vessel:
-    """Load a vessel by name or from a TOML file."""
+    """Return a vessel by name or from a TOML file."""
     path = find_problem_path("vessels", name_or_path)
     return read_toml_as_model(path, VesselFile).build_vessel(path.stem, str(path))
 
@@ -269,13 +269,13 @@ def load_vessel(name_or_path: str | Path) -> Vessel:
 def read_validated_vessel_documents(
     name_or_path: str | Path, *, beside: Path | None = None
 ) -> VesselDocuments:
-    """Read and validate a vessel file, given by name or path; return its name and plain values."""
+    """Return name and plain values of a vessel file, given by name or path, once validated."""
     path = find_problem_path("vessels", name_or_path, beside)
     return {"vessel_name": path.stem, "vessel": read_toml_as_model(path, VesselFile).model_dump()}
 
 
 def build_vessel_from_documents(files: VesselDocuments, where: str = "vessel") -> Vessel:
-    """Build a vessel from the contents of its file."""
+    """Return the vessel that the contents of its file describe."""
     return validate_settings_as_model(files["vessel"], VesselFile, where).build_vessel(
         files["vessel_name"], where
     )
@@ -284,7 +284,7 @@ def build_vessel_from_documents(files: VesselDocuments, where: str = "vessel") -
 def build_scenario_from_documents(
     files: ScenarioDocuments, where: str = "scenario", vessel_where: str = "vessel"
 ) -> Scenario:
-    """Build a scenario from the contents of its files (JSON-compatible)."""
+    """Return the scenario that the contents of its files (JSON-compatible) describe."""
     spec = validate_settings_as_model(files["scenario"], ScenarioFile, where)
     ship_file = validate_settings_as_model(files["vessel"], VesselFile, vessel_where)
     vessel = ship_file.build_vessel(files["vessel_name"], vessel_where)
@@ -327,7 +327,7 @@ def build_scenario_from_documents(
 
 
 def build_or_reuse_scenario(files: ScenarioDocuments) -> Scenario:
-    """Build a scenario from file contents, or take it from a cache; then set the weather's seed."""
+    """Return the scenario of file contents, built or from a cache, with the weather's seed set."""
     weather = files["scenario"].get("environment", {})
     if not isinstance(weather.get("seed"), int):
         return _build_cached_scenario_from_json(json.dumps(files, sort_keys=True))
@@ -339,7 +339,7 @@ def build_or_reuse_scenario(files: ScenarioDocuments) -> Scenario:
 
 @lru_cache(maxsize=64)
 def _build_cached_scenario_from_json(files: str) -> Scenario:
-    """Build a scenario from its documents as JSON; cached."""
+    """Return the scenario of documents given as JSON; cached."""
     return build_scenario_from_documents(json.loads(files))
 
 

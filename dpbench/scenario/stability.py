@@ -54,7 +54,7 @@ def _find_spectral_radius(text: str) -> float:
 
 
 def describe_unstable_loop(horizon: int, radius: float) -> str:
-    """State that a loop is unstable, at which prediction horizon, and its largest |λ|."""
+    """Return words for an unstable loop: its prediction horizon and its largest |λ|."""
     return (
         f"unstable without limits at `prediction_horizon = {horizon}` "
         f"(largest |λ| {radius:.4f}, paper eq. 35)"

@@ -63,7 +63,7 @@ class DelayedThrust:
         self._delivered = np.zeros(AXES)
 
     def force_on_hull_for_command(self, tau: Vector) -> Vector:
-        """Return the force on the hull (3,) for a commanded force tau (3,)."""
+        """Store a commanded force tau (3,); return the delayed, reduced force on the hull (3,)."""
         np.multiply(
             self._efficiency, self._delay.store_command_and_return_due_one(tau), out=self._delivered
         )
@@ -93,7 +93,7 @@ class ThrusterForces:
         self._mean = lag * (1.0 - self._left)
 
     def force_on_hull_for_command(self, command: Vector) -> Vector:
-        """Return the force on the hull (3,) in this sample for commanded thruster forces (n_f,)."""
+        """Advance thrusters one sample to a command (n_f,); return the force on the hull (3,)."""
         goal, f = self._delay.store_command_and_return_due_one(command), self.f
         if self._trips:
             f[self._update_and_list_stopped_entries()] = 0.0
@@ -108,7 +108,7 @@ class ThrusterForces:
         return self._efficient @ (target + self._mean * behind)
 
     def _update_and_list_stopped_entries(self) -> Indices:
-        """Return the entries of f that have stopped by this sample, and count the sample."""
+        """Count one sample; return the entries of f that have stopped by then."""
         entries = self._trips.get(self._k)
         if entries is not None:
             self._stopped = np.union1d(self._stopped, entries)

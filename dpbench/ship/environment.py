@@ -85,7 +85,7 @@ class SensorNoise:
     std: Vector
 
     def draw_noise_table(self, samples: int, seed: int) -> Matrix:
-        """Draw sensor noise (samples, 3) from a seed; more samples do not change the first."""
+        """Return random sensor noise (samples, 3) of a seed; more samples keep the first ones."""
         stream = make_random_generator(seed, "noise")
         return np.asarray(self.std * stream.standard_normal((samples, AXES)))
 
@@ -115,12 +115,12 @@ class Environment:
 
     @property
     def depends_on_ship(self) -> bool:
-        """Return whether a load depends on the ship's velocity or heading, as wind does."""
+        """True if a load of the weather depends on the ship's velocity or heading, as wind does."""
         return any(source is not None for source in (self.wind, self.current, self.drift))
 
     @property
     def is_random(self) -> bool:
-        """Return whether any part of the weather is random, so that the seed matters."""
+        """True if any part of the weather is random, so that the seed matters."""
         return bool(self.random_parts)
 
     @property
@@ -187,7 +187,7 @@ class Environment:
         return table
 
     def wind_and_drift_coefficients(self, vessel: Vessel) -> Vector | None:
-        """Return the coefficients (6,) of wind and drift, or None; InputError without hull data."""
+        """Return wind and drift coefficients (6,) or None if unneeded; InputError without them."""
         if not self.depends_on_ship:
             return None
         coefficients = np.zeros(COEFFICIENTS)

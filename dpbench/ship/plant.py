@@ -227,7 +227,7 @@ class Plant:
         self._work = np.empty((STAGES + 1, STATE))
 
     def advance_by_one_sample(self, tau: Vector, stages: Matrix) -> None:
-        """Advance the ship by one sample under a force (3,) or thruster forces (n_f,).
+        """Advance the stored ship state by one sample under a force (3,) or thruster forces (n_f,).
 
         Raises ValueError unless the weather has 9 columns where the plant has loads or drag, and 3
         elsewhere.
@@ -246,7 +246,7 @@ class Plant:
 
 @njit(cache=True)
 def _write_measured_state(state, motion, noise, measured):  # type: ignore[no-untyped-def] # compiled: numba finds the types
-    """Write the measured state (6,): the true one plus wave motion (6,) and noise (3,)."""
+    """Write to `measured` the state (6,) plus wave motion (6,) and noise (3,)."""
     c, s = np.cos(state[HEADING]), np.sin(state[HEADING])
     measured[U] = state[U] + c * motion[RATE_NORTH] + s * motion[RATE_EAST]
     measured[V] = state[V] - s * motion[RATE_NORTH] + c * motion[RATE_EAST]
@@ -265,7 +265,7 @@ class Sensors:
         self._measured = np.empty(STATE)
 
     def measure_state(self, state: Vector, k: int) -> Vector:
-        """Return the measured state [u, v, r, n, e, ψ] of sample k; overwritten next time."""
+        """Return the measured state [u, v, r, n, e, ψ] of sample k, in an array that is reused."""
         if self._ideal:
             return state
         _write_measured_state(state, self._motion[k], self._noise[k], self._measured)

@@ -33,7 +33,7 @@ MECHANICAL_EFFICIENCY = 0.93  # η_m of DNV-ST-0111 level 1
 
 
 def describe_sector(start_deg: float, end_deg: float) -> str:
-    """State where an azimuth of a sector may push, where its race then goes, and what is barred.
+    """Return a sentence: where an azimuth may push, where its race goes, and what is barred.
 
     >>> describe_sector(0.0, 120.0)
     'pushes 0° to 120° (its race goes 180° to 300°), barred 120° to 360°'
@@ -44,12 +44,12 @@ def describe_sector(start_deg: float, end_deg: float) -> str:
 
 
 def format_sector(sector_rad: tuple[float, float]) -> str:
-    """Format the directions of a sector in degrees."""
+    """Return the directions of a sector as text in degrees."""
     return format_directions(*np.degrees(sector_rad).tolist())
 
 
 def format_directions(start_deg: float, end_deg: float) -> str:
-    """Format the directions from one to another, clockwise, an end at 0° as 360°.
+    """Return the directions from one to another as text, clockwise, an end at 0° as 360°.
 
     >>> format_directions(-90.0, 90.0)
     '270° to 90°'
@@ -185,7 +185,7 @@ class ThrusterSet:
         return tuple(slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True))
 
     def repeat_for_each_force_entry(self, values: Sequence[float] | Vector) -> Vector:
-        """Repeat one value per thruster (p,) for each of its force components (n_f,)."""
+        """Return one value per thruster (p,), repeated for each of its force components (n_f,)."""
         return np.repeat(
             np.asarray(values), [thruster.component_count for thruster in self.thrusters]
         )

@@ -171,7 +171,7 @@ class Vessel:
 
 
 def convert_bis_inertia_to_si(Mb: Matrix, m_kg: float, length_m: float) -> Matrix:
-    """Convert a dimensionless inertia matrix of the Bis system to SI units."""
+    """Return a dimensionless inertia matrix of the Bis system in SI units."""
     N = np.diag([1.0, 1.0, length_m])
     descaled: Matrix = m_kg * N @ np.asarray(Mb, dtype=np.float64) @ N
     return descaled
@@ -180,5 +180,5 @@ def convert_bis_inertia_to_si(Mb: Matrix, m_kg: float, length_m: float) -> Matri
 def convert_bis_damping_to_si(
     Db: Matrix, m_kg: float, length_m: float, g_mps2: float = 9.81
 ) -> Matrix:
-    """Convert a dimensionless damping matrix of the Bis system to SI units."""
+    """Return a dimensionless damping matrix of the Bis system in SI units."""
     return float(np.sqrt(g_mps2 / length_m)) * convert_bis_inertia_to_si(Db, m_kg, length_m)

@@ -100,7 +100,7 @@ def draw_harmonics_of_spectrum(
     rng: np.random.Generator,
     variance: float | None = None,
 ) -> Harmonics:
-    """Draw harmonics of a density over a band [rad/s], of `variance` or the density's integral."""
+    """Return random harmonics of a density in a band [rad/s], of its variance or a given one."""
     omega = np.geomspace(*band, _GRID)
     S = density(omega)
     energy = np.concatenate([[0.0], np.cumsum(0.5 * (S[1:] + S[:-1]) * np.diff(omega))])
@@ -148,7 +148,7 @@ def jonswap_wave_spectrum(omega: Vector, hs_m: float, tp_s: float, gamma: float)
 
 
 def convert_from_deg_to_towards_rad(from_deg: float) -> float:
-    """Convert a compass direction that wind comes from [°] to the direction it blows to [rad]."""
+    """Return the direction wind blows to [rad], from the compass direction it comes from [°]."""
     return math.radians(math.remainder(from_deg + 180.0, 360.0))
 
 
@@ -222,7 +222,7 @@ class Sea:
     scale: Froude = FULL_SIZE
 
     def draw_wave_harmonics(self, seed: int) -> Harmonics:
-        """Draw the wave components of a seed; their significant wave height is exact."""
+        """Return the random wave components of a seed; their significant wave height is exact."""
         omega_p = 2 * np.pi / self.tp_s
         return draw_harmonics_of_spectrum(
             lambda omega: jonswap_wave_spectrum(omega, 1.0, self.tp_s, self.gamma),

@@ -265,7 +265,7 @@ class TurningThrusterControl(ThrusterControl):
 
 
 def build_commanded_thrusters(spec: ControllerSpec) -> ThrusterControl:
-    """Build a controller's commanded thrusters; InputError without any, or for wrong turning."""
+    """Return a controller's commanded thrusters; InputError without any, or for wrong turning."""
     table, where = spec.thruster_table, spec.where
     thrusters = spec.require_thrusters_for_key("kind", spec.controller_table.kind, "forces")
     W = np.diag(

@@ -34,7 +34,7 @@ class ForceController(Controller):
 
     @classmethod
     def from_specification(cls, spec: ControllerSpec) -> "ForceController":
-        """Build the force controller of a scenario, with limits axis by axis or joint ones."""
+        """Return the force controller of a scenario, with limits axis by axis or joint ones."""
         spec.refuse_unsupported_faults(
             lost=spec.controller_table.limits != "box",
             limit_share=spec.controller_table.limits == "box",
@@ -109,7 +109,7 @@ class ThrusterController(Controller):
 
     @classmethod
     def from_specification(cls, spec: ControllerSpec) -> "ThrusterController":
-        """Build the thruster controller of a scenario; InputError without fitting thrusters."""
+        """Return the thruster controller of a scenario; InputError without fitting thrusters."""
         control, planning = build_commanded_thrusters(spec), spec.planning_settings
         spec.refuse_unsupported_faults(lost=True, limit_share=False)
         if isinstance(control, TurningThrusterControl):
@@ -166,7 +166,7 @@ class CascadeController(ForceController):
 
     @classmethod
     def from_specification(cls, spec: ControllerSpec) -> "CascadeController":
-        """Build a force controller with thrust allocation; InputError without thrusters."""
+        """Return a force controller with thrust allocation; InputError without thrusters."""
         control, table = build_commanded_thrusters(spec), spec.thruster_table
         spec.refuse_unsupported_faults(lost=True, limit_share=spec.controller_table.limits == "box")
         problem, changes = build_force_problem_and_limits(spec)

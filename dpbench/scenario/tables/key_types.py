@@ -33,7 +33,7 @@ Horizons = tuple[int, int]  # N_p and N_c
 
 
 def parse_horizons(text: str) -> Horizons:
-    """Parse horizons "N_p/N_c", e.g. "30/5", to two integers; ValueError if malformed."""
+    """Return the two integers of horizons "N_p/N_c", e.g. "30/5"; ValueError if malformed."""
     match = re.fullmatch(r"([0-9]{1,4})/([0-9]{1,4})", text)
     N_p, N_c = (int(match[1]), int(match[2])) if match else (0, 0)
     if not 1 <= N_c <= N_p:

@@ -68,7 +68,7 @@ class FaultTable(FileModel):
 
     @model_validator(mode="after")
     def _require_limit_share_or_lost(self) -> FaultTable:
-        """Raise ValueError unless exactly one of limit_share and lost is given."""
+        """Return the fault itself; ValueError unless it gives just one of limit_share and lost."""
         if (self.limit_share is None) == (self.lost is None):
             raise ValueError("exactly one of limit_share and lost")
         if self.loss == "trip" and self.lost is None:
@@ -86,7 +86,7 @@ class OutputsTable(FileModel):
 
     @model_validator(mode="after")
     def _require_radius_or_speed_bound(self) -> OutputsTable:
-        """Raise ValueError where neither a radius nor a speed is bounded."""
+        """Return the table itself; ValueError where neither a radius nor a speed is bounded."""
         if self.radius_m is None and self.speed_mps is None:
             raise ValueError("at least one of radius_m and speed_mps")
         return self
@@ -159,7 +159,7 @@ class ControllerTable(FileModel):
 
     @model_validator(mode="after")
     def _require_keys_of_controller_kind(self) -> ControllerTable:
-        """Raise ValueError where keys do not fit the controller's kind."""
+        """Return the table itself; ValueError where keys do not fit the controller's kind."""
         of_forces = (self.move_weight is not None) + (self.move_weight_relative is not None)
         plans_thrusters = self.kind == "thrusters"
         if (self.kind != "forces") != (self.thrusters is not None):
@@ -192,7 +192,7 @@ class ControllerTable(FileModel):
     @field_validator("control_horizon")
     @classmethod
     def _require_valid_control_horizon(cls, N_c: int, info: ValidationInfo) -> int:
-        """Raise ValueError where the control horizon exceeds the prediction horizon."""
+        """Return the control horizon; ValueError where it exceeds the prediction horizon."""
         N_p = info.data.get("prediction_horizon", N_c)
         if N_c > N_p:
             raise ValueError(f"1 up to prediction_horizon ({N_p})")

@@ -106,7 +106,7 @@ class ThrusterTable(FileModel):
     @model_validator(mode="before")
     @classmethod
     def _convert_barred_to_allowed(cls, keys: Any) -> Any:
-        """Replace the barred directions of a table by the sector that they leave."""
+        """Return a thruster's keys with the sector left by barred directions in their place."""
         if not isinstance(keys, dict) or "barred_deg" not in keys:
             return keys
         barred = keys["barred_deg"]
@@ -120,7 +120,7 @@ class ThrusterTable(FileModel):
 
     @model_validator(mode="after")
     def _require_thrust_or_propeller(self) -> "ThrusterTable":
-        """Raise ValueError unless thrust is given either directly or by power and propeller."""
+        """Return the table itself; ValueError unless it gives either thrust or propeller."""
         made_of = [self.power_kW, self.diameter_m, self.propeller]
         given = [value is not None for value in made_of]
         if (self.thrust_kN is None) != all(given) or (any(given) and not all(given)):
@@ -146,7 +146,7 @@ class ThrusterTable(FileModel):
 
 
 def _convert_sector_to_radians(sector_deg: Sequence[float] | None) -> tuple[float, float] | None:
-    """Convert the directions of a sector, from and to, to radians that rise; None for None."""
+    """Return the directions of a sector, from and to, in radians that rise; None for None."""
     if sector_deg is None:
         return None
     start, end = sector_deg
@@ -252,7 +252,7 @@ class VesselFile(FileModel):
 
     @model_validator(mode="after")
     def _require_keys_of_complete_vessel(self) -> "VesselFile":
-        """Raise ValueError for keys that do not define one complete vessel."""
+        """Return the file's model itself; ValueError if its keys do not define one whole vessel."""
         systems = ({"inertia", "damping"}, {"mass_kg", "inertia_bis", "damping_bis"})
         given = {key for key in systems[0] | systems[1] if getattr(self, key) is not None}
         if given not in systems:

@@ -43,14 +43,14 @@ class SquallTable(FileModel):
     @field_validator("hold_until_s")
     @classmethod
     def _require_hold_end_after_rise(cls, hold_until_s: float, info: ValidationInfo) -> float:
-        """Raise ValueError where the squall stops holding before it has risen."""
+        """Return the end of a squall's hold [s]; ValueError where that is before it has risen."""
         risen_s = info.data.get("start_s", 0.0) + info.data.get("rise_s", 0.0)
         if hold_until_s < risen_s:
             raise ValueError(f"start_s + rise_s = {risen_s:g} s or later")
         return hold_until_s
 
     def build_squall(self, scale: Froude) -> Squall:
-        """Build the squall of a scenario file's table in SI units, Froude-scaled."""
+        """Return the squall of a scenario file's table in SI units, Froude-scaled."""
         return Squall(
             self.start_s * scale.time_and_speed_factor,
             self.rise_s * scale.time_and_speed_factor,
@@ -71,7 +71,7 @@ class WindTable(FileModel):
     """Spectrum of the gusts; none: a steady wind."""
 
     def build_wind(self, scale: Froude) -> Wind:
-        """Build the wind of a scenario file's table in SI units, Froude-scaled."""
+        """Return the wind of a scenario file's table in SI units, Froude-scaled."""
         return Wind(
             self.speed_mps * scale.time_and_speed_factor,
             convert_from_deg_to_towards_rad(self.from_deg),
@@ -89,7 +89,7 @@ class CurrentTable(FileModel):
     """Compass direction it sets towards [°]."""
 
     def build_current(self, scale: Froude) -> Current:
-        """Build the current of a scenario file's table in SI units, Froude-scaled."""
+        """Return the current of a scenario file's table in SI units, Froude-scaled."""
         return Current(self.speed_mps * scale.time_and_speed_factor, math.radians(self.towards_deg))
 
 
@@ -121,7 +121,7 @@ class WavesTable(FileModel):
     """First-order motion in the measurement; {} takes the defaults, none without the key."""
 
     def build_sea(self, scale: Froude) -> Sea:
-        """Build the sea of a scenario file's table in SI units, Froude-scaled."""
+        """Return the sea of a scenario file's table in SI units, Froude-scaled."""
         to_rad = convert_from_deg_to_towards_rad(self.from_deg)
         return Sea(
             self.hs_m * scale.length_factor,
@@ -199,7 +199,7 @@ class EnvironmentTable(FileModel):
     """Noise of the sensors."""
 
     def build_environment(self, scale: Froude) -> Environment:
-        """Build all weather of a scenario file's table in SI units, Froude-scaled."""
+        """Return all weather of a scenario file's table in SI units, Froude-scaled."""
         sea = self.waves.build_sea(scale) if self.waves else None
         return Environment(
             _PER_KN * np.array(self.mean_kN) * scale.force_and_moment_factors,

@@ -43,7 +43,7 @@ def split_force_set_into_convex_pieces(
     skegs: Sequence[Loss],
     step_rad: float,
 ) -> list[Piece]:
-    """Split the attainable forces of an azimuth into convex pieces; none if all is forbidden.
+    """Return an azimuth's attainable forces as convex pieces; none if all is forbidden.
 
     sector, zones : where it may push, and where not, (from, to) [rad].
     dead, skegs : losses; of several of one kind the largest counts, of both kinds the product.
@@ -77,7 +77,7 @@ class _ThrustEdge:
     def cut_sector_into_convex_pieces(
         self, start: float, end: float, step_rad: float
     ) -> list[Piece]:
-        """Cut an azimuth's attainable forces between two directions [rad] into convex pieces."""
+        """Return an azimuth's attainable forces between two directions [rad] as convex pieces."""
         corners = self._choose_polygon_corner_directions(start, end, step_rad)
         points = [self._largest_thrust_vector_in_direction(corner) for corner in corners]
         sides = zip(pairwise(corners), pairwise(points), strict=True)

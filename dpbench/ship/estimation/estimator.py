@@ -45,7 +45,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def update_and_return_state(self, measured: Vector, tau: Vector) -> Vector:
-        """Return the low-frequency state (6,), estimated from measurement and applied force.
+        """Advance by a measurement and applied force; return the low-frequency state (6,).
 
         measured : (6,) [u, v, r, n, e, ψ] or (3,) [n, e, ψ], wave motion and noise included; ψ may
             be wrapped. A filter reads the pose only: there is no sensor of low-frequency speed.

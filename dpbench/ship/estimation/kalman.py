@@ -120,7 +120,7 @@ class KalmanTuning:
         wave_filter: bool = True,
         where: str = "KalmanTuning",
     ) -> "KalmanTuning":
-        """Choose noise by force limits and wave period; waves that are not filtered are noise."""
+        """Return noise by force limits and wave period; waves that are not filtered are noise."""
         period = waves.peak_period_s
         # Weather pushes no harder along the ship than across it, whatever its main propellers can.
         force = np.minimum(ship.tau_max, [ship.tau_max[1], np.inf, np.inf])
@@ -154,7 +154,7 @@ class KalmanModel:
 
 
 def build_kalman_model(ship: Vessel, tuning: KalmanTuning, sample_s: float) -> KalmanModel:
-    """Discretise the ship's model and solve the Riccati equation for the Kalman gain.
+    """Return the ship's model discretised for a Kalman filter, with gain by the Riccati equation.
 
     The algebra runs in units of the problem (σ of the sensor, the time of the filter, the force
     that moves one by the other); in SI the same call returns five digits of the gain.
@@ -200,7 +200,7 @@ def discretise_model_and_noise(
 def _solve_for_covariances_and_gain(
     Phi: Matrix, C: Matrix, Q: Matrix, where: str
 ) -> tuple[Matrix, Matrix, Matrix]:
-    """Solve the Riccati equation for covariance P, innovation covariance S and gain K."""
+    """Return state covariance P, innovation covariance S and gain K of the Riccati equation."""
     n, one = len(Phi), np.eye(AXES)
     allowed = "noises of comparable effect"
     try:
@@ -276,7 +276,7 @@ def _rotate_state_in_place(x, c, s):  # type: ignore[no-untyped-def] # compiled 
 def _advance_filter_by_one_sample(  # type: ignore[no-untyped-def] # compiled by numba
     x, measured, tau, Phi, Gamma, K, J, advance, epsilon, estimate, change
 ):
-    """Predict and correct the filter state by one sample; write innovation, estimate and change."""
+    """Advance filter state x in place by one sample; write innovation, estimate and change."""
     n, pose = len(x), len(measured) - AXES
     heading = shift_heading_near(measured[pose + 2], x[ETA + 2])
     c, s = np.cos(heading), np.sin(heading)
@@ -318,7 +318,7 @@ class KalmanFilter(ModelObserver):
         """ε (3,) of the last update, in vessel-parallel axes [m, m, rad]; overwritten."""
 
     def update_and_return_state(self, measured: Vector, tau: Vector) -> Vector:
-        """Predict with the applied force, correct by the measurement; return the state (6,)."""
+        """Advance the filter by one sample's force and measurement; return the state (6,)."""
         out = self.innovation, self._estimate, self.change
         _advance_filter_by_one_sample(self._x, measured, tau, *self._matrices, self._advance, *out)
         self._advance = True

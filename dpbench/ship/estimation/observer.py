@@ -77,7 +77,7 @@ class WaveModel:
 
     @classmethod
     def from_peak_period(cls, peak_period_s: float, std: Vector) -> "WaveModel":
-        """Build the wave model of a peak period [s], with the same damping in every axis."""
+        """Return the wave model of a peak period [s], with the same damping in every axis."""
         return cls(np.full(AXES, peak_period_s), np.full(AXES, JONSWAP_DAMPING), std)
 
     @property
@@ -179,7 +179,7 @@ class PassiveTuning:
     def choose_for_ship(
         cls, ship: Vessel, waves: WaveModel, *, wave_filter: bool = True
     ) -> "PassiveTuning":
-        """Choose observer gains in proportion to the ship's inertia and the wave period."""
+        """Return observer gains in proportion to the ship's inertia and the wave period."""
         omega0 = waves.natural_frequencies_radps
         return cls(
             waves,
@@ -236,7 +236,7 @@ def _write_observer_derivative(x, y, tau, Minv, MinvD, rows, out):  # type: igno
 def _advance_observer_by_one_sample(  # type: ignore[no-untyped-def] # compiled by numba
     x, before, measured, tau, Minv, MinvD, rows, J, h, substeps, estimate, change
 ):
-    """Advance the observer state x (15,) by one sample of Runge-Kutta sub-steps."""
+    """Advance the observer state x (15,) in place by one sample of Runge-Kutta sub-steps."""
     pose, work, y = len(measured) - AXES, np.empty((5, WITH_WAVES)), np.empty(AXES)
     k1, k2, k3, k4, mid = work[0], work[1], work[2], work[3], work[4]
     rise = (
