@@ -55,7 +55,7 @@ NO_REASON = ClaimedStatus(Status.UNKNOWN, detail="not found; qpsolvers does not 
 
 
 def read_solved_flag_as_claim(answer: Any, options: Options) -> Claim:
-    """Read from a qpsolvers solution only whether it is solved; the status is else unknown."""
+    """Return SOLVED or an unknown status from a qpsolvers solution, which says no more."""
     return ClaimedStatus(Status.SOLVED) if answer.found else NO_REASON
 
 
@@ -71,7 +71,7 @@ def make_reader_of_library_info(
     number: Callable[[Any], int] | None = None,
     on_request: bool = False,
 ) -> InfoReader:
-    """Make a reader of a solver library's info object: common status, iterations, time [ns].
+    """Return a function that reads status, iterations and time [ns] from a library's info object.
 
     statuses : by `word`, or by `number` where there is one; unit_ns : the unit of its times [ns].
     on_request : it times itself only with the option `compute_timings`.
@@ -87,7 +87,7 @@ def make_reader_of_library_info(
 
 
 def make_reader_of_qpsolvers_status(read_info: InfoReader) -> ReadStatus:
-    """Make a function that reads status, iterations and time from a qpsolvers solution's `info`."""
+    """Return a function that reads status, iterations and time from a qpsolvers solution's info."""
 
     def read_status(answer: Any, options: Options) -> Claim:
         info = answer.extras["info"]
@@ -134,7 +134,7 @@ class QpsolversAdapter:
         return NativeAdapter(self.record, workspace, self.list_options, self.make_settings)
 
     def read_claim_from_qpsolvers_solution(self, answer: Any, options: Options) -> Claim:
-        """Read the status, iterations and time that a `qpsolvers.Solution` reports."""
+        """Return the status, iterations and time that a `qpsolvers.Solution` reports."""
         if answer.extras:
             return self.read_status(answer, options)
         # qpsolvers itself answers problems without constraints for some libraries.
@@ -142,7 +142,7 @@ class QpsolversAdapter:
 
 
 def list_public_settings_attributes(settings: Any) -> list[str]:
-    """List the public, non-callable attributes of a settings object, except `verbose`."""
+    """Return the names of public, non-callable attributes of a settings object but `verbose`."""
     names = (name for name in dir(settings) if not name.startswith("_"))
     return [n for n in names if n != "verbose" and not callable(getattr(settings, n))]
 

@@ -38,7 +38,7 @@ _steady_ns: Callable[[], int] = (
 
 
 def _make_calibration_solver_record(name: str, method: str) -> SolverRecord:
-    """Make the record of a calibration solver, which has no library."""
+    """Return the record of a calibration solver, which has no library."""
     return SolverRecord(
         name=name,
         family="harness",
@@ -89,7 +89,7 @@ class NoOpWorkspace(Workspace):
         """Do nothing with the vectors of the next QP."""
 
     def solve(self) -> None:
-        """Return at once, without solving: a dummy solver that takes no time."""
+        """Do nothing: a dummy solver that takes no time."""
 
     def read(self) -> Solution:
         """Return the stored answer without numbers."""
@@ -121,13 +121,13 @@ class CopyOnlyWorkspace(Workspace):
         self._size: tuple[int, int] | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Allocate buffers for q, l, u and the answer."""
+        """Allocate and store buffers for q, l, u and the answer."""
         self._size = qp.n, qp.m
         self.q, self.l, self.u = qp.q.copy(), qp.l.copy(), qp.u.copy()
         self._z, self._y = np.full(qp.n, np.nan), np.full(qp.m, np.nan)
 
     def update(self, step: QPStep) -> None:
-        """Check the shapes of q, l, u and copy them."""
+        """Check the shapes of q, l, u and store copies of them."""
         if self._size is None:
             raise make_error_for_missing_setup("update")
         check_step(step, *self._size)
@@ -136,7 +136,7 @@ class CopyOnlyWorkspace(Workspace):
         self.u[:] = step.u
 
     def solve(self) -> None:
-        """Return at once, without solving, as a solver that only copies data."""
+        """Do nothing, as a solver that only copies data."""
 
     def read(self) -> Solution:
         """Return a copy of an answer without numbers."""
@@ -146,7 +146,7 @@ class CopyOnlyWorkspace(Workspace):
 
 
 def open_calibration_solver(name: str) -> Workspace:
-    """Open a dummy solver by name, to test time measurement: no_op, copy_only, busy_wait_<t>us."""
+    """Return a dummy solver, to test time measurement: no_op, copy_only, busy_wait_<t>us."""
     if name in WAITS_NS:
         return BusyWaitWorkspace(name, WAITS_NS[name])
     return NoOpWorkspace(name) if name == NO_OP else CopyOnlyWorkspace(name)

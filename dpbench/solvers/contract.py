@@ -73,22 +73,22 @@ class Workspace(ABC):
 
     @abstractmethod
     def setup(self, qp: QuadraticProgram) -> None:
-        """Prepare the whole problem `qp`, so that the next `solve` solves it."""
+        """Store and prepare the whole problem `qp`, so that the next `solve` solves it."""
 
     @abstractmethod
     def update(self, step: QPStep) -> None:
-        """Take over the vectors and matrices of the next QP; ShapeError on wrong shapes."""
+        """Store the vectors and matrices of the next QP; ShapeError on wrong shapes."""
 
     @abstractmethod
     def solve(self) -> None:
-        """Solve the current problem; a failure of the library becomes a status, no exception."""
+        """Solve the current QP and store the answer; a library's failure becomes a status."""
 
     @abstractmethod
     def read(self) -> Solution:
         """Return a copy of the answer: status, solution z and multipliers."""
 
     def open_again_with_equal_settings(self) -> "Workspace":
-        """Open the same solver again with equal settings; SituationError unless opened by name."""
+        """Return the same solver opened anew with equal settings; SituationError unless by name."""
         if self.reopen is None:
             sentence = "a cascade needs two workspaces; open this one by open_workspace"
             raise SituationError(f"solver {self.solver}", sentence)
@@ -124,7 +124,7 @@ def make_error_for_missing_setup(call: str) -> DpbenchError:
 
 
 def shift_into(target: Vector, source: Vector, block: int) -> None:
-    """Write a vector shifted by one control increment for a warm start; the last block is zero."""
+    """Write a vector to `target`, shifted by one control increment; the last block is zero."""
     if block == 0:
         target[:] = source
     elif target.size:
@@ -176,7 +176,7 @@ LEVELS = (DEFAULT, *TOLERANCES)
 def make_tolerance_presets(
     *criteria: str, always: Options | None = None, **constant: object
 ) -> Levels:
-    """Make option presets default, low, mid and high, from the names of tolerance options.
+    """Return option presets default, low, mid and high, from the names of tolerance options.
 
     criteria : options that are the tolerance at the levels of `TOLERANCES`.
     always : options of every level, and of a person's own settings.
@@ -258,7 +258,7 @@ def make_project_facts(
     single_precision: tuple[str, str] | None = None,
     c_settings: CSettings | None = None,
 ) -> Project:
-    """Make the facts on embedding a solver from pairs (value, source), None where unknown."""
+    """Return the facts on embedding a solver, from pairs (value, source), None where unknown."""
     facts = (licence, language, c_code, allocation_free, single_precision)
     return Project(*(Fact(*(fact or UNKNOWN_FACT)) for fact in facts), c_settings=c_settings)
 

@@ -77,5 +77,5 @@ class FunctionWorkspace(Workspace):
 
 
 def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:
-    """Make a plug-in solver's `open(policy, options)` from a Python function that solves one QP."""
+    """Return a plug-in solver's `open(policy, options)`, from a function that solves one QP."""
     return lambda policy, options: FunctionWorkspace(name, policy, solve, options)

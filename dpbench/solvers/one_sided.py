@@ -32,7 +32,7 @@ class LimitSides:
 
     @staticmethod
     def encode_equal_and_infinite_limits(low: Vector, high: Vector) -> bytes:
-        """Encode as bytes which rows are equalities and which limits are infinite, to compare."""
+        """Return bytes that tell which rows are equalities and which limits infinite."""
         parts: tuple[Flags, ...] = (low == high, high == np.inf, low == -np.inf)
         return b"".join(part.tobytes() for part in parts)
 
@@ -56,14 +56,14 @@ class LimitSides:
         return np.vstack([M[self.upper], -M[self.lower]]), M[self.equal]
 
     def write_multipliers_as_one_sided(self, y: Vector, z: Vector, y_equal: Vector) -> None:
-        """Split multipliers of two-sided rows into those of inequalities, ≥ 0, and equalities."""
+        """Write multipliers of two-sided rows to `z` (inequalities, ≥ 0) and `y_equal`."""
         count = self.upper.size
         np.maximum(y[self.upper], 0.0, out=z[:count])
         np.maximum(-y[self.lower], 0.0, out=z[count:])
         y_equal[:] = y[self.equal]
 
     def merge_multipliers_to_two_sided(self, z: Vector, y: Vector) -> Vector:
-        """Merge multipliers of inequalities and equalities into those of two-sided rows."""
+        """Return two-sided rows' multipliers, merged from those of inequalities and equalities."""
         if self.full:
             return z[: self.size] - z[self.size :]
         count = self.upper.size
@@ -140,7 +140,7 @@ class OneSidedForm:
     def convert_qpsolvers_multipliers(
         self, z: Any, y: Any, z_box: Any
     ) -> tuple[Vector, Vector] | None:
-        """Return y and y_box of two-sided rows and bounds from qpsolvers' multipliers, or None."""
+        """Return two-sided y and y_box from qpsolvers' multipliers; None if sizes do not fit."""
         z = _convert_to_vector_of_size_or_none(z, 0 if self.h is None else self.h.size)
         y = _convert_to_vector_of_size_or_none(y, 0 if self.b is None else self.b.size)
         if z is None or y is None:

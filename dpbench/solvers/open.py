@@ -31,7 +31,7 @@ def open_workspace(
     settings: Settings = "default",
     step_limit_s: float | None = None,
 ) -> Workspace:
-    """Open a QP solver by name, ready for its set-up with a first problem.
+    """Return a QP solver opened by name, ready for its set-up with a first problem.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def _make_workspace_of_route(
     settings: Settings,
     step_limit_s: float | None,
 ) -> Workspace:
-    """Make the workspace of a solver by route, policy, settings and time limit per step [s]."""
+    """Return the workspace of a solver by route, policy, settings and time limit per step [s]."""
     solver = row.name
     require_solver_available(solver)
     limited = row.time_limit and step_limit_s is not None

@@ -23,7 +23,7 @@ LONGEST_TEXT, LARGEST_INTEGER = 200, 2**63
 
 
 def split_into_solver_and_options_text(choice: str) -> tuple[str, str]:
-    """Split `osqp[rho=1.6]` into solver and options as text; "" for a solver alone."""
+    """Return solver and options of `osqp[rho=1.6]` as two texts; "" for a solver alone."""
     solver, bracket, rest = choice.partition("[")
     return (solver, rest.removesuffix("]")) if bracket else (choice, "")
 
@@ -41,7 +41,7 @@ def expand_choice_over_option_grid(choice: str) -> list[str]:
 
 
 def parse_options_of_choice(choice: str) -> Options:
-    """Parse the options of a choice such as `osqp[rho=1.6]`; {} for a solver alone."""
+    """Return the options of a choice such as `osqp[rho=1.6]`; {} for a solver alone."""
     solver, text = split_into_solver_and_options_text(choice)
     if solver == choice:
         return {}

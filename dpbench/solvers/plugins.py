@@ -93,7 +93,7 @@ def solver_record(
     refused: Mapping[Any, str] = MappingProxyType({}),
     **abilities: Any,
 ) -> SolverRecord:
-    """Make the facts of a plug-in solver: name, method, and abilities of its own interface.
+    """Return the facts of a plug-in solver: name, method, and abilities of its own interface.
 
     refused : reasons of missing policies, by policy, or by ("native", policy) as in old releases.
     abilities : further fields of `RouteRecord`.
@@ -116,7 +116,7 @@ def solver_record(
 
 
 def load_solver_from_file(path: str | Path, taken: Collection[str]) -> SolverRecord:
-    """Load a solver from a Python file; InputError if it fails or its name is in `taken`."""
+    """Return the solver in a Python file; InputError if it fails or its name is in `taken`."""
     where, file = _require_plugin_file_and_label(path)
     module = _import_plugin_file(where, file)
     version = hashlib.sha256(getsource(module).encode()).hexdigest()[:12]
@@ -124,7 +124,7 @@ def load_solver_from_file(path: str | Path, taken: Collection[str]) -> SolverRec
 
 
 def try_plugin_file_in_child(path: str | Path) -> None:
-    """Try a plug-in's file in a child process; InputError if it is missing, crashes or hangs."""
+    """Raise InputError if a plug-in's file is missing, or crashes or hangs in a child process."""
     where, file = _require_plugin_file_and_label(path)
     command = [sys.executable, "-c", _TRIAL, json.dumps([sys.path, where, str(file)])]
     null = subprocess.DEVNULL
@@ -163,7 +163,7 @@ def _require_plugin_file_and_label(path: str | Path) -> tuple[str, Path]:
 
 
 def _import_plugin_file(where: str, file: Path) -> ModuleType:
-    """Execute a plug-in's Python file as a new module; turn any exception into an InputError."""
+    """Return a plug-in's Python file executed as a new module; its exceptions become InputError."""
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(f"dpbench_plugin_{digest}", file)
     if spec is None or spec.loader is None:
@@ -225,7 +225,7 @@ def list_plugin_names() -> set[str]:
 def _check_and_register_plugin(
     where: str, module: Any, version: str, origin: str, taken: Collection[str] = ()
 ) -> Plugin:
-    """Check a loaded plug-in's RECORD and open(), and add it to the known solvers."""
+    """Add a loaded plug-in to the known solvers if RECORD and open() are right; return it."""
     record, opener = getattr(module, "RECORD", None), getattr(module, "open", None)
     if not isinstance(record, SolverRecord):
         raise InputError(where, "RECORD", repr(record), "a SolverRecord, see solver_record")
@@ -257,7 +257,7 @@ def _read_tolerance_levels_of_plugin(where: str, module: Any, record: SolverReco
 
 
 def _wrap_opener_to_check_result(opener: Callable[[Policy, Options], Workspace]) -> OpenWorkspace:
-    """Wrap a plug-in's open() so that InputError is raised if it does not return a solver."""
+    """Return a plug-in's open(), wrapped to raise InputError if it does not return a solver."""
 
     def open_plugin(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
         workspace = opener(policy, options)

@@ -52,12 +52,12 @@ def resolve_settings_with_fixed_options(settings: Settings, solver: str) -> Opti
 
 
 def list_preset_names(solver: str) -> tuple[str, ...]:
-    """List the names of a solver's option presets: default, low, mid, high and its own."""
+    """Return the names of a solver's option presets: default, low, mid, high and its own."""
     return tuple(dict.fromkeys((*LEVELS, *find_solver_record(solver).levels)))
 
 
 def parse_tolerance_preset_name(name: str) -> float | None:
-    """Parse a preset name such as "1e-4" as a tolerance in (0, 1); None for other names."""
+    """Return a preset name such as "1e-4" as a tolerance in (0, 1); None for other names."""
     try:
         tolerance = float(name)
     except ValueError:

@@ -68,7 +68,7 @@ class Availability:
 
 
 def list_all_solver_names() -> tuple[str, ...]:
-    """List the names of all known solvers, installed or not, plug-ins included, alphabetically."""
+    """Return all known solvers' names in order, installed or not, plug-ins included."""
     return tuple(sorted({*TABLE, *plugins.list_plugin_names()}))
 
 
@@ -123,7 +123,7 @@ def _is_solver_of_qpsolvers(name: str) -> bool:
 
 
 def _make_generic_qpsolvers_adapter(name: str) -> QpsolversAdapter:
-    """Describe how to call a solver that only qpsolvers has; its settings go unchecked."""
+    """Return how to call a solver that only qpsolvers has; its settings go unchecked."""
     refused: dict[Policy, str] = {"warm": "whether it takes a start is not known"}
     can = RouteRecord(("fresh",), detects_infeasibility=False, refused=refused)
     record = SolverRecord(

@@ -59,13 +59,13 @@ STATUS = {
 
 
 def convert_clarabel_result_to_claim(status: Any, iterations: int, solve_s: float) -> Claim:
-    """Convert Clarabel's status, iterations and time [s] to the common status and time [ns]."""
+    """Return Clarabel's status, iterations and time [s] as the common status and time [ns]."""
     name = str(status)
     return STATUS.get(name, Status.UNKNOWN), iterations, round(solve_s * 1e9), name
 
 
 def read_clarabel_status_from_qpsolvers(answer: Any, options: Options) -> Claim:
-    """Read Clarabel's status and time from a qpsolvers solution, which lacks iterations."""
+    """Return Clarabel's status and time in a qpsolvers solution, which lacks iterations."""
     return convert_clarabel_result_to_claim(
         answer.extras["status"], -1, answer.extras["solve_time"]
     )
@@ -93,7 +93,7 @@ class ClarabelWorkspace(OneSidedWorkspace):
         self._equalities = equalities
 
     def _create_one_sided_library_solver(self) -> None:
-        """Make a Clarabel solver for the QP, without presolve."""
+        """Store a new Clarabel solver for the QP, without presolve."""
         settings = self._library.DefaultSettings()
         # Presolve would drop rows, and with them the right to update.
         settings.verbose, settings.presolve_enable = False, False
@@ -108,7 +108,7 @@ class ClarabelWorkspace(OneSidedWorkspace):
         self._solver.update(q=self._form.q, b=self._form.bh)
 
     def _read_status_iterations_and_time(self) -> Claim:
-        """Read Clarabel's status, iterations and solve time."""
+        """Return Clarabel's status, iterations and solve time."""
         result = self._result
         return convert_clarabel_result_to_claim(
             result.status, int(result.iterations), result.solve_time

@@ -101,7 +101,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._result = (None, 0.0, 0, {})
 
     def _prepare_matrices_for_library(self) -> None:
-        """Allocate DAQP's buffers of bounds, rows and the kinds of constraints."""
+        """Allocate and store DAQP's buffers of bounds, rows and the kinds of constraints."""
         n, m = self._n, self._m
         # DAQP looks at these buffers, so they live as long as the model does.
         self._f = np.empty(n)
@@ -117,7 +117,7 @@ class DaqpWorkspace(NativeWorkspace):
         self._high_view: Any = self._high_rows.data
 
     def _create_library_solver(self) -> None:
-        """Make a new DAQP model and pass it all data."""
+        """Store a new DAQP model and pass it all data."""
         self._f[:], self._low_rows[:], self._high_rows[:] = self._q, self._l, self._u
         self._model = self._library.Model()
         if self._options:
@@ -176,7 +176,7 @@ class DaqpWorkspace(NativeWorkspace):
         return Solution(SOLVED, z.copy(), dual[n:], dual[:n], info["iterations"], reported_ns)
 
     def _read_status_iterations_and_time(self) -> Claim:
-        """Read DAQP's exit flag, iterations and solve time."""
+        """Return DAQP's exit flag, iterations and solve time."""
         _, _, flag, info = self._result
         status, reported_ns = STATUS.get(flag, Status.UNKNOWN), int(info["solve_time"] * 1e9)
         return status, info["iterations"], reported_ns, f"exit flag {flag}"

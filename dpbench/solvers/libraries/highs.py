@@ -80,7 +80,7 @@ class HighsWorkspace(NativeWorkspace):
     """HiGHS as QP solver, with two-sided rows, bounds and a sparse Hessian."""
 
     def _prepare_matrices_for_library(self) -> None:
-        """Build a HiGHS model with Hessian, rows and bounds."""
+        """Store a HiGHS model with Hessian, rows and bounds."""
         n, m, library = self._n, self._m, self._library
         lower, rows = scipy.sparse.tril(self._P, format="csc"), scipy.sparse.csc_matrix(self._A)
         model = library.HighsModel()
@@ -97,7 +97,7 @@ class HighsWorkspace(NativeWorkspace):
         self._columns, self._row_numbers = (np.arange(k, dtype=np.int32) for k in (n, m))
 
     def _create_library_solver(self) -> None:
-        """Make a new HiGHS solver with the model and all options."""
+        """Store a new HiGHS solver with the model and all options."""
         lp = self._model.lp_
         lp.col_cost_, lp.row_lower_, lp.row_upper_ = self._q, self._l, self._u
         solver = self._library.Highs()
@@ -130,7 +130,7 @@ class HighsWorkspace(NativeWorkspace):
         self._solver.run()
 
     def _read_status_iterations_and_time(self) -> Claim:
-        """Read the model status and iterations of HiGHS, which reports no time."""
+        """Return the model status and iterations of HiGHS, which reports no time."""
         name = str(self._solver.getModelStatus().name)
         iterations = int(self._solver.getInfo().qp_iteration_count)
         return STATUS.get(name, Status.UNKNOWN), iterations, -1, name

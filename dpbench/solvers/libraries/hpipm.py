@@ -49,7 +49,7 @@ TEXT_BYTES = 256
 
 
 def _load_shared_library_of_casadi(name: str) -> ctypes.CDLL:
-    """Load a shared library that comes with CasADi."""
+    """Return a loaded shared library that comes with CasADi."""
     return ctypes.CDLL(str(Path(str(import_module("casadi").__file__)).parent / name))
 
 
@@ -141,7 +141,7 @@ class HpipmStructures:
     def pair_arrays_with_hpipm_functions(
         self, verb: str, arrays: dict[str, Vector]
     ) -> list[tuple[Any, Any]]:
-        """Pair each nonempty array's address with the HPIPM function that sets or gets it."""
+        """Return each nonempty array's address, with the HPIPM function that sets or gets it."""
         named = [(name, array) for name, array in arrays.items() if array.size]
         return [
             (self.look_up_hpipm_function(f"{verb}_{name}"), make_c_pointer_to_array(array))
@@ -157,7 +157,7 @@ class HpipmStructures:
         self._solve(self.qp, self.sol, self.arg, self.ws)
 
     def read_status_and_iterations(self) -> Claim:
-        """Read status and iterations of HPIPM's last solve."""
+        """Return status and iterations of HPIPM's last solve."""
         for function, target in self._getters:
             function(self.ws, target)
         flag = self._flag.value
@@ -174,7 +174,7 @@ class HpipmStructures:
             )
 
     def _create_c_structure(self, kind: str, *parts: Any) -> Any:
-        """Allocate and create one C structure of HPIPM of a kind, such as a solution."""
+        """Return a newly allocated C structure of HPIPM of a kind, such as a solution."""
         library, prefix = self._library, f"{self._kind}{kind}"
         sizes = [getattr(library, f"{prefix}_{name}") for name in ("strsize", "memsize")]
         for function in sizes:
@@ -214,7 +214,7 @@ class HpipmWorkspace(NativeWorkspace):
         """Write the previous answer, shifted by a control increment, as HPIPM's start."""
 
     def _prepare_matrices_for_library(self) -> None:
-        """Allocate limits of rows and bounds together, (m + n,)."""
+        """Allocate and store limits of rows and bounds together, (m + n,)."""
         self._low, self._high = self._allocate_limits_of_rows_and_bounds()
 
     def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
@@ -236,7 +236,7 @@ class HpipmWorkspace(NativeWorkspace):
         self._parts.run_hpipm()
 
     def _read_status_iterations_and_time(self) -> Claim:
-        """Read HPIPM's status and iterations."""
+        """Return HPIPM's status and iterations."""
         return self._parts.read_status_and_iterations()
 
 
@@ -281,12 +281,12 @@ class DenseWorkspace(HpipmWorkspace):
     """HPIPM's dense QP solver with bounds, two-sided general rows and equalities."""
 
     def _prepare_matrices_for_library(self) -> None:
-        """Allocate the limits and stack A and I, so that bounds can be rows."""
+        """Allocate and store the limits and stacked A and I, so that bounds can be rows."""
         super()._prepare_matrices_for_library()
         self._rows = append_identity_rows_for_bounds(self._A, self._n)
 
     def _create_library_solver(self) -> None:
-        """Make new structures of HPIPM's dense solver and write all data into them."""
+        """Store new structures of HPIPM's dense solver with all data written into them."""
         n, m, library = self._n, self._m, self._library
         self._low[:m], self._high[:m] = self._l, self._u
         self._pattern = LimitSides.encode_equal_and_infinite_limits(self._l, self._u)
@@ -308,7 +308,7 @@ class DenseWorkspace(HpipmWorkspace):
         self._send_cost_and_limits_to_hpipm(self._q)
 
     def _allocate_hpipm_buffers(self, limits: DenseLimits) -> None:
-        """Allocate arrays for vectors, limits and answers, and look up HPIPM's access functions."""
+        """Store arrays for vectors, limits, answers, and HPIPM's functions that access them."""
         n_bounds = limits.bounds.size
         self._g, self._z = np.empty(self._n), np.empty(self._n)
         self._pi = np.empty(limits.equal.size)

@@ -59,7 +59,7 @@ class Stage:
 def split_qp_into_stages(
     sizes: Sequence[tuple[int, int]], P: Matrix, A: Matrix, equal: Flags
 ) -> list[Stage]:
-    """Split a QP into the stages of an optimal control problem; one stage if that is not possible.
+    """Return a QP's stages as of an optimal control problem; one stage if that is not possible.
 
     A row with l = u that ends in a state, as the first one to do so, defines this state by the
     stage before. The cost and all other rows couple variables of one stage only.
@@ -237,7 +237,7 @@ class StagedVector:
                 at += size
 
     def gather_entries_in_stage_order(self, source: Vector, numbers: Indices) -> Vector:
-        """Select entries of a QP vector in stage order, to be sent to HPIPM later."""
+        """Store entries of a QP vector in stage order, to be sent to HPIPM later."""
         return source.take(numbers, out=self._new)
 
     def send_gathered_entries_to_hpipm(self, everything: bool = False) -> None:
@@ -261,12 +261,12 @@ class OcpWorkspace(HpipmWorkspace):
     """HPIPM's stage-wise optimal control solver, for a QP in which stages are found."""
 
     def _prepare_matrices_for_library(self) -> None:
-        """Allocate the limits; have the stages of the QP found again."""
+        """Allocate and store the limits; have the stages of the QP found again."""
         super()._prepare_matrices_for_library()
         self._pattern = None
 
     def _create_library_solver(self) -> None:
-        """Make new structures of HPIPM's OCP solver and write the data of all stages into them."""
+        """Store new structures of HPIPM's OCP solver with the data of all stages."""
         m = self._m
         self._low[:m], self._high[:m] = self._l, self._u
         pattern = LimitSides.encode_equal_and_infinite_limits(self._l, self._u)
@@ -301,7 +301,7 @@ class OcpWorkspace(HpipmWorkspace):
                 )
 
     def _allocate_hpipm_buffers(self) -> None:
-        """Allocate arrays for vectors, limits and answers of all stages."""
+        """Allocate and store arrays for vectors, limits and answers of all stages."""
         nx, nu, nbx, nbu, ng, _ = self._data.size_arrays_for_hpipm
         nb, parts = nbx + nbu, self._parts
         by_stage = list(zip(nu.tolist(), nx.tolist(), nb.tolist(), ng.tolist(), strict=True))

@@ -67,11 +67,11 @@ class NativeWorkspace(Workspace):
         self._failure = ""
 
     def _prepare_matrices_for_library(self) -> None:
-        """Convert new matrices P, A and bounds lb, ub into the library's form."""
+        """Store new matrices P, A and bounds lb, ub in the library's form."""
 
     @abstractmethod
     def _create_library_solver(self) -> None:
-        """Make a new library object from the converted matrices, linear cost and limits."""
+        """Store a new library object made of the converted matrices, linear cost and limits."""
 
     @abstractmethod
     def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
@@ -83,39 +83,39 @@ class NativeWorkspace(Workspace):
 
     @abstractmethod
     def _read_status_iterations_and_time(self) -> Claim:
-        """Read status, iterations and time [ns] that the library reports."""
+        """Return the status, iterations and time [ns] that the library reports."""
 
     @abstractmethod
     def _copy_solution_and_multipliers(self) -> Point | None:
         """Return copies of solution z and multipliers y, y_box; None if there are none."""
 
     def _set_options_on_library_settings(self, settings: Any) -> None:
-        """Set each option as an attribute of the library's settings."""
+        """Set each option as an attribute of the library's settings object, in place."""
         for name, value in self._options.items():
             setattr(settings, name, value)
 
     def _allocate_limits_of_rows_and_bounds(self) -> tuple[Vector, Vector]:
-        """Allocate limits (m + n,) of rows and bounds together, with the bounds written in."""
+        """Return new limits (m + n,) of rows and bounds together, with the bounds written in."""
         rows = np.empty(self._m)
         return np.concatenate([rows, self._lb]), np.concatenate([rows, self._ub])
 
     def _create_library_solver_for_step(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Store a step's vectors and make a new library object from them."""
+        """Store a step's vectors and a new library object made of them."""
         self._q[:], self._l[:], self._u[:] = q, low, high
         self._create_library_solver_unstarted()
 
     def _create_library_solver_unstarted(self) -> None:
-        """Discard the warm start and make a new library object."""
+        """Discard the warm start and store a new library object."""
         if self._given_start:
             self._start = WarmStart(self._n, self._m, self._block)
         self._create_library_solver()
 
     def _shift_warm_start_if_any(self) -> bool:
-        """Shift the stored warm start by a control increment; return whether there is one."""
+        """Shift the stored warm start by one increment in place; return whether there is one."""
         return self._given_start and self._start.shift_stored_answer_if_any()
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Copy the QP, make a new library object and discard earlier answers."""
+        """Store a copy of the QP and a new library object; discard earlier answers."""
         self._clear_answer_state()
         self._q, self._l, self._u = qp.q.copy(), qp.l.copy(), qp.u.copy()
         order = (self._block, self._stages) == (qp.block, qp.stages)
@@ -167,7 +167,7 @@ class NativeWorkspace(Workspace):
             self._record_exception_and_mark_unusable(error)
 
     def _recreate_solver_or_record_failure(self) -> None:
-        """Make a new library object; store an exception of the library as the solve's failure."""
+        """Store a new library object, or an exception of the library as the solve's failure."""
         self._unusable = self._used = False
         self._failure = ""
         try:
@@ -224,7 +224,7 @@ class NativeWorkspace(Workspace):
             self._start.store_copy_of_answer(solution)
 
     def reset(self) -> None:
-        """Discard the warm start by making a new library object, unless it has not been used."""
+        """Discard the warm start by a new library object, unless the present one was not used."""
         stale = self._used or self._unusable
         self._clear_answer_state()
         if stale and not self.setup_every_step:
@@ -243,17 +243,17 @@ class OneSidedWorkspace(NativeWorkspace):
 
     @abstractmethod
     def _create_one_sided_library_solver(self) -> None:
-        """Make a new library object from the QP with A z = b, G z ≤ h."""
+        """Store a new library object made of the QP with A z = b, G z ≤ h."""
 
     @abstractmethod
     def _send_one_sided_vectors_to_library(self) -> None:
         """Pass the linear cost q and right-hand sides b, h to the library."""
 
     def _prepare_one_sided_matrices(self) -> None:
-        """Convert P, A and G of a QP with A z = b, G z ≤ h for the library."""
+        """Store P, A and G of a QP with A z = b, G z ≤ h in the library's form."""
 
     def _prepare_matrices_for_library(self) -> None:
-        """Convert the QP with two-sided limits into A z = b, G z ≤ h."""
+        """Store the QP with two-sided limits as A z = b, G z ≤ h."""
         qp = QuadraticProgram(
             self._P, self._q, self._A, self._l, self._u, self._lb, self._ub, self._block
         )
@@ -261,14 +261,14 @@ class OneSidedWorkspace(NativeWorkspace):
         self._prepare_one_sided_matrices()
 
     def _create_library_solver(self) -> None:
-        """Make a new library object; convert the QP again if other limits are infinite."""
+        """Store a new library object; convert the QP again if other limits are infinite."""
         if not self._form.has_same_equal_and_infinite_limits(self._l, self._u):
             self._prepare_matrices_for_library()
         self._form.write_step_vectors_as_one_sided(self._q, self._l, self._u)
         self._create_one_sided_library_solver()
 
     def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Pass on a step's vectors; make a new library object if other limits are infinite."""
+        """Pass a step's vectors to the library; make a new object if other limits are infinite."""
         if self._form.has_same_equal_and_infinite_limits(low, high):
             self._form.write_step_vectors_as_one_sided(q, low, high)
             self._send_one_sided_vectors_to_library()
@@ -303,7 +303,7 @@ class WarmStart:
         self.known = True
 
     def shift_stored_answer_if_any(self) -> bool:
-        """Shift the stored answer by one control increment; return whether there is one."""
+        """Shift the stored answer by a control increment in place; return whether there is one."""
         if self.known:
             for target, last, by in self._last:
                 shift_into(target, last, by)

@@ -121,7 +121,7 @@ class OsqpWorkspace(NativeWorkspace):
         self._library = import_module("osqp.ext_builtin")
 
     def _prepare_matrices_for_library(self) -> None:
-        """Convert P and [A; I], bounds as rows, to sparse for OSQP and allocate limits."""
+        """Store sparse P and [A; I], bounds as rows, for OSQP, and arrays of limits."""
         csc, n, m = self._library.CSC, self._n, self._m
         self._P_upper = csc(scipy.sparse.triu(self._P, format="csc"))
         self._rows = csc(scipy.sparse.csc_matrix(append_identity_rows_for_bounds(self._A, n)))
@@ -136,7 +136,7 @@ class OsqpWorkspace(NativeWorkspace):
         np.minimum(high, INFINITY, out=self._high_rows)
 
     def _create_library_solver(self) -> None:
-        """Make a new OSQP solver from all data and options."""
+        """Store a new OSQP solver made of all data and options."""
         settings = make_default_settings_of_library()
         settings.verbose, settings.warm_starting = False, self._warm
         self._set_options_on_library_settings(settings)
@@ -158,7 +158,7 @@ class OsqpWorkspace(NativeWorkspace):
             self._solver.warm_start(self._start.z, self._start.dual)
 
     def _read_status_iterations_and_time(self) -> Claim:
-        """Read OSQP's status, iterations and solve time."""
+        """Return OSQP's status, iterations and solve time."""
         info = self._solver.info
         return read_info(info, info.solve_time, self._options)
 

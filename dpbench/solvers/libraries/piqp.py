@@ -95,7 +95,7 @@ class PiqpWorkspace(NativeWorkspace):
     """PIQP with two-sided rows; those with l = u are equalities, and others make it anew."""
 
     def _prepare_matrices_for_library(self) -> None:
-        """Split rows into equal and unequal ones, dense or as sparse matrices."""
+        """Store equal and unequal rows apart, dense or as sparse matrices."""
         as_form = scipy.sparse.csc_matrix if self.form == "csc" else np.asfortranarray
         equal = self._l == self._u
         self._pattern = equal.tobytes()
@@ -111,7 +111,7 @@ class PiqpWorkspace(NativeWorkspace):
         return getattr(self._library, kind)()
 
     def _create_library_solver(self) -> None:
-        """Make and set up a PIQP solver; split the rows again if other rows are equalities."""
+        """Store a new PIQP solver; split the rows again if other rows are equalities."""
         if (self._l == self._u).tobytes() != self._pattern:
             self._prepare_matrices_for_library()
         solver = self._make_piqp_solver()
@@ -134,14 +134,14 @@ class PiqpWorkspace(NativeWorkspace):
         return limits
 
     def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Update q and row limits; make a new solver if other rows are equalities."""
+        """Pass q and row limits to PIQP; make a new solver if other rows are equalities."""
         if (low == high).tobytes() == self._pattern:
             self._solver.update(c=q, **self._name_row_limits_as_piqp_arguments(low, high))
             return
         self._create_library_solver_for_step(q, low, high)
 
     def _read_status_iterations_and_time(self) -> Claim:
-        """Read PIQP's status, iterations and solve time."""
+        """Return PIQP's status, iterations and solve time."""
         self._result = self._solver.result
         info = self._result.info
         return read_info(info, info.solve_time, self._options)

@@ -98,7 +98,7 @@ DATA = {"H", "g", "A", "b", "C", "l", "u", "l_box", "u_box", "x", "y", "z", "ver
 
 
 def list_qpsolvers_keywords_of_proxqp() -> list[str]:
-    """List the option names of `proxqp.dense.solve`, parsed from its docstring."""
+    """Return the option names of `proxqp.dense.solve`, parsed from its docstring."""
     signature = str(import_module("proxsuite").proxqp.dense.solve.__doc__).split("->")[0]
     return [name for name in re.findall(r"[(,] ?(\w+): ", signature) if name not in DATA]
 
@@ -121,7 +121,7 @@ class ProxqpWorkspace(NativeWorkspace):
         self._library = self._library.proxqp
 
     def _prepare_matrices_for_library(self) -> None:
-        """Allocate limits; in the sparse form, convert P and [A; I], bounds as rows."""
+        """Store arrays of limits; in the sparse form also P and [A; I], bounds as rows."""
         n, m = self._n, self._m
         self._sparse = self.form == "csc"
         self._low, self._high = np.empty(m), np.empty(m)
@@ -131,7 +131,7 @@ class ProxqpWorkspace(NativeWorkspace):
             self._C = scipy.sparse.csc_matrix(append_identity_rows_for_bounds(self._A, n))
 
     def _create_library_solver(self) -> None:
-        """Make a new ProxQP solver, dense or sparse, from all data and options."""
+        """Store a new ProxQP solver, dense or sparse, made of all data and options."""
         n, m, library = self._n, self._m, self._library
         self._low[:m], self._high[:m] = self._l, self._u
         sparse, dense = library.sparse.QP, library.dense.QP
@@ -145,7 +145,7 @@ class ProxqpWorkspace(NativeWorkspace):
         self._shiftable = self._stuck = False
 
     def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
-        """Update q and limits; shift the previous result in place as warm start."""
+        """Pass q and limits to ProxQP; shift its previous result in place as warm start."""
         if self._stuck:
             self._create_library_solver_for_step(q, low, high)
             return
@@ -167,7 +167,7 @@ class ProxqpWorkspace(NativeWorkspace):
                     shift_into(part, part.copy(), by)
 
     def _read_status_iterations_and_time(self) -> Claim:
-        """Read ProxQP's status and iterations; note a failure after which it must be made anew."""
+        """Return ProxQP's status and iterations; note a failure after which it is made anew."""
         self._result = self._solver.results
         info = self._result.info
         claimed = read_info(info, info.solve_time, self._options)
@@ -192,7 +192,7 @@ def make_default_settings_of_library() -> Any:
 
 
 def list_proxqp_settings() -> list[str]:
-    """List the names of ProxQP's settings, except the initial guess."""
+    """Return the names of ProxQP's settings, except the initial guess."""
     return [
         name
         for name in list_public_settings_attributes(make_default_settings_of_library())

@@ -53,12 +53,12 @@ class QocoWorkspace(OneSidedWorkspace):
     """QOCO as QP solver, on A z = b and G z ≤ h."""
 
     def _prepare_one_sided_matrices(self) -> None:
-        """Convert P, A and G into sparse matrices."""
+        """Store P, A and G as sparse matrices for QOCO."""
         form, csc = self._form, scipy.sparse.csc_matrix
         self._matrices = tuple(None if M is None else csc(M) for M in (self._P, form.A, form.G))
 
     def _create_one_sided_library_solver(self) -> None:
-        """Make a new QOCO solver from the QP with A z = b, G z ≤ h."""
+        """Store a new QOCO solver made of the QP with A z = b, G z ≤ h."""
         P, A, G = self._matrices
         form = self._form
         inequalities = 0 if form.h is None else form.h.size
@@ -81,7 +81,7 @@ class QocoWorkspace(OneSidedWorkspace):
         self._solver._solver.solve()
 
     def _read_status_iterations_and_time(self) -> Claim:
-        """Read QOCO's status, iterations and solve time."""
+        """Return QOCO's status, iterations and solve time."""
         result = self._result
         name = self._solver.solvecodes[result.status]
         took_ns = round(result.solve_time_sec * 1e9)

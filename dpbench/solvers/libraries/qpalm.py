@@ -88,7 +88,7 @@ class QpalmWorkspace(NativeWorkspace):
     """QPALM as QP solver, bounds as rows; without a warm start, a solve begins at zero."""
 
     def _prepare_matrices_for_library(self) -> None:
-        """Convert P and [A; I], bounds as rows, to sparse for QPALM and allocate limits."""
+        """Store sparse P and [A; I], bounds as rows, for QPALM, and arrays of limits."""
         n, m = self._n, self._m
         self._data = self._library.Data(n, m + n)
         self._data.Q = scipy.sparse.csc_matrix(self._P)
@@ -96,7 +96,7 @@ class QpalmWorkspace(NativeWorkspace):
         self._low, self._high = self._allocate_limits_of_rows_and_bounds()
 
     def _create_library_solver(self) -> None:
-        """Make a new QPALM solver from all data and options."""
+        """Store a new QPALM solver made of all data and options."""
         m, data = self._m, self._data
         self._low[:m], self._high[:m] = self._l, self._u
         data.q, data.bmin, data.bmax = self._q, self._low, self._high
@@ -119,7 +119,7 @@ class QpalmWorkspace(NativeWorkspace):
         self._solver.solve(asynchronous=False)
 
     def _read_status_iterations_and_time(self) -> Claim:
-        """Read QPALM's status, iterations and solve time."""
+        """Return QPALM's status, iterations and solve time."""
         info = self._solver.info
         return read_info(info, info.solve_time, self._options)
 

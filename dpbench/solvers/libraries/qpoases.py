@@ -63,7 +63,7 @@ class QpoasesWorkspace(NativeWorkspace):
     """Workspace of qpOASES, called through casadi; after the first solve it starts hot."""
 
     def _prepare_matrices_for_library(self) -> None:
-        """Lay out P and A in qpOASES's memory order; allocate its inputs and outputs."""
+        """Store P and A in qpOASES's memory order, and arrays for its inputs and outputs."""
         n, m = self._n, self._m
         self._inputs = {
             "h": np.asfortranarray(self._P).ravel("K"),
@@ -76,7 +76,7 @@ class QpoasesWorkspace(NativeWorkspace):
         self._outputs = {name: np.empty(size) for name, size in outputs}
 
     def _create_library_solver(self) -> None:
-        """Make a new CasADi function of qpOASES and give it the addresses of all arrays."""
+        """Store a new CasADi function of qpOASES and give it the addresses of all arrays."""
         dense, n, m = self._library.Sparsity.dense, self._n, self._m
         shapes = {"h": dense(n, n), "a": dense(m, n)}
         options = {**FIXED, **self._options}
@@ -101,7 +101,7 @@ class QpoasesWorkspace(NativeWorkspace):
         self._trigger()
 
     def _read_status_iterations_and_time(self) -> Claim:
-        """Read qpOASES's status and iterations; a NaN cost counts as failure."""
+        """Return qpOASES's status and iterations; a NaN cost counts as failure."""
         flag = int(self._buffer.ret())
         iterations = int(self._buffer.stats()["iter_count"])
         if math.isnan(self._outputs["cost"][0]):
@@ -119,7 +119,7 @@ class QpoasesWorkspace(NativeWorkspace):
 
 
 def list_qpoases_options() -> list[str]:
-    """List qpOASES's option names from casadi's documentation text."""
+    """Return qpOASES's option names, from casadi's documentation text."""
     text = import_module("casadi").doc_conic("qpoases")
     return [name for name in re.findall(r"^\| (\w+) +\| OT_", text, re.M) if name != "printLevel"]
 

@@ -27,7 +27,7 @@ CONEQP_MAXITERS = 100
 
 
 def read_coneqp_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read CVXOPT's status and iterations; its "unknown" is the iteration limit or a breakdown."""
+    """Return CVXOPT's status and iterations; its "unknown" is an iteration limit or breakdown."""
     name, iterations = str(answer.extras["status"]), int(answer.extras["iterations"])
     if name == "optimal":
         status = Status.SOLVED
@@ -108,7 +108,7 @@ ECOS_KEYS = (
 
 
 def read_ecos_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read ECOS's status, iterations and run time with set-up from a qpsolvers solution."""
+    """Return ECOS's status, iterations and run time with set-up from a qpsolvers solution."""
     info = answer.extras
     status = ECOS_STATUS.get(int(info["exitFlag"]), Status.UNKNOWN)
     took_ns = round(info["timing"]["runtime"] * 1e9)
@@ -176,7 +176,7 @@ QTQP_STATUS = {
 
 
 def read_qtqp_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read QTQP's status, and iterations if its statistics are on, from a qpsolvers solution."""
+    """Return QTQP's status from a qpsolvers solution, and iterations if its statistics are on."""
     name, rows = str(answer.extras["status"].value), answer.extras["stats"]
     status = QTQP_STATUS.get(name, Status.UNKNOWN)
     return ClaimedStatus(status, len(rows) if rows else -1, detail=name)
@@ -227,7 +227,7 @@ SIP_GROUPS = ("barrier", "line_search", "penalty", "regularization", "scaling", 
 
 
 def read_sip_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read SIP's status and iterations from a qpsolvers solution."""
+    """Return SIP's status and iterations from a qpsolvers solution."""
     info = answer.extras["sip_output"]
     name = info.exit_status.name
     status = SIP_STATUS.get(name, Status.UNKNOWN)
@@ -235,7 +235,7 @@ def read_sip_status(answer: Any, options: Options) -> ClaimedStatus:
 
 
 def list_sip_options() -> list[str]:
-    """List SIP's option names; members of a settings group as "group.name"."""
+    """Return SIP's option names; members of a settings group as "group.name"."""
     settings = import_module("sip_qp_python").Settings()
     # qpsolvers reads the first three before it looks at SIP's own settings.
     names = ["eps_abs", "eps_rel", "time_limit"]
@@ -284,7 +284,7 @@ QPAX_MAX_ITER = 30
 
 
 def read_qpax_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read qpax's status and iterations; not solved at the iteration limit is MAX_ITERATIONS."""
+    """Return qpax's status and iterations; not solved at the iteration limit is MAX_ITERATIONS."""
     iterations = int(answer.extras["info"]["iterations"])
     if bool(answer.found):
         return ClaimedStatus(Status.SOLVED, iterations)
@@ -331,7 +331,7 @@ JAXOPT_STRUCTURE = ("matvec_Q", "matvec_A", "fun", "verbose", "jit", "unroll")
 
 
 def read_jaxopt_status(answer: Any, options: Options) -> ClaimedStatus:
-    """Read JAXopt's status and iterations from a qpsolvers solution."""
+    """Return JAXopt's status and iterations from a qpsolvers solution."""
     status = JAXOPT_STATUS.get(int(answer.extras["status"]), Status.UNKNOWN)
     return ClaimedStatus(status, int(answer.extras["iter_num"]))
 

@@ -43,12 +43,12 @@ class QpsolversWorkspace(Workspace):
         self._last: np.ndarray | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Convert a QP into the library's form and discard earlier answers."""
+        """Store a QP in the library's form and discard earlier answers."""
         self.reset()
         self._store_qp_as_one_sided(qp.copy())
 
     def _store_qp_as_one_sided(self, qp: QuadraticProgram) -> None:
-        """Store a QP and convert its two-sided limits to G z ≤ h, A z = b."""
+        """Store a QP, also with its two-sided limits as G z ≤ h, A z = b."""
         self._base = qp
         self._form = OneSidedForm(qp, self.form, self._adapter.box)
         self._create_qpsolvers_problem_of_step(qp.q, qp.l, qp.u)
@@ -56,13 +56,13 @@ class QpsolversWorkspace(Workspace):
     def _create_qpsolvers_problem_of_step(
         self, q: np.ndarray, low: np.ndarray, high: np.ndarray
     ) -> None:
-        """Make a new problem of qpsolvers from a step's vectors."""
+        """Store a new problem of qpsolvers made of a step's vectors."""
         form = self._form
         form.write_step_vectors_as_one_sided(q, low, high)
         self._problem = Problem(form.P, form.q, form.G, form.h, form.A, form.b, form.lb, form.ub)
 
     def update(self, step: QPStep) -> None:
-        """Take over a step's vectors; convert again if matrices or infinite limits change."""
+        """Store a step's vectors; convert again if matrices or infinite limits change."""
         base = self._base
         if base is None:
             raise make_error_for_missing_setup("update")
@@ -87,7 +87,7 @@ class QpsolversWorkspace(Workspace):
         return start
 
     def solve(self) -> None:
-        """Call qpsolvers; store whatever the library raises, for `read` to report."""
+        """Call qpsolvers and store its answer, or whatever it raises, for `read` to report."""
         self._answer, self._unread = None, True
         try:
             # Where all warnings are ignored already, as in a worker, a context costs time.
@@ -101,7 +101,7 @@ class QpsolversWorkspace(Workspace):
             self._failure = describe_exception_unless_interrupt(error)
 
     def _call_library_solve(self) -> Any:
-        """Call `solve_problem` of qpsolvers with the start and all options."""
+        """Return the answer of qpsolvers' `solve_problem` with the start and all options."""
         return solve_problem(self._problem, self._name, initvals=self._start, **self._options)
 
     def read(self) -> Solution:

@@ -43,7 +43,7 @@ RECORD = SolverRecord(
 
 
 def read_quadprog_claim_from_qpsolvers(answer: Any, options: Options) -> ClaimedStatus:
-    """Read quadprog's iterations from a qpsolvers solution, which only solved ones have."""
+    """Return quadprog's iterations in a qpsolvers solution, which only solved ones have."""
     return ClaimedStatus(Status.SOLVED, int(answer.extras["iterations"][0]))
 
 
@@ -83,7 +83,7 @@ class QuadprogWorkspace(OneSidedWorkspace):
         self._equalities, self._a = equalities, np.empty(self._n)
 
     def _create_one_sided_library_solver(self) -> None:
-        """Invert the Cholesky factor of P, unless every solve is to start from nothing."""
+        """Store the inverse Cholesky factor of P, unless every solve is to start from nothing."""
         self._factorized = self.policy != "fresh"
         self._matrix = self._P
         if self._factorized:
@@ -101,7 +101,7 @@ class QuadprogWorkspace(OneSidedWorkspace):
             np.negative(form.bh[count:], out=self._b[count:])
 
     def _call_library_solve(self) -> None:
-        """Call quadprog; convert its ValueError into a status."""
+        """Call quadprog and store its result; a ValueError of it becomes a status."""
         self._result = None
         try:
             self._result = self._solve_qp(
@@ -112,7 +112,7 @@ class QuadprogWorkspace(OneSidedWorkspace):
             self._status = STATUS.get(self._words, Status.UNKNOWN)
 
     def _read_status_iterations_and_time(self) -> Claim:
-        """Read quadprog's status and iterations; it reports no time."""
+        """Return quadprog's status and iterations; it reports no time."""
         if self._result is None:
             return self._status, -1, -1, self._words
         return Status.SOLVED, int(self._result[3][0]), -1, ""

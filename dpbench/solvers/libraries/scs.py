@@ -76,7 +76,7 @@ OPTION_NAMES = (
 
 
 def convert_scs_info_to_claim(info: Mapping[str, Any], took_ms: float) -> Claim:
-    """Convert SCS's status, iterations and time to the common form; name the limit reached."""
+    """Return SCS's status, iterations and time in the common form, naming the limit reached."""
     status = STATUS.get(int(info["status_val"]), Status.UNKNOWN)
     # An inaccurate answer names the limit that stopped it in its text.
     if status is Status.INACCURATE and "time_limit" in info["status"]:
@@ -87,7 +87,7 @@ def convert_scs_info_to_claim(info: Mapping[str, Any], took_ms: float) -> Claim:
 
 
 def read_scs_status_from_qpsolvers(answer: Any, options: Options) -> Claim:
-    """Read SCS's status, iterations and time with set-up from a qpsolvers solution."""
+    """Return SCS's status, iterations and time with set-up from a qpsolvers solution."""
     info = answer.extras
     return convert_scs_info_to_claim(info, info["setup_time"] + info["solve_time"])
 
@@ -101,7 +101,7 @@ class ScsWorkspace(OneSidedWorkspace):
     """SCS as QP solver, in conic form [A; G] z + s = [b; h]; `warm` gives z, multipliers and s."""
 
     def _prepare_one_sided_matrices(self) -> None:
-        """Convert P and stacked rows [A; G] to sparse for SCS, with a zero row if there is none."""
+        """Store P and stacked rows [A; G] sparse for SCS, with a zero row if there is none."""
         rows, equalities, inequalities = self._stack_equality_and_inequality_rows()
         self._empty = not rows.size
         if self._empty:
@@ -115,7 +115,7 @@ class ScsWorkspace(OneSidedWorkspace):
         self._y, self._s = np.zeros(rows.shape[0]), np.zeros(rows.shape[0])
 
     def _create_one_sided_library_solver(self) -> None:
-        """Make a new SCS solver from the QP with A z = b, G z ≤ h."""
+        """Store a new SCS solver made of the QP with A z = b, G z ≤ h."""
         data = {"P": self._P_upper, "A": self._matrix, "b": self._b, "c": self._form.q}
         self._solver = self._library.SCS(data, self._cone, verbose=False, **self._options)
         self._given = False
@@ -137,14 +137,14 @@ class ScsWorkspace(OneSidedWorkspace):
         self._solver.update(b=self._b, c=self._form.q)
 
     def _call_library_solve(self) -> None:
-        """Call SCS with a warm start if there is one."""
+        """Call SCS, with a warm start if there is one, and store its result."""
         if self._given:
             self._result = self._solver.solve(True, self._start.z, self._y, self._s)
         else:
             self._result = self._solver.solve(False)
 
     def _read_status_iterations_and_time(self) -> Claim:
-        """Read SCS's status, iterations and solve time."""
+        """Return SCS's status, iterations and solve time."""
         info = self._result["info"]
         return convert_scs_info_to_claim(info, info["solve_time"])
 

@@ -66,14 +66,14 @@ UNCONSTRAINED_CLIPPED = replace(
 def _open_paper_active_set_solver(
     record: SolverRecord, policy: Policy, options: Options
 ) -> Workspace:
-    """Open dpbench's solver by the paper's active-set method, which has no options."""
+    """Return dpbench's solver by the paper's active-set method, which has no options."""
     from dpbench.solvers.own.paper_active_set import PaperActiveSetWorkspace
 
     return PaperActiveSetWorkspace(record.name, "native", policy)
 
 
 def _open_hildreth_solver(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
-    """Open dpbench's solver by Hildreth's dual method, with the given options."""
+    """Return dpbench's solver by Hildreth's dual method, with the given options."""
     from dpbench.solvers.own.hildreth import HildrethSettings, HildrethWorkspace
 
     return HildrethWorkspace(record.name, "native", policy, HildrethSettings.from_options(options))
@@ -82,7 +82,7 @@ def _open_hildreth_solver(record: SolverRecord, policy: Policy, options: Options
 def _open_solver_ignoring_constraints(
     record: SolverRecord, policy: Policy, options: Options
 ) -> Workspace:
-    """Open dpbench's solver that ignores all constraints and has no options."""
+    """Return dpbench's solver that ignores all constraints and has no options."""
     from dpbench.solvers.own.unconstrained import UnconstrainedWorkspace
 
     return UnconstrainedWorkspace(record.name, "native", policy)

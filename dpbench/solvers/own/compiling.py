@@ -49,7 +49,7 @@ def find_c_compiler_command() -> list[str]:
 
 
 def compile_own_library_if_missing(folder: Path = FOLDER) -> Path:
-    """Compile the library into a folder, unless it is there; RuntimeError if that fails.
+    """Return the library's path in a folder, compiled if it is missing; RuntimeError if that fails.
 
     Libraries of other sources in that folder are removed.
     """

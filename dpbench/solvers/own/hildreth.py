@@ -34,7 +34,7 @@ class HildrethSettings:
 
     @classmethod
     def from_options(cls, options: Mapping[str, object]) -> "HildrethSettings":
-        """Make stopping criteria from solver options; SettingsError unless all are positive."""
+        """Return stopping criteria of solver options; SettingsError unless all are positive."""
         for key, value in options.items():
             integer = key == "max_iter"
             if isinstance(value, bool) or not isinstance(value, int if integer else (int, float)):
@@ -56,7 +56,7 @@ class HildrethWorkspace(PaperActiveSetWorkspace):
         self._change = np.zeros(0)
 
     def solve(self) -> None:
-        """Run Hildreth's method until it converges or reaches the limit of sweeps."""
+        """Run Hildreth's method until it converges or reaches the sweep limit; store the answer."""
         if self._ending < NOT_SOLVED_YET:
             return
         if self._problem is None:

@@ -56,7 +56,7 @@ class ActiveSet(ctypes.Structure):
 
 @cache
 def load_own_c_library() -> Any:
-    """Load the library, compiled first if missing; SolverUnavailableError where that fails."""
+    """Return the loaded C library, compiled if missing; SolverUnavailableError where that fails."""
     try:
         library = ctypes.PyDLL(str(compile_own_library_if_missing()))
     except (OSError, RuntimeError) as error:

@@ -109,7 +109,7 @@ class PaperActiveSetWorkspace(Workspace):
         self._ending = self._ready
 
     def solve(self) -> None:
-        """Solve the current QP by one call of the C library."""
+        """Solve the current QP by one call of the C library, which stores the answer."""
         if self._ending < NOT_SOLVED_YET:
             return
         if self._problem is None:

@@ -31,7 +31,7 @@ class UnconstrainedWorkspace(Workspace):
         self._z: Vector | None = None
 
     def setup(self, qp: QuadraticProgram) -> None:
-        """Factorise P; a P that is not positive definite shows as ERROR when solved."""
+        """Store the factors of P; a P that is not positive definite shows as ERROR when solved."""
         self._base, self._z = qp.copy(), None
         self._q = self._base.q.copy()
         try:
@@ -40,7 +40,7 @@ class UnconstrainedWorkspace(Workspace):
             self._factor = None
 
     def update(self, step: QPStep) -> None:
-        """Take over the linear cost q; factorise P again if matrices changed."""
+        """Store the linear cost q; factorise P again if matrices changed."""
         if self._base is None:
             raise make_error_for_missing_setup("update")
         check_step(step, self._base.n, self._base.m)
@@ -52,7 +52,7 @@ class UnconstrainedWorkspace(Workspace):
             self.setup(self._base.at(step))
 
     def solve(self) -> None:
-        """Compute the unconstrained optimum z = −P⁻¹q by two triangular solves."""
+        """Store the unconstrained optimum z = −P⁻¹q, by two triangular solves."""
         if self._factor is not None:
             self._z = scipy.linalg.cho_solve((self._factor, True), -self._q, check_finite=False)
 
