@@ -30,13 +30,13 @@ class _TerseParser(argparse.ArgumentParser):
     """An argument parser that prints an error on one line."""
 
     def error(self, message: str) -> NoReturn:
-        """Print an error in the command line on one line and exit with code 2."""
+        """Print an error in the command line on one line; exit with code 2."""
         print(f"dpbench: {message} (see dpbench --help)", file=sys.stderr)
         raise SystemExit(2)
 
 
 def make_parser(calls: Mapping[str, Callable[..., int | None]]) -> argparse.ArgumentParser:
-    """Make the command line's parser; `calls` maps commands to the functions that run them."""
+    """Return the command line's parser; `calls` maps commands to the functions that run them."""
     whole = _TerseParser(prog="dpbench", description="Benchmark QP solvers inside a ship's DP MPC.")
     whole.add_argument("--version", action="version", version=f"dpbench {version('dpbench')}")
     commands = whole.add_subparsers(
@@ -64,26 +64,26 @@ def offer_completions(whole: argparse.ArgumentParser) -> None:
 
 
 def _list_stored_files(kind: str, **_: object) -> list[str]:
-    """List the stored files of a kind by name, to complete words in a shell."""
+    """Return the names of stored files of a kind, to complete words in a shell."""
     from dpbench.scenario.problem_files import list_shipped_problem_names
 
     return list_shipped_problem_names(kind)
 
 
 def _list_solvers(**_: object) -> list[str]:
-    """List the names of all solvers, to complete words in a shell."""
+    """Return the names of all solvers, to complete words in a shell."""
     from dpbench.solvers.table import list_all_solver_names
 
     return list(list_all_solver_names())
 
 
 def _add_option(command: Command, name: str, value: str, meaning: str, **keywords: Any) -> None:
-    """Add an option with the name of its value and its help."""
+    """Add an option with the name of its value and its help to a command's parser."""
     command.add_argument(name, metavar=value, help=meaning, **keywords)
 
 
 def _add_run_arguments(run: Command) -> None:
-    """Add the arguments of `dpbench run`."""
+    """Add the arguments of `dpbench run` to its parser."""
     option = partial(_add_option, run)
     run.add_argument("--out", help="result folder (default: results/<suite>)")
     _add_suite_arguments(run)
@@ -97,7 +97,7 @@ def _add_run_arguments(run: Command) -> None:
 
 
 def _add_suite_arguments(run: Command) -> None:
-    """Add the arguments that choose and vary a suite."""
+    """Add the arguments that choose and vary a suite to a command's parser."""
     option = partial(_add_option, run)
     repeated = partial(option, action="append")
     sequence = "instead: a stored sequence, a .npz, or a folder of them by qpsolvers"
@@ -121,7 +121,7 @@ def _add_suite_arguments(run: Command) -> None:
 
 
 def _add_wait_arguments(command: Command) -> None:
-    """Add the options on how long to wait for another campaign."""
+    """Add the options on how long to wait for another campaign to a command's parser."""
     wait = command.add_mutually_exclusive_group()
     longest = "the longest wait for another campaign on this machine (no limit)"
     _add_option(wait, "--wait", "SECONDS", longest, type=float, dest="wait_s")
@@ -130,7 +130,7 @@ def _add_wait_arguments(command: Command) -> None:
 
 
 def _add_cells_arguments(cells: Command) -> None:
-    """Add the arguments of `dpbench cells`, which runs one shard."""
+    """Add the arguments of `dpbench cells`, which runs one shard, to its parser."""
     cells.description = (
         "For schedulers that only start commands: the cells of one of N shards, which "
         "several machines may run at a time. Give the same command again after an interruption."
@@ -141,7 +141,7 @@ def _add_cells_arguments(cells: Command) -> None:
 
 
 def _add_gather_arguments(gather: Command) -> None:
-    """Add the arguments of `dpbench gather`, which joins shards."""
+    """Add the arguments of `dpbench gather`, which joins shards, to its parser."""
     gather.add_argument("folders", metavar="DIR", nargs="+", help="a folder of each shard")
     option = partial(_add_option, gather)
     option("--out", "DIR", "result folder", required=True)
@@ -151,7 +151,7 @@ def _add_gather_arguments(gather: Command) -> None:
 
 
 def _add_ending_arguments(command: Command) -> None:
-    """Add the options on what a command prints at its end, and its exit code."""
+    """Add the options on what a command prints at its end, and exits with, to its parser."""
     command.add_argument("--open", action="store_true", help="open the page in a browser")
     command.add_argument("--json", action="store_true", help="print the result as JSON")
     command.add_argument("--quiet", action="store_true", help="print only the path of the page")
@@ -160,7 +160,7 @@ def _add_ending_arguments(command: Command) -> None:
 
 
 def _add_report_arguments(report: Command) -> None:
-    """Add the arguments of `dpbench report`."""
+    """Add the arguments of `dpbench report` to its parser."""
     report.add_argument("dir", help="a folder written by `dpbench run`")
     option = partial(_add_option, report)
     repeated = partial(option, action="append", default=[])
@@ -175,7 +175,7 @@ def _add_report_arguments(report: Command) -> None:
 
 
 def _add_compare_arguments(compare: Command) -> None:
-    """Add the arguments of `dpbench compare`."""
+    """Add the arguments of `dpbench compare` to its parser."""
     compare.add_argument("folders", metavar="DIR", nargs="+", help="two result folders, A and B")
     releases = "instead: each solver over its versions, in two folders or more"
     compare.add_argument("--releases", action="store_true", help=releases)
@@ -189,7 +189,7 @@ def _add_compare_arguments(compare: Command) -> None:
 
 
 def _add_export_arguments(export: Command) -> None:
-    """Add the arguments of `dpbench export`."""
+    """Add the arguments of `dpbench export` to its parser."""
     problems = "a scenario, a sequence (name, .npz, random_mpc-NX-NU-N) or a folder of problems"
     export.add_argument("what", nargs="?", help=problems)
     export.add_argument("--all", action="store_true", help="instead: all stored sequences anew")
@@ -207,7 +207,7 @@ def _add_export_arguments(export: Command) -> None:
 
 
 def _add_worst_case_arguments(worst_case: Command) -> None:
-    """Add the arguments of `dpbench worst-case`."""
+    """Add the arguments of `dpbench worst-case` to its parser."""
     add, option = worst_case.add_argument, partial(_add_option, worst_case)
     add("solver", help="the solver to search")
     add("--goal", default="iterations", help="iterations (default) or error")
@@ -223,7 +223,7 @@ def _add_worst_case_arguments(worst_case: Command) -> None:
 
 
 def _add_check_arguments(check: Command) -> None:
-    """Add the arguments of `dpbench check`."""
+    """Add the arguments of `dpbench check` to its parser."""
     file = (
         "a name, scenario@vessel, a TOML file, or a .npz or folder of problems, whose every "
         "step is certified anew; or a folder of results/community"
@@ -234,7 +234,7 @@ def _add_check_arguments(check: Command) -> None:
 
 
 def _add_init_arguments(init: Command) -> None:
-    """Add the arguments of `dpbench init`."""
+    """Add the arguments of `dpbench init` to its parser."""
     init.description = (
         "Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml, with what "
         "was derived how in their comments; with --thrusters also NAME_thrusters.toml, whose "
@@ -262,7 +262,7 @@ def _add_init_arguments(init: Command) -> None:
 
 
 def _add_capability_arguments(capability: Command) -> None:
-    """Add the arguments of `dpbench capability`."""
+    """Add the arguments of `dpbench capability` to its parser."""
     capability.description = (
         "For 36 directions, intact and after the loss of each failure group; with "
         "--solver, which solvers answer the loads at that limit correctly."

@@ -40,7 +40,7 @@ _CELL = 15
 
 
 def describe_capability(arguments: argparse.Namespace) -> str:
-    """Compute the largest wind that a vessel's thrusters hold, by direction, as text or JSON."""
+    """Return the largest wind that a vessel's thrusters hold, by direction, as text or JSON."""
     figure = None if arguments.figure is None else Path(arguments.figure)
     if figure is not None and figure.suffix not in FIGURES:
         allowed = f"a file that ends with {', '.join(FIGURES)}"
@@ -74,7 +74,7 @@ def describe_capability(arguments: argparse.Namespace) -> str:
 def _judge_solvers(
     frontier: CapabilityPlot, capability: Capability, out: Path, arguments: argparse.Namespace
 ) -> list[Answers]:
-    """Run solvers on the allocation QPs at a ship's wind limit; count right and wrong answers."""
+    """Run solvers on allocation QPs at a ship's wind limit; return counts of right answers."""
     solvers = None if "all" in arguments.solver else arguments.solver
     quiet = arguments.json
     if frontier.sides is None:
@@ -89,7 +89,7 @@ def _judge_solvers(
 
 
 def save_rose_figure(capability: Capability, vessel: Vessel, path: Path) -> None:
-    """Draw the largest wind held by direction and failure case; the file's ending is its format."""
+    """Write a chart of the largest wind held by direction and failure case to a file."""
     from dpbench.report.charts.capability import COLUMNS as DRAWN, draw_capability_rose
     from dpbench.report.charts.render import save_figure
 
@@ -103,7 +103,7 @@ def save_rose_figure(capability: Capability, vessel: Vessel, path: Path) -> None
 
 
 def format_wind_table(capability: Capability, vessel: Vessel) -> list[str]:
-    """Format the largest wind held, by direction and lost thrusters, as a table of 80 columns."""
+    """Return the largest wind held, by direction and lost thrusters, as lines of 80 columns."""
     columns = dict(capability.held)
     if len(columns) > _WIDE:
         columns = {INTACT: columns[INTACT], "worst failure": capability.limits_after_worst_failure}
@@ -127,7 +127,7 @@ def format_wind_table(capability: Capability, vessel: Vessel) -> list[str]:
 
 
 def _format_wind_limit(held: WindLimit) -> str:
-    """Format the largest wind held [m/s] and its DP capability number as a table cell."""
+    """Return the largest wind held [m/s] and its DP capability number as a table cell."""
     beyond = "+" if is_beyond_standard_winds(held) else " "
     # Rounded down: 10.68 m/s, short of the 10.7 m/s of number 5, is no "10.7" beside a 4.
     wind_mps = math.floor(10.0 * held.wind_mps + 1e-6) / 10.0
@@ -135,7 +135,7 @@ def _format_wind_limit(held: WindLimit) -> str:
 
 
 def _explain_notation(capability: Capability) -> list[str]:
-    """Explain a DP capability notation, the thrusters lost in each case and assumptions."""
+    """Return lines on a DP capability notation, the thrusters lost in each case, assumptions."""
     lines = [
         f"{capability.notation}: least number intact within 30° of the bow and all round, and the "
         "same after the worst failure."
@@ -151,7 +151,7 @@ def _explain_notation(capability: Capability) -> list[str]:
 
 
 def _suggest_closed_loops(capability: Capability, vessel: str) -> list[str]:
-    """Name what a static balance does not show, and the commands of a closed loop that does."""
+    """Return lines on what a static balance does not show, and on commands that show it."""
     about = (
         "This is a static balance of means. A closed loop can still leave its station, in gusts, "
         "waves or after a loss. To try one:"
@@ -171,7 +171,7 @@ def _suggest_closed_loops(capability: Capability, vessel: str) -> list[str]:
 
 
 def format_answer_counts(answers: Sequence[Answers]) -> list[str]:
-    """Format solvers' counts of right and wrong thrust allocations and solve times as a table."""
+    """Return lines of a table of solvers' right and wrong allocations and solve times."""
     first = answers[0]
     about = (
         f"{first.asked} static allocations at the edge of what is held. Right are optima that are "

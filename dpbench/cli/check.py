@@ -62,7 +62,7 @@ def check_file(name: str, progress: Progress | None = None, *, quick: bool = Fal
 
 
 def _make_unknown_name_error(name: str) -> InputError:
-    """Make the error for a name that `dpbench check` does not find, with the nearest ones."""
+    """Return the error for a name that `dpbench check` does not find, with the nearest ones."""
     kinds = (*problems.KINDS, problems.SEQUENCES)
     names = [known for kind in kinds for known in problems.list_shipped_problem_names(kind)]
     near = find_nearest_names(name, names, likeness=0.6)
@@ -72,7 +72,7 @@ def _make_unknown_name_error(name: str) -> InputError:
 
 
 def _check_folder(folder: Path, progress: Progress | None) -> str:
-    """Check a folder of submitted results or of QPs written by qpsolvers; describe it."""
+    """Check a folder of submitted results or of qpsolvers' QPs; return its description."""
     from dpbench.report.documents.sent import SENDER, check_sent_folder
 
     if any(os.path.isfile(folder / name) for name in (SENDER, "runs.parquet")):
@@ -88,7 +88,7 @@ def _check_sequence(path: Path, progress: Progress | None) -> str:
 
 
 def _check_document(file: Path, progress: Progress | None, *, quick: bool) -> str:
-    """Check a TOML file of a vessel, scenario or suite, recognised by its tables; describe it."""
+    """Check a TOML file of a vessel, scenario or suite by its tables; return a description."""
     document = problems.read_toml_as_dict(file)
     if "limits" in document or "thrusters" in document:
         return _check_vessel(file, progress, quick=quick)
@@ -149,7 +149,7 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
 
 
 def _describe_unstable_loops(planned: Sequence[PlannedCell]) -> list[str]:
-    """State which scenarios and points of studies have a loop that is unstable without limits."""
+    """Return lines on scenarios and study points whose loop is unstable without limits."""
     from dpbench.scenario.stability import describe_unstable_loop, find_unstable_radius
 
     loops: dict[tuple[str, int], ScenarioDocuments] = {}

@@ -37,7 +37,7 @@ _TRIALS = 2 * len(OFFSETS_M)
 def describe_checked_vessel(
     file: Path, vessel: Vessel, progress: Progress | None = None, *, quick: bool = False
 ) -> str:
-    """Describe a ship, and from which sideways offsets two DP controllers bring it back.
+    """Return a text on a ship, and on sideways offsets from which two controllers recover it.
 
     quick : simulate nothing, and state what is left out.
     """
@@ -55,7 +55,7 @@ def describe_checked_scenario(
     *,
     quick: bool = False,
 ) -> str:
-    """Describe a scenario: ship, weather load, and sideways offsets that are recovered.
+    """Return a text on a scenario: ship, weather load, sideways offsets that are recovered.
 
     quick : simulate nothing, and state what is left out.
     """
@@ -66,12 +66,12 @@ def describe_checked_scenario(
 
 
 def _join_lines(first: str, others: Sequence[str]) -> str:
-    """Join lines of text, the first one shortened to 80 columns."""
+    """Return lines joined to one text, the first one shortened to 80 columns."""
     return "\n".join([textwrap.shorten(first, WIDTH, placeholder=" …"), *others])
 
 
 def format_limits_by_axis(vessel: Vessel) -> list[str]:
-    """Format a ship's force limits, rise times and accelerations by axis, as a table.
+    """Return lines of a table: a ship's force limits, rise times and accelerations by axis.
 
     Of a ship with thrusters the largest force in an axis is that without any in the others.
     """
@@ -117,14 +117,14 @@ def _limit_to_pure_forces(vessel: Vessel, reach: ThrusterReach) -> Vessel:
 
 
 def _format_forces(vessel: Vessel, unit: str, per: float) -> list[str]:
-    """Format the limits of force and moment, divided by `per`, with their units."""
+    """Return the limits of force and moment as text, divided by `per`, with their units."""
     limits = zip(vessel.tau_min / per, vessel.tau_max / per, strict=True)
     units = (unit, unit, f"{unit}·m")
     return [f"{_format_range(*pair)} {unit}" for pair, unit in zip(limits, units, strict=True)]
 
 
 def _describe_drag_error(vessel: Vessel, unit: str, per: float) -> list[str]:
-    """State how far the controller's model is from the drag of a ship; nothing without drag."""
+    """Return lines on how far the controller's model is from a ship's drag; none without drag."""
     if vessel.drag is None:
         return []
     linear = f"{_format_number(vessel.D[ships.SWAY, ships.SWAY] / per)} {unit}"
@@ -132,7 +132,7 @@ def _describe_drag_error(vessel: Vessel, unit: str, per: float) -> list[str]:
 
 
 def _format_range(low: float, high: float) -> str:
-    """Format a range of numbers as ±high, or low..high if it is not symmetric."""
+    """Return a range of numbers as text: ±high, or low..high if it is not symmetric."""
     least, most = _format_number(low), _format_number(high)
     return f"±{most}" if abs(low + high) <= _SAME * high else f"{least}..{most}"
 
@@ -140,7 +140,7 @@ def _format_range(low: float, high: float) -> str:
 def _format_with_units(
     values: Vector, units: Sequence[str], most: Sequence[float] | Vector = 3 * (np.inf,)
 ) -> list[str]:
-    """Format each number with its unit, or as "> limit" where it exceeds its limit."""
+    """Return each number with its unit, or as "> limit" where it exceeds its limit."""
     return [
         f"{_format_number(value) if value <= limit else f'> {significant(limit, 2)}'} {unit}"
         for value, unit, limit in zip(values, units, most, strict=True)
@@ -148,12 +148,12 @@ def _format_with_units(
 
 
 def _format_number(value: float) -> str:
-    """Format a number to three digits, large ones without a decimal point."""
+    """Return a number as text of three digits, large ones without a decimal point."""
     return f"{value:.0f}" if abs(value) >= 99.5 else significant(value)
 
 
 def _describe_sideways_force(vessel: Vessel, current_mps: float, unit: str, per: float) -> str:
-    """State a ship's force at 1 m/s sideways, its sway force limit, and the current it holds."""
+    """Return a line on a ship's force at 1 m/s sideways, its sway limit, the current it holds."""
     needs = ships.compute_force_of_unit_current_abeam(vessel)[ships.SWAY] / per
     has = min(-vessel.tau_min[ships.SWAY], vessel.tau_max[ships.SWAY]) / per
     most = ships.compute_linear_damping_speeds(vessel)[ships.SWAY]
@@ -165,7 +165,7 @@ def _describe_sideways_force(vessel: Vessel, current_mps: float, unit: str, per:
 
 
 def _describe_weather_load(scenario: Scenario) -> str:
-    """State the mean force of a scenario's weather as shares of the ship's limits and thrust."""
+    """Return words on a weather's mean force as shares of the ship's limits and thrust."""
     vessel = scenario.vessel
     load = ships.compute_mean_weather_force(
         vessel, scenario.environment, float(scenario.reference[2])
@@ -183,7 +183,7 @@ def _describe_weather_load(scenario: Scenario) -> str:
 
 
 def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None, *, quick: bool) -> list[str]:
-    """Simulate sideways offsets in still water; state from which each controller recovers."""
+    """Return lines on the sideways offsets, simulated in still water, that controllers recover."""
     if quick:
         return [LEFT_OUT]
     progress = progress or Silent()
@@ -208,7 +208,7 @@ def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None, *, quick:
 
 
 def _describe_bracket(bracket: Bracket, scale: float) -> str:
-    """State the largest sideways offset recovered and the smallest that is not [m]."""
+    """Return in words the largest sideways offset recovered and the smallest that is not [m]."""
     holds = f"{float(format_rounded_down(scale * bracket.holds_m)):g}"
     if bracket.fails_m is None:
         return f"holds calm water, from {holds} m sideways and all below"

@@ -12,7 +12,7 @@ from dpbench.solvers.open import open_workspace
 
 
 def compile_all_kernels() -> None:
-    """Compile all Numba functions that are not yet in the disk cache; print the time taken."""
+    """Compile to the disk cache all Numba functions not yet in it; print the time taken."""
     if has_compiled_kernels():
         return
     print("compiling the kernels, once after an installation: a minute or two", flush=True)

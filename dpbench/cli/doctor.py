@@ -12,7 +12,7 @@ _WIDTH = 32
 
 
 def describe_machine_and_clock() -> list[str]:
-    """Describe this machine, how quiet it is, and whether solve times are measured correctly."""
+    """Return lines on this machine, how quiet it is, whether solve times are measured rightly."""
     machine = describe_machine()
     harness = time_dummy_solvers()
     available = ((name, find_solver_availability(name)) for name in list_all_solver_names())

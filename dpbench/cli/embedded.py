@@ -61,7 +61,7 @@ NOTE = (
 
 
 def count_and_print(arguments: argparse.Namespace) -> int:
-    """Count as the options ask for; return 1 if a solver could not be counted, or tools differ."""
+    """Print counts as options ask; return 1 if a solver could not be counted, or tools differ."""
     require_extra()
     targets = [find_target_by_name(name) for name in arguments.target or ["m7"]]
     sources = _read_sources(arguments.source)
@@ -160,7 +160,7 @@ def _print_counts_of_two_tools(
 
 
 def _count_recipe(recipe: Recipe, recorded: Recorded, target: Target, **options: Any) -> StepCounts:
-    """Count the instructions of a solver's C on a recorded sequence, step by step."""
+    """Return step by step counts of the instructions of a solver's C on a recorded sequence."""
     return count_instructions_along_sequence(
         recipe, recorded.sequence, target, optima=recorded.optima, **options
     )
@@ -176,7 +176,7 @@ def _read_sequence(name: str, steps: int) -> Recorded:
 
 
 def _read_sources(texts: list[str]) -> dict[str, Path]:
-    """Parse SOLVER=DIR; InputError where DIR is no folder."""
+    """Return folders by solver of SOLVER=DIR texts; InputError where DIR is no folder."""
     sources: dict[str, Path] = {}
     for text in texts:
         solver, _, folder = text.partition("=")
@@ -187,7 +187,7 @@ def _read_sources(texts: list[str]) -> dict[str, Path]:
 
 
 def _read_settings(texts: list[str], recipes: list[Recipe]) -> dict[str, dict[str, Setting]]:
-    """Parse SOLVER.KEY=VALUE; InputError for a solver that is not counted or no number."""
+    """Return settings by solver of SOLVER.KEY=VALUE texts; InputError for a solver not counted."""
     solvers = [recipe.solver for recipe in recipes]
     settings: dict[str, dict[str, Setting]] = {}
     for text in texts:
@@ -244,7 +244,7 @@ def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
 
 
 def _format_known_count(number: int) -> str:
-    """Format a count; a dash for a negative one, which is unknown."""
+    """Return a count as text; a dash for a negative one, which is unknown."""
     return str(number) if number >= 0 else "–"
 
 
@@ -282,7 +282,7 @@ class _Trials:
 
 
 def record_qps_at_horizon(scenario: Scenario, N_c: int, steps: int) -> Recorded:
-    """Record a scenario's first QPs at a control horizon; N_p grows in proportion."""
+    """Return a scenario's first QPs at a control horizon, recorded; N_p grows in proportion."""
     own = scenario.problem
     N_p = -(-N_c * own.N_p // own.N_c)
     return record_scenario(scenario, horizons=(N_p, N_c), steps=steps)
@@ -352,17 +352,17 @@ def _make_fit_tables(fits: list[dict[str, Any]], *, single: bool) -> Iterator[Ta
 
 
 def _format_number(value: int | None) -> str:
-    """Format a count; a dash for None, which is unknown."""
+    """Return a count as text; a dash for None, which is unknown."""
     return MISSING if value is None else format_count(value)
 
 
 def _format_kilobytes(size: int | None) -> str:
-    """Format a size [B] in kB; a dash for None, which is unknown."""
+    """Return a size [B] as text in kB; a dash for None, which is unknown."""
     return MISSING if size is None else f"{size / KILOBYTE:.1f}"
 
 
 def parse_kilobytes(texts: list[str]) -> list[int]:
-    """Parse sizes of memory in kB; InputError for one that is no whole number above 0."""
+    """Return sizes of memory in kB from texts; InputError for no whole number above 0."""
     for text in texts:
         if not text.isdecimal() or not int(text):
             raise InputError("--fit", "", repr(text), "kB of memory, as 128")

@@ -17,13 +17,13 @@ K: QPs; active: share of all limits; samples: which of the loop were kept."""
 
 
 def list_table(kind: str) -> RenderableType:
-    """Make a table of all stored vessels, scenarios, suites, QP sequences or known solvers."""
+    """Return a table of all stored vessels, scenarios, suites, QP sequences or known solvers."""
     makers = {"vessels": _list_vessels, "scenarios": _list_scenarios, "suites": _list_suites}
     return (makers | {"sequences": _list_sequences, "solvers": _list_solvers})[kind]()
 
 
 def _list_vessels() -> RenderableType:
-    """Make a table of all stored vessels: time constants and acceleration at full thrust."""
+    """Return a table of all stored vessels: time constants and acceleration at full thrust."""
     from dpbench.scenario import problem_files as problems
     from dpbench.scenario.tables.vessel_file import VesselFile
 
@@ -40,7 +40,7 @@ def _list_vessels() -> RenderableType:
 
 
 def _list_scenarios() -> RenderableType:
-    """List all stored scenarios: vessel, tuning, steps and what they show."""
+    """Return a text on all stored scenarios: vessel, tuning, steps and what they show."""
     from dpbench.scenario import problem_files as problems
     from dpbench.scenario.tables.scenario_file import ScenarioFile
     from dpbench.ship.froude import Froude
@@ -61,7 +61,7 @@ def _list_scenarios() -> RenderableType:
 
 
 def _list_suites() -> RenderableType:
-    """Make a table of all stored suites: number of cells and question."""
+    """Return a table of all stored suites: number of cells and question."""
     from dpbench.bench.plan.plan import plan_suite
     from dpbench.bench.plan.suite import load_path_and_suite
     from dpbench.scenario import problem_files as problems
@@ -74,7 +74,7 @@ def _list_suites() -> RenderableType:
 
 
 def _list_sequences() -> RenderableType:
-    """Make a table of all stored QP sequences: sizes, active limits and sample time."""
+    """Return a table of all stored QP sequences: sizes, active limits and sample time."""
     import numpy as np
 
     from dpbench.bench.sequences.sequence_file import active_set, load_recorded
@@ -97,14 +97,14 @@ def _list_sequences() -> RenderableType:
 
 
 def _list_solvers() -> RenderableType:
-    """List all solvers with their descriptions."""
+    """Return a text on all solvers with their descriptions."""
     from dpbench.solvers.table import list_all_solver_names
 
     return make_unstyled_text("\n".join(map(_describe_solver, list_all_solver_names())))
 
 
 def _describe_solver(name: str) -> str:
-    """Describe a solver: version, method, form, policies and tolerance levels."""
+    """Return a text on a solver: version, method, form, policies and tolerance levels."""
     from dpbench.solvers.settings import describe_option_presets
     from dpbench.solvers.table import find_solver_availability, find_solver_record
 

@@ -62,7 +62,7 @@ class OptionQuantity:
     most: float
 
     def parse(self, option: str, text: str | None) -> float | None:
-        """Parse an option's text as a number; InputError outside its range, None for None."""
+        """Return an option's text as a number, None for None; InputError outside its range."""
         if text is None:
             return None
         try:
@@ -149,7 +149,7 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
 def _render_sea_files(
     name: str, vessel: Vessel, number: int, held: HeldSea | None, *, chosen: bool
 ) -> dict[str, str]:
-    """Render scenario and suite files for a DP capability number; return texts by file name."""
+    """Return texts, by file name, of scenario and suite files for a DP capability number."""
     stem = name if chosen else f"{name}_sea{number}"
     weather = f"{name}_weather.toml" if chosen else f"{stem}.toml"
     texts = {weather: render_scenario_file(name, vessel, number, held, chosen=chosen)}
@@ -181,7 +181,7 @@ def _name_loss_files(stem: str, held: HeldSea, number: int) -> dict[str, str]:
 
 
 def _parse_sea_number(text: str | None) -> int | None:
-    """Parse the DP capability number of the sea, 1 to 9; InputError for other text."""
+    """Return the DP capability number of the sea in a text, 1 to 9; InputError for other text."""
     if text is not None and text not in map(str, scaling.DP_NUMBERS):
         allowed = f"1 to {max(scaling.DP_NUMBERS)} (DP capability number)"
         raise InputError(WHERE, "--sea", repr(text)[:80], allowed)
@@ -189,7 +189,7 @@ def _parse_sea_number(text: str | None) -> int | None:
 
 
 def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None]) -> "OwnShip":
-    """Scale the user's ship from a library vessel, its numbers and a hull file."""
+    """Return the user's ship, scaled from a library vessel by its numbers and a hull file."""
     if options.from_mss and options.from_csv:
         both = "--from-csv and --from-mss exclude each other; give one of them"
         raise SituationError(WHERE, both)
@@ -250,7 +250,7 @@ def _read_particulars(numbers: dict[str, float | None], hull: Hull | None) -> sc
 def _read_thrust(
     numbers: dict[str, float | None], own: scaling.Particulars
 ) -> scaling.ThrustLimits:
-    """Convert a new ship's thrust limits to N and N·m; InputError if implausible for its size."""
+    """Return a new ship's thrust limits in N and N·m; InputError if implausible for its size."""
     for option, lever_m in (("thrust", 1.0), ("sway-thrust", 1.0), ("yaw-moment", own.length_m)):
         value = numbers[option]
         if value is None:
@@ -300,7 +300,7 @@ def _list_files_and_commands(
     held: HeldSea | None,
     remarks: list[str],
 ) -> list[str]:
-    """List the files written for a new ship, its load from weather, and the next commands."""
+    """Return lines on files written for a new ship, its load from weather, the next commands."""
     paths = [str(folder / name) for name in texts]
     share, whole = find_mean_share(vessel, number, held)
     lines = [f"wrote {path}" for path in paths]
@@ -317,7 +317,7 @@ def _list_files_and_commands(
 def _suggest_harder_sea(
     folder: Path, vessel: Vessel, number: int, held: HeldSea | None
 ) -> list[str]:
-    """Name the command that writes the hardest sea the ship holds; nothing where this is it."""
+    """Return lines with the command for the hardest sea the ship holds; none where this is it."""
     harder = find_hardest_sea(vessel, held)
     if harder <= number:
         return []
@@ -342,7 +342,7 @@ class OwnShip:
 
 
 def render_vessel_file(ship: OwnShip, command: str) -> str:
-    """Render the vessel file of a new ship; the command that made it is quoted in comments."""
+    """Return the text of a new ship's vessel file; comments quote the command that made it."""
     vessel = ship.vessel
     assert vessel.windage is not None and vessel.reflection is not None, "as every library vessel"
     added = np.diag(vessel.M) - scaling.compute_rigid_body_inertia(ship.own)
@@ -365,7 +365,7 @@ def render_vessel_file(ship: OwnShip, command: str) -> str:
 
 
 def _wrap_as_comment(caller: Callable[[], str]) -> str:
-    """Wrap the text that a template block encloses into lines of TOML comments."""
+    """Return the text that a template block encloses as wrapped lines of TOML comments."""
     text = " ".join(caller().split())
     lines = textwrap.wrap(text, COMMENT_WIDTH, break_long_words=False, break_on_hyphens=False)
     return "".join(f"# {line}\n" for line in lines)
@@ -396,7 +396,7 @@ def list_cautions(ship: OwnShip) -> list[str]:
 
 
 def choose_sample_s(vessel: Vessel) -> float:
-    """Choose a new ship's MPC sample time [s]: 0.3 s, Froude-scaled, in steps of 0.05 s."""
+    """Return a new ship's MPC sample time [s]: 0.3 s, Froude-scaled, in steps of 0.05 s."""
     slower = scaling.compute_froude_time_scale(vessel.length_m)
     return max(0.05, round(round(SAMPLE_S * slower / 0.05) * 0.05, 2))
 
@@ -411,7 +411,7 @@ def render_scenario_file(
     steered: bool = False,
     lost: str | None = None,
 ) -> str:
-    """Render the scenario file of a new ship in the sea of a DP number.
+    """Return the text of a new ship's scenario file in the sea of a DP number.
 
     held : what its thrusters hold; chosen : dpbench chose the sea, not the user; steered : the
     controller steers thrusters; lost : the group that it loses.
@@ -454,7 +454,7 @@ def _find_time_of_loss(vessel: Vessel) -> float:
 
 
 def _explain_sea_choice(share: float, held: HeldSea | None, *, chosen: bool) -> str:
-    """State why this sea was chosen for a new ship's scenario."""
+    """Return a sentence on why this sea was chosen for a new ship's scenario."""
     if not chosen:
         return "as requested"
     if held is not None:
@@ -473,7 +473,7 @@ def render_suite_file(
     steered: Sequence[str] = (),
     left_out: str = "",
 ) -> str:
-    """Render the file of a suite that compares solvers in a new ship's scenarios.
+    """Return the text of a suite file that compares solvers in a new ship's scenarios.
 
     steered : files of the scenarios whose controller steers thrusters; the first is replayed, too;
     left_out : the losses that none of them simulates, and why.

@@ -106,7 +106,7 @@ class OwnThrusters:
         return replace(vessel, thrusters=self.thrusters, tau_min=low, tau_max=high, rate_max=rate)
 
     def choose_half_turns(self, vessel: Vessel) -> "OwnThrusters":
-        """Choose the half turns that controllers plan with where azimuths have wider sectors.
+        """Return the thrusters with half turns that controllers plan with for wider sectors.
 
         Of three for each azimuth that with which the fitted vessel holds the most wind off the bow,
         after the losses that leave least. The first round begins with whole sectors, the second
@@ -132,7 +132,7 @@ class OwnThrusters:
 
 
 def _list_half_turns(thruster: Thruster) -> list[tuple[float, float]]:
-    """List the half turns in the middle and at both ends of an azimuth's wider sector."""
+    """Return the half turns in the middle and at both ends of an azimuth's wider sector."""
     assert thruster.sector_rad and thruster.convex_sector_rad, "a sector wider than a half turn"
     start, end = thruster.sector_rad
     return [thruster.convex_sector_rad, (start, start + math.pi), (end - math.pi, end)]
@@ -141,7 +141,7 @@ def _list_half_turns(thruster: Thruster) -> list[tuple[float, float]]:
 def _describe_half_turns(
     name: str, tried: Mapping[tuple[float, float], Mapping[str, WindLimit]]
 ) -> str:
-    """State the wind held off the bow with each half turn tried for controllers."""
+    """Return a sentence on the wind held off the bow with each half turn tried for controllers."""
     each = [
         f"{format_sector(half)} holds {format_rounded_down(held[INTACT].wind_mps)} m/s off the bow "
         f"and {format_rounded_down(_sort_winds(held)[0])} m/s after the worst loss"
@@ -176,7 +176,7 @@ def read_own_thrusters(
     own: scaling.Particulars,
     like: str,
 ) -> OwnThrusters:
-    """Read the thrusters of a new ship from the file of an option, or from answers for `-`."""
+    """Return a new ship's thrusters from the file of an option, or from answers for `-`."""
     for option in FORCES:
         if numbers[option] is not None:
             both = f"--thrusters and --{option} exclude each other; give one of them"
@@ -197,7 +197,7 @@ def read_own_thrusters(
 
 
 def _ask_for_rows() -> list[dict[str, str]]:
-    """Prompt for thrusters on the terminal, or read the answers line by line from a pipe."""
+    """Return thrusters' rows as asked for on the terminal, or read line by line from a pipe."""
     rows: list[dict[str, str]] = []
     while True:
         row: dict[str, str] = {}
@@ -235,7 +235,7 @@ class HeldSea:
 
 
 def find_held_sea(vessel: Vessel) -> HeldSea:
-    """Find the largest sea that a ship's thrusters hold, by level 1 of DNV-ST-0111.
+    """Return the largest sea that a ship's thrusters hold, by level 1 of DNV-ST-0111.
 
     The plot has all directions of each azimuth, the sea those that controllers plan with.
     """
@@ -262,17 +262,17 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
 
 
 def choose_sea(vessel: Vessel, held: HeldSea | None) -> int:
-    """Choose the DP number of a new ship's sea by its thrusters, or by its limits without any."""
+    """Return the DP number of a new ship's sea by its thrusters, or by its limits without any."""
     return scaling.find_largest_bearable_dp_number(vessel) if held is None else held.number
 
 
 def choose_loss(held: HeldSea | None, number: int) -> str | None:
-    """Choose the group that is lost in a sea: the worst without which it is held, or None."""
+    """Return the group lost in a sea: the worst without which it is held; None without one."""
     return None if held is None or number > held.number else held.lost
 
 
 def choose_further_losses(held: HeldSea | None, number: int) -> list[str]:
-    """Choose the groups that are lost in scenarios of their own, the weakest remainder first.
+    """Return the groups lost in scenarios of their own, the weakest remainder first.
 
     With that of `choose_loss` they are `MOST_LOSSES` at most.
     """
@@ -284,7 +284,7 @@ def choose_further_losses(held: HeldSea | None, number: int) -> list[str]:
 def describe_losses(
     held: HeldSea, number: int, at_s: float, files: Mapping[str, Path]
 ) -> list[str]:
-    """State which losses the files simulate, which not, and what the thrusters do not hold.
+    """Return lines: losses the files simulate, those they do not, what thrusters do not hold.
 
     files : the scenario of each group that is lost in one.
     """
@@ -311,14 +311,14 @@ def describe_losses(
 
 
 def describe_losses_left_out(held: HeldSea, simulated: Sequence[str]) -> str:
-    """Name the groups whose loss is not simulated, and why; "" where every one is."""
+    """Return a text on the groups whose loss is not simulated, and why; "" where every one is."""
     others = [group for group in held.losses if group not in simulated]
     why = f"the {MOST_LOSSES} losses that leave the least wind are"
     return f"the loss of {join_with_and(others)}; {why}" if others else ""
 
 
 def _name_groups_lost_one_by_one(groups: Sequence[str]) -> str:
-    """Name groups that are lost one at a time."""
+    """Return the names of groups that are lost one at a time, as text."""
     return " or ".join(f"without {group}" for group in groups)
 
 
@@ -343,7 +343,7 @@ def find_mean_share(vessel: Vessel, number: int, held: HeldSea | None = None) ->
 
 
 def choose_limits(vessel: Vessel) -> str:
-    """Choose the limits of a controller of three forces: what the thrusters make together.
+    """Return "attainable" if controllers of three forces can limit them by thrusters, else "box".
 
     Box limits where there are no thrusters, where one has a sector, or where the attainable set
     has more than `MOST_FACETS` facets.
@@ -360,7 +360,7 @@ def choose_limits(vessel: Vessel) -> str:
 
 
 def save_held_sea(held: HeldSea, vessel: Vessel, folder: Path, name: str) -> list[str]:
-    """Draw a ship's capability plot; return lines to print."""
+    """Write a chart of a ship's capability plot to a folder; return lines to print."""
     path = folder / f"{name}_capability.svg"
     save_rose_figure(held.capability, vessel, path)
     return [f"wrote {path}: {held.capability.notation}"]

@@ -19,7 +19,7 @@ _PLAIN = {
 
 
 def open_streams() -> None:
-    """Reopen closed standard streams and make them accept characters that their encoding lacks.
+    """Reopen closed standard streams; make all accept characters that their encoding lacks.
 
     A closed one leads nowhere, before a result file gets its number. A character that an encoding
     lacks is replaced by the nearest; a path that is no text keeps its bytes where that is possible.
@@ -46,7 +46,7 @@ def _is_open(number: int) -> bool:
 
 
 def _replace_unencodable(error: UnicodeError) -> tuple[str, int]:
-    """Replace characters that a stream cannot encode by plain ones: an error handler of codecs."""
+    """Return plain characters for those a stream cannot encode: an error handler of codecs."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     found = error.object[error.start : error.end]

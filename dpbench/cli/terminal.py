@@ -44,7 +44,7 @@ def make_console() -> Console:
 
 
 def wrap_paragraph(text: str, *, first: str = "", others: str = "") -> str:
-    """Wrap a paragraph at 80 columns with indents, without breaking long words."""
+    """Return a paragraph wrapped at 80 columns with indents, without breaking long words."""
     return textwrap.fill(
         text,
         WIDTH,
@@ -69,12 +69,12 @@ def format_heading_and_paragraphs(head: str, paragraphs: Iterable[str]) -> str:
 
 
 def make_unstyled_text(text: str) -> Text:
-    """Make a text for the terminal as it is, without markup, colour or wrapping."""
+    """Return a text for the terminal as it is, without markup, colour or wrapping."""
     return Text(text, no_wrap=True, overflow="ignore")
 
 
 def make_small_table(*columns: str) -> Table:
-    """Make an empty table with these columns, the first never broken."""
+    """Return an empty terminal table with these columns, the first never broken."""
     table = Table(show_edge=False, pad_edge=False)
     for i, column in enumerate(columns):
         table.add_column(column, no_wrap=i == 0)
@@ -82,7 +82,7 @@ def make_small_table(*columns: str) -> Table:
 
 
 def make_report_table(table: ReportTable, screen: Console) -> RenderableType:
-    """Make a terminal table of a report's table; text in paragraphs if it is too wide."""
+    """Return a report's table for the terminal; text in paragraphs if it is too wide."""
     shown = Table(
         title=table.title,
         title_justify="left",
@@ -100,7 +100,7 @@ def make_report_table(table: ReportTable, screen: Console) -> RenderableType:
 
 
 def _format_rows_as_text(table: ReportTable) -> Text:
-    """Format the rows of a report's table as paragraphs of text."""
+    """Return the rows of a report's table as paragraphs of text."""
     named = table.text_columns
     rows = [
         format_heading_and_paragraphs(
