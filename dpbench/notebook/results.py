@@ -22,7 +22,6 @@ from dpbench.files.regular_files import make_folder_if_missing
 from dpbench.notebook.latex import make_tabular
 from dpbench.notebook.plots import ResultPlots
 from dpbench.report.formats import plural
-from dpbench.report.report import read_table, write_tables
 from dpbench.report.verdict_text import describe_disturbed_times
 
 if TYPE_CHECKING:
@@ -159,6 +158,9 @@ class Results(result_folder.Results):
 
         The file `.<folder>.json` beside it lists them, so that the next call removes old ones.
         """
+        # The report draws, and Altair takes its time.
+        from dpbench.report.report import write_tables
+
         write_tables(make_folder_if_missing(Path(folder)), self.tables)
 
     def __repr__(self) -> str:
@@ -190,7 +192,6 @@ class Results(result_folder.Results):
     def _full_report(self) -> Report:
         """Report of these results, the same as `dpbench report` writes, built at first use."""
         self.recorded.require_file()
-        # The report draws, and Altair takes its time.
         from dpbench.report.report import Report
 
         capability, counted = (
@@ -207,6 +208,8 @@ class _StoredTables(dict[str, pd.DataFrame]):
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
+        from dpbench.report.report import read_table
+
         super().__init__((path.stem, read_table(path)) for path in sorted(folder.glob("*.csv")))
 
     def __missing__(self, name: str) -> pd.DataFrame:
