@@ -145,7 +145,7 @@ def is_long_enough_for_interval(steps: int) -> bool:
 
 
 def estimate_mean_of_series(values: Floats) -> MeanEstimate:
-    """Estimate the mean of a series (K,), its error from the means of consecutive parts.
+    """Return the mean of a series (K,), with its error from the means of consecutive parts.
 
     Parts that follow each other resemble each other: the error is widened by their correlation as
     for a first-order autoregression, after adding what so few parts underestimate.
@@ -164,7 +164,7 @@ def estimate_mean_of_series(values: Floats) -> MeanEstimate:
 
 
 def estimate_percentile_interval(values: Floats, percent: float) -> Interval:
-    """Estimate a percentile of step times with its 95 % interval; NaN for too few steps.
+    """Return a percentile of step times with its 95 % interval; NaN for too few steps.
 
     The share of steps beyond the percentile has an error from `PARTS` parts; as many independent
     steps as have that error give the interval of the share (Clopper & Pearson 1934), and its ends

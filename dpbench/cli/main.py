@@ -174,7 +174,7 @@ def _collect_options(arguments: argparse.Namespace, *without: str) -> dict[str, 
 
 
 def _print_estimate(arguments: argparse.Namespace) -> int:
-    """Print cells, time and size of a campaign without running it (`dpbench run --dry-run`)."""
+    """Print a campaign's cells, time and size without running it (`run --dry-run`); return 0."""
     from dpbench.bench.estimate import estimate_campaign
 
     unused = ("dry_run", "scheduler", "tls", "wait_s")
@@ -221,7 +221,7 @@ def _run_shard(arguments: argparse.Namespace) -> int:
 
 
 def _gather_shards(arguments: argparse.Namespace) -> int:
-    """Join the folders of shards and write the report (`dpbench gather`)."""
+    """Join the folders of shards, write the report (`dpbench gather`); return the exit code."""
     from dpbench.bench.gather import join_result_folders
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
@@ -280,7 +280,7 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
 
 
 def _compare_releases(arguments: argparse.Namespace) -> None:
-    """Compare the versions of each solver over result folders (`dpbench compare --releases`)."""
+    """Compare and print solvers' versions over result folders (`dpbench compare --releases`)."""
     from dpbench.report.compare.releases import releases, write_releases
 
     over = releases(arguments.folders, reference=arguments.reference)
@@ -326,7 +326,7 @@ def _export_qps(arguments: argparse.Namespace) -> None:
 
 
 def _find_worst_case(arguments: argparse.Namespace) -> int:
-    """Search a solver's worst step and print it (`dpbench worst-case`)."""
+    """Search a solver's worst step and print it (`dpbench worst-case`); return the exit code."""
     from dpbench.bench.worst_case.find import find_worst_case
     from dpbench.cli.terminal import ProgressBar, print_wrapped
 
@@ -337,7 +337,7 @@ def _find_worst_case(arguments: argparse.Namespace) -> int:
 
 
 def _tune_controller(arguments: argparse.Namespace) -> int:
-    """Search weights and horizons of a scenario's controller (`dpbench tune`)."""
+    """Search a scenario's weights and horizons (`dpbench tune`); return the exit code."""
     from dpbench.cli.terminal import ProgressBar, print_wrapped
     from dpbench.tuning.tune_controller import tune_controller
 
@@ -348,7 +348,7 @@ def _tune_controller(arguments: argparse.Namespace) -> int:
 
 
 def _tune_solver(arguments: argparse.Namespace) -> int:
-    """Search a solver's settings on some sequences, test them on others (`dpbench tune-solver`)."""
+    """Search a solver's settings, test them (`dpbench tune-solver`); return the exit code."""
     from dpbench.cli.terminal import ProgressBar, make_console, make_report_table, print_wrapped
 
     if arguments.dry_run:
@@ -379,7 +379,7 @@ def _generate_controller(arguments: argparse.Namespace) -> None:
 
 
 def _reproduce_paper(arguments: argparse.Namespace) -> int:
-    """Reproduce the figures and claims of the paper (`dpbench paper`)."""
+    """Reproduce the paper's figures and claims (`dpbench paper`); return the exit code."""
     from dpbench.cli.terminal import ProgressBar, print_wrapped
     from dpbench.report.reproduce import reproduce_paper
 
@@ -408,7 +408,7 @@ def _write_own_ship(arguments: argparse.Namespace) -> None:
 
 
 def _print_embedded_counts(arguments: argparse.Namespace) -> int:
-    """Count what solvers' C executes on an embedded core (`dpbench embedded`)."""
+    """Count what solvers' C executes on a core (`dpbench embedded`); return the exit code."""
     from dpbench.cli.embedded import count_and_print
 
     return count_and_print(arguments)

@@ -181,7 +181,7 @@ def _name_loss_files(stem: str, held: HeldSea, number: int) -> dict[str, str]:
 
 
 def _parse_sea_number(text: str | None) -> int | None:
-    """Return the DP capability number of the sea in a text, 1 to 9; InputError for other text."""
+    """Return the DP number of the sea in a text, 1 to 9, None for None; InputError for others."""
     if text is not None and text not in map(str, scaling.DP_NUMBERS):
         allowed = f"1 to {max(scaling.DP_NUMBERS)} (DP capability number)"
         raise InputError(WHERE, "--sea", repr(text)[:80], allowed)

@@ -122,7 +122,7 @@ def describe_consequence_solver(records: Records, solver: str) -> str:
 
 
 def _list_kinds(answers: Sequence[Answers | BatchAnswers]) -> list[str]:
-    """List the kinds of QPs that solvers reached: feasible, infeasible or both."""
+    """Return the kinds of QPs that solvers reached: feasible, infeasible or both."""
     return [kind for kind in ("feasible", "infeasible") if any(getattr(a, kind) for a in answers)]
 
 
@@ -132,7 +132,7 @@ def describe_required_force(analysis: ConsequenceAnalysis) -> str:
 
 
 def describe_unanswered_qps(records: Records, solver: str) -> str:
-    """State how many QPs of consequence analyses a solver leaves unanswered; "" for none."""
+    """Return a text on how many QPs of consequence analyses a solver leaves open; "" for none."""
     best = [
         a.best_answers_by_solver[solver]
         for a in build_consequence_analyses(records)

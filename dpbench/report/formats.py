@@ -19,7 +19,7 @@ NO_ANSWER = "no answer"
 
 
 def format_time(nanoseconds: float) -> str:
-    """Format a duration [ns] in ns, µs, ms or s, whichever suits, three significant digits."""
+    """Return a duration [ns] as text in ns, µs, ms or s, in three significant digits."""
     if not math.isfinite(nanoseconds):
         return MISSING
     for factor, unit in ((1e3, "ns"), (1e6, "µs"), (1e9, "ms")):
@@ -49,7 +49,7 @@ def format_microseconds(nanoseconds: float) -> str:
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """Format a number in significant digits, without exponent from 1e-4 to 1e7."""
+    """Return a number as text in significant digits, without exponent from 1e-4 to 1e7."""
     if not math.isfinite(value):
         return MISSING
     if value == 0.0:
@@ -64,17 +64,17 @@ def significant(value: float, digits: int = 3) -> str:
 
 
 def format_rounded_down(value: float, digits: int = 3) -> str:
-    """Format a number in significant digits, rounded down: a bound that still holds."""
+    """Return a number as text in significant digits, rounded down: a bound that still holds."""
     return _round_significant(value, digits, ROUND_DOWN)
 
 
 def format_rounded_up(value: float, digits: int = 3) -> str:
-    """Format a number in significant digits, rounded up: a bound that still holds."""
+    """Return a number as text in significant digits, rounded up: a bound that still holds."""
     return _round_significant(value, digits, ROUND_UP)
 
 
 def _round_significant(value: float, digits: int, way: str) -> str:
-    """Format a positive number in significant digits, rounded up or down."""
+    """Return a positive number as text in significant digits, rounded up or down."""
     if not (math.isfinite(value) and value > 0.0):
         return significant(value, digits)
     exact = Decimal(value)
@@ -109,7 +109,7 @@ def format_sample_share(share: float) -> str:
 
 
 def as_float(value: object) -> float:
-    """Convert a table cell to float; a missing one (None, pd.NA, NaN) is NaN."""
+    """Return a table cell as a float; a missing one (None, pd.NA, NaN) is NaN."""
     try:
         return float(value)  # type: ignore[arg-type] # any cell of a table; what fails is missing
     except (TypeError, ValueError):
@@ -142,20 +142,20 @@ def format_interval(low: float, high: float) -> str:
 
 
 def join_with_and(words: list[str]) -> str:
-    """Join words: `a`, `a and b`, `a, b and c`."""
+    """Return words joined to one text: `a`, `a and b`, `a, b and c`."""
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def join_with_counts(counts: Iterable[tuple[str, int]]) -> str:
-    """Join names with their counts, `a (3) and b (1)`, the largest count first."""
+    """Return names with their counts as text, `a (3) and b (1)`, the largest count first."""
     ordered = sorted(counts, key=lambda item: -item[1])
     return join_with_and([f"{name} ({count})" for name, count in ordered])
 
 
 def strip_markdown(text: str) -> str:
-    """Remove bold and code marks of Markdown from a text."""
+    """Return a text without bold and code marks of Markdown."""
     return text.replace("**", "").replace("`", "")
 
 
@@ -191,7 +191,7 @@ def escape_markdown_paragraph(text: str) -> str:
 
 
 def escape_markdown_cell(text: str) -> str:
-    """Escape a text for a cell of a Markdown table."""
+    """Return a text escaped for a cell of a Markdown table."""
     return _PIPE.sub(r"\1\1\\|", escape_markdown(text))
 
 
@@ -213,7 +213,7 @@ class Table:
 
     @classmethod
     def from_rows(cls, rows: Sequence[Mapping[str, str]], title: str = "", **more: Any) -> Self:
-        """Build a table from rows that map column heads to text cells."""
+        """Return a table of rows that map column heads to text cells."""
         return cls(tuple(rows[0]), tuple(tuple(row.values()) for row in rows), title, **more)
 
     @property

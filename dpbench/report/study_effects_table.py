@@ -52,7 +52,7 @@ def build_effects_table(studies: Sequence[Study]) -> pd.DataFrame:
 
 
 def tabulate_effects(study: Study) -> Table | None:
-    """Return the table of what each factor changes, a row per configuration and change."""
+    """Return a table of what each factor changes, by configuration and change; None without one."""
     units = "realisations" if study.seas_per_point > 1 else "points"
     rows: dict[tuple[str, str, str], dict[str, str]] = {}
     for effect in compute_study_effects(study):
@@ -118,7 +118,7 @@ def _count_units(effect: Effect) -> int:
 
 
 def _format_effect(effect: Effect, units: str) -> str:
-    """Format an effect with its interval in the unit of its measure, and if all `units` agree."""
+    """Return an effect with its interval as text, in its unit, and if all `units` agree."""
     value, low, high = (
         significant(0.0 if abs(n) < 1e-4 else n, 2) for n in convert_effect_and_interval(effect)
     )

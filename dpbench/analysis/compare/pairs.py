@@ -69,7 +69,7 @@ class Pairs:
 
 
 def list_machine_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
-    """List the properties, as processor, in which two computers differ; empty for the same one."""
+    """Return the properties, as processor, in which two computers differ; empty for the same."""
     if a["id"] == b["id"]:
         return []
     differ = [name for name in LASTING if a.get(name) != b.get(name)]
@@ -139,7 +139,7 @@ def pick_identifying_columns(run: RunRecord) -> dict[str, Any]:
 
 
 def _map_runs_by_identity(records: Records) -> dict[Key, RunRecord]:
-    """Map each run's identifying column values to the run, simulated slow computers left out."""
+    """Return runs by their identifying column values, simulated slow computers left out."""
     # A loop on a slow computer takes another course each time: its answers' delays are measured.
     lasting = (run for run in records.all_runs if not run.slowdown > 0.0)
     return {tuple(pick_identifying_columns(run).values()): run for run in lasting}

@@ -107,7 +107,7 @@ class Histories:
 
 
 def compare_releases(folders: Mapping[str, Records], reference: str | None = None) -> Histories:
-    """Compare solver versions' step times and errors, per problem, over several result folders.
+    """Return solver versions' step times and errors, per problem, over several result folders.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def compare_releases(folders: Mapping[str, Records], reference: str | None = Non
 def _group_runs_by_problem_and_configuration(
     folders: Mapping[str, Records],
 ) -> dict[str, dict[str, RunRecord]]:
-    """Group all folders' runs by problem and configuration, without lost, refused, slowed ones."""
+    """Return all folders' runs by problem and configuration, without lost, refused, slowed ones."""
     cells: dict[str, dict[str, RunRecord]] = {}
     for name, records in folders.items():
         for run in records.all_runs:

@@ -212,7 +212,7 @@ def _map_default_route_by_solver(runs: Sequence[RunRecord]) -> dict[str, str]:
 
 
 def _select_runs_in_common_formulation(runs: Sequence[RunRecord]) -> list[RunRecord]:
-    """Select the runs in the common QP formulation, and those of the law that solves no QP.
+    """Return the runs in the common QP formulation, and those of the law that solves no QP.
 
     Where a problem was never run in `COMMON_FORMULATION`, its first formulation is the common one.
     """

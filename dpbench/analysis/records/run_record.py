@@ -313,7 +313,7 @@ class _RunDescription(_Table):
 
 
 def build_run_records(runs: pd.DataFrame) -> list[RunRecord]:
-    """Convert a data frame of runs to a list of `RunRecord`, one per row."""
+    """Return a list of `RunRecord`, one for each row of a data frame of runs."""
     names = [name for name in RunRecord.__annotations__ if name in RUN_COLUMNS]
     values = [_READ[RUN_COLUMNS[name][0]](runs[name]) for name in names]
     shared: dict[str, Any] = {}
@@ -359,7 +359,7 @@ def _make_description_error(key: str, error: ValueError) -> ResultsError:
 
 
 def _convert_column_to_floats(column: "pd.Series[Any]") -> list[float]:
-    """Convert a numeric column to a list of floats, null to NaN."""
+    """Return a numeric column as a list of floats, null as NaN."""
     return column.to_numpy(dtype=np.float64, na_value=np.nan).tolist()
 
 
@@ -377,7 +377,7 @@ Key = TypeVar("Key")
 
 
 def group_by_key(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
-    """Group items by key, keys and items in order of appearance."""
+    """Return lists of items by their key, keys and items in order of appearance."""
     groups: dict[Key, list[Item]] = {}
     for item in items:
         groups.setdefault(key(item), []).append(item)
@@ -385,7 +385,7 @@ def group_by_key(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key,
 
 
 def map_first_by_key(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, Item]:
-    """Map each key to the first of the items that have it."""
+    """Return by key the first of the items that have it."""
     first: dict[Key, Item] = {}
     for item in items:
         first.setdefault(key(item), item)

@@ -65,7 +65,7 @@ COUNTING_COLUMNS = (
 
 
 def extract_counting_rows(steps: pd.DataFrame) -> CountingRows:
-    """Convert a step table to arrays, without warm-up and disturbed repetitions."""
+    """Return a step table as arrays, without warm-up and disturbed repetitions."""
     counts = steps["counts"].to_numpy(dtype=np.bool_)
     arrays: dict[str, NDArray[np.generic]] = {
         "known": mask_decided_steps(steps)[counts],
@@ -278,7 +278,7 @@ class Delays:
         return replace(self, net_ns=self.delay_ns, has_waits=False)
 
     def count_late_by_repetition(self, limit_ns: float) -> Ints:
-        """Count, by repetition (R,), the timings over a limit without their waits."""
+        """Return the number, by repetition (R,), of timings over a limit without their waits."""
         return self._count_chosen_by_repetition(self.net_ns > limit_ns)
 
     def count_stalls_by_repetition(self, longer_than_ns: float) -> Ints:
@@ -289,7 +289,7 @@ class Delays:
         return self._stalls[longer_than_ns]
 
     def _count_chosen_by_repetition(self, chosen: Flags) -> Ints:
-        """Count the selected delays in each repetition (R,) of the run."""
+        """Return the number of selected delays in each repetition (R,) of the run."""
         return np.bincount(self.round[chosen], minlength=len(self.samples)).astype(np.int64)
 
 

@@ -156,7 +156,7 @@ def build_capability_results(
 def _tabulate_wind_by_direction(
     records: Records, points: pd.DataFrame, runs: Sequence[RunRecord]
 ) -> pd.DataFrame:
-    """Tabulate the largest wind at which thrusters hold the ship, by failure and direction."""
+    """Return a table of the largest wind that thrusters hold, by failure and direction."""
     false_claimants: dict[int, set[str]] = {}
     for run in runs:
         steps = records.read_counting_step_table(run, ("k", *CLAIMS))

@@ -118,7 +118,7 @@ def compute_paired_difference(one: pd.Series, other: pd.Series) -> PairedDiffere
 
 
 def estimate_mean_over_points(values: Floats) -> MeanEstimate:
-    """Estimate the mean over study points of their means over sea realisations, with error.
+    """Return the mean over study points of their means over sea realisations, with error.
 
     values : (points, realisations), NaN where a run is lost; each point has one at least.
     """

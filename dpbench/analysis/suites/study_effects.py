@@ -289,7 +289,7 @@ def _yield_slope_fits(across: Floats, results: Floats) -> Iterator[_Fit]:
 
 
 def _estimate_mean_slope(fits: list[_Fit], term: int) -> MeanEstimate:
-    """Estimate the mean slope from those of realisations, or from the points of a single one."""
+    """Return the mean slope over realisations, or over the points of one, with its error."""
     if not fits:
         return MeanEstimate(math.nan)
     if len(fits) > 1:

@@ -23,7 +23,7 @@ _ERRORS = ("r_95_m", "r_max_m")
 
 
 def tabulate_differences_from_reference(studies: Sequence[Study]) -> pd.DataFrame:
-    """Tabulate every configuration of all studies against its reference; units in the heads."""
+    """Return a table of all studies' configurations against their references, with units."""
     rows = [_make_difference_row(study, c) for study in studies for c in study.results_by_cost]
     return pd.DataFrame(rows, columns=list(BEHIND_COLUMNS))
 
@@ -62,7 +62,7 @@ def _make_percent_interval_columns(
 
 
 def tabulate_study_points(studies: Sequence[Study]) -> pd.DataFrame:
-    """Tabulate each point of all studies by configuration: keys (`x_<key>`), runs, means."""
+    """Return a table of all studies' points by configuration: keys (`x_<key>`), runs, means."""
     if not studies:
         return pd.DataFrame(columns=list(POINT_COLUMNS))
     return pd.concat(map(_tabulate_points_of_study, studies), ignore_index=True)
@@ -177,7 +177,7 @@ def compute_error_excess_cm(study: Study, rows: pd.DataFrame) -> "pd.Series[floa
 
 
 def find_id_of_worst_run(study: Study, among: Sequence[str]) -> str | None:
-    """Return the id of the run with the largest position error of a study's worst configuration.
+    """Return the id of the run of largest position error of a study's worst configuration, or None.
 
     It is of the configuration that holds fewest seas, or else of that farthest from the exactly
     solved loop: in a sea that it does not hold, or else in the one of its largest error.

@@ -327,7 +327,7 @@ class SweptConfiguration:
         return any(math.isfinite(point.p99_ns) for point in self.timed_points.values())
 
     def find_largest_horizons_within(self, limit_ns: float) -> Horizons | None:
-        """Return the largest measured horizons with right answers and a p99 within `limit_ns`."""
+        """Return the largest horizons, right and with p99 within `limit_ns`; None for none."""
         fit = [h for h, p in self.timed_points.items() if p.right and p.p99_ns <= limit_ns]
         return max(fit, key=_make_horizons_sort_key, default=None)
 

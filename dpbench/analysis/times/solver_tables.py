@@ -45,7 +45,7 @@ def make_configuration_columns(configuration: Configuration) -> dict[str, str]:
 
 
 def tabulate_verdicts(matrix: RunMatrix) -> pd.DataFrame:
-    """Tabulate the verdict, errors and step times [µs] of every configuration."""
+    """Return a table of the verdict, errors and step times [µs] of every configuration."""
     return pd.DataFrame(
         [
             {
@@ -98,7 +98,7 @@ calibration configuration that only copies; 0 where it was not run."""
 
 
 def tabulate_best_times(matrix: RunMatrix) -> pd.DataFrame:
-    """Tabulate the step times [ms] of each solver's best configuration and own settings."""
+    """Return a table of step times [ms] of each solver's best configuration and own settings."""
     called_ns = find_library_call_ns(matrix.records)
     rows = [
         {
@@ -126,7 +126,7 @@ def tabulate_best_times(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def tabulate_experiment_verdicts(matrix: RunMatrix) -> pd.DataFrame:
-    """Tabulate the verdict on each solver by scenario or replay, and settings.
+    """Return a table of the verdict on each solver by scenario or replay, and settings.
 
     In the call mode of its best configuration where it ran so, else in that of the best verdict.
     """
@@ -187,7 +187,7 @@ def _make_experiment_row(
 
 
 def tabulate_tolerance_levels(matrix: RunMatrix) -> pd.DataFrame:
-    """Tabulate largest error and step time of each solver at each of its tolerance settings.
+    """Return a table of each solver's largest error and step time at its tolerance settings.
 
     In the call mode of its best configuration; no row for an answer beyond `LARGEST_ERROR`.
     """
@@ -215,7 +215,7 @@ def tabulate_tolerance_levels(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def tabulate_hard_steps(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd.DataFrame:
-    """Tabulate the steps of every run that are largest in time, iterations and error.
+    """Return a table of the steps of every run that are largest in time, iterations and error.
 
     kept : by run id.
     """
@@ -237,7 +237,7 @@ def tabulate_hard_steps(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd
 
 
 def tabulate_time_ratios(matrix: RunMatrix) -> pd.DataFrame:
-    """Tabulate each solver's step time over that of the fastest, best configurations of both.
+    """Return a table of each solver's step time over the fastest's, best configurations of both.
 
     One row for each two solvers and size of their QPs.
     """

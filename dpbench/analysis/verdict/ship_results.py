@@ -144,7 +144,7 @@ SHIP_COLUMNS = (
 
 
 def tabulate_ship_results(ships: Sequence[ShipResult]) -> pd.DataFrame:
-    """Tabulate ship results: scenario, study's point and sea, state, and `SHIP_COLUMNS`."""
+    """Return a table of ship results: scenario, study's point and sea, state, `SHIP_COLUMNS`."""
     rows = [
         {
             "scenario": ship.name,

@@ -333,7 +333,7 @@ def rank_configurations(verdicts: Verdicts) -> list[Verdict]:
 
 
 def find_fastest_configuration(verdicts: Verdicts, solver: str) -> Verdict | None:
-    """Return a solver's fastest configuration without faults, usual settings preferred."""
+    """Return a solver's fastest configuration without faults, usual settings first; or None."""
     return next((v for v in rank_solvers(verdicts) if v.configuration.solver == solver), None)
 
 

@@ -107,7 +107,7 @@ def _make_svg_label(x: float, y: float, text: str) -> str:
 
 
 def find_loop_picture(data: PageData, solver: str) -> LoopPicture | None:
-    """Return the picture of a solver's loop with a loss, or of the ship that goes farthest.
+    """Return a picture of a solver's loop with a loss, or of the farthest ship; None without loop.
 
     None without steps.
     """

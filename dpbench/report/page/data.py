@@ -39,7 +39,7 @@ MOST_LOOPS = 400
 
 
 def select_shown_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:
-    """Select the study runs that the report page shows, the first sea of all points first."""
+    """Return the study runs that the report page shows, the first sea of all points first."""
     solving = [run for run in runs if not run.is_baseline_law]
     return sorted(solving, key=lambda run: run.replicate)[:MOST_RUNS]
 
@@ -222,7 +222,7 @@ class PageData(RunMatrix):
 
 
 def convert_to_json_number(value: object) -> float | str | None:
-    """Convert a number for JSON: None where it is missing, "inf" where infinite."""
+    """Return a number for JSON: None where it is missing, "inf" where infinite."""
     x = as_float(value)
     if math.isnan(x):
         return None
@@ -230,7 +230,7 @@ def convert_to_json_number(value: object) -> float | str | None:
 
 
 def convert_rows_to_columns(rows: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
-    """Convert a list of rows (dictionaries) to lists of column values by name."""
+    """Return lists of column values by name, of a list of rows (dictionaries)."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     return {name: [row.get(name) for row in rows] for name in names}
 

@@ -37,7 +37,7 @@ def build_topics(
     known: Sequence[Study] | None = None,
     counts: EmbeddedResults = EmbeddedResults(()),  # noqa: B008 - frozen, so safe to share
 ) -> list[Topic]:
-    """Build the report page's parts, one per question on the results, the suite's question first.
+    """Return the report page's parts, one per question on the results, the suite's question first.
 
     designs, capability : of `load_stability_records` and `load_capability_plots`.
     known : the studies of these records, if they are already read; counts : of their folder.

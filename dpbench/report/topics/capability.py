@@ -35,7 +35,7 @@ from dpbench.report.page.section import Figure, Topic
 
 
 def build_capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:
-    """Build the report's part on largest winds held by thrusters; None without such results."""
+    """Return the report's part on largest winds held by thrusters; None without such results."""
     plots = [p for p in build_capability_results(records, table) if len(p.edges) or p.answers]
     if not plots:
         return None
@@ -98,7 +98,7 @@ MOST_ROWS = 8
 
 
 def build_consequence_topic(records: Records) -> Topic | None:
-    """Build the report's part on whether thruster losses can be held; None without results."""
+    """Return the report's part on whether thruster losses can be held; None without results."""
     analyses = build_consequence_analyses(records)
     if not analyses:
         return None

@@ -20,7 +20,7 @@ TITLE = "On the ship's computer"
 
 
 def build_embedded_topic(results: EmbeddedResults, requirements: Requirements) -> Topic | None:
-    """Build the report's part on counts of solvers' C; None where nothing was to be counted."""
+    """Return the report's part on counts of solvers' C; None where nothing was to be counted."""
     if not (results.sequences or results.not_counted):
         return None
     rows = [row for sequence in results.sequences for row in _yield_table_rows(sequence)]

@@ -42,7 +42,7 @@ DRAWN = (
 
 
 def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
-    """Build the report's part on the paper's figures and claims; None without its runs."""
+    """Return the report's part on the paper's figures and claims; None without its runs."""
     laws, scenario = read_laws_in_paper_scenario(records), records.build_scenario(PAPER)
     judged = judge_claims(records)
     measured = [claim for claim in judged if claim.state != "not measured"]

@@ -10,7 +10,7 @@ from dpbench.report.page.section import Figure, Topic
 
 
 def build_random_topic(records: Records) -> Topic | None:
-    """Build the report's part on random QPs with known optima; None without such runs."""
+    """Return the report's part on random QPs with known optima; None without such runs."""
     claims = RandomClaims(records)
     if not claims.runs:
         return None

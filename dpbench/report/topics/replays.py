@@ -39,7 +39,7 @@ from dpbench.report.verdict_text import describe_answer
 
 
 def build_routes_topic(records: Records) -> Topic | None:
-    """Build the report's part on ways to call a solver: cost of a wrapper, gain of warm start."""
+    """Return the report's part on ways to call a solver (wrapper, warm start); None for one way."""
     tables = []
     gains: dict[str, list[float]] = {}
     for sequence in records.sequences:
@@ -73,7 +73,7 @@ def _format_ratio(ratio: Interval) -> str:
 
 
 def build_formulations_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Build the report's part on QP formulations; None if no QPs were solved in two."""
+    """Return the report's part on QP formulations; None if no QPs were solved in two."""
     tables = _make_median_tables(
         records,
         requirements,
@@ -94,7 +94,7 @@ def build_formulations_topic(records: Records, requirements: Requirements) -> To
 
 
 def build_levels_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Build the report's part on solvers' tolerance settings; None if only one was run."""
+    """Return the report's part on solvers' tolerance settings; None if only one was run."""
     runs = sorted(records.runs, key=lambda run: sort_key_of_settings(run.settings))
     tables = _make_median_tables(
         records,
@@ -131,7 +131,7 @@ def _describe_right_levels(records: Records, requirements: Requirements) -> str:
 
 
 def build_race_topic(records: Records) -> Topic | None:
-    """Build the report's part that compares two solvers step by step; None unless just two ran."""
+    """Return the report's part that compares two solvers by step; None unless just two ran."""
     if len(records.solvers) != 2:
         return None
     first, second = records.solvers
@@ -190,7 +190,7 @@ def _format_median_time(records: Records, run: RunRecord | None, requirements: R
 
 
 def build_worst_case_topic(records: Records) -> Topic | None:
-    """Build the report's part on the worst step that a search found; None without a search."""
+    """Return the report's part on the worst step that a search found; None without a search."""
     requested = records.suite.get("report", {})
     k = requested.get("step")
     if k is None:
@@ -237,7 +237,7 @@ def _make_step_row(run: RunRecord, steps: RunSteps, k: int) -> tuple[str, ...] |
 
 
 def build_loops_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Build the report's part on solvers in closed loop; None without such runs."""
+    """Return the report's part on solvers in closed loop; None without such runs."""
     loops = records.select_runs(mode="closed_loop")
     steered = [run for run in loops if not run.is_baseline_law and run.outcome != "refused"]
     by_name = group_by_key(steered, lambda run: run.configuration.moved_to_common_formulation.label)

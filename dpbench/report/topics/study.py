@@ -47,7 +47,7 @@ DRAWN = (STEP_TIME, ERROR, LARGEST)
 
 
 def build_study_topic(known: Sequence[Study]) -> Topic | None:
-    """Build the report's part on studies over many sea realisations; None without one."""
+    """Return the report's part on studies over many sea realisations; None without one."""
     if not known:
         return None
     return Topic(

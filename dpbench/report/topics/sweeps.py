@@ -20,7 +20,7 @@ from dpbench.report.page.section import Figure, Topic
 
 
 def build_horizon_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Build the report's part on step time over MPC horizon; None if it was not varied."""
+    """Return the report's part on step time over MPC horizon; None if it was not varied."""
     figures, tables = [], []
     all_sweeps = find_sweeps(records, requirements)
     for sweep in all_sweeps:
@@ -122,7 +122,7 @@ def _format_longest_horizons(sweep: Sweep, swept: SweptConfiguration, limit_ns: 
 
 
 def build_slowdown_topic(records: Records) -> Topic | None:
-    """Build the report's part on simulated slower computers; None where none was simulated."""
+    """Return the report's part on simulated slower computers; None where none was simulated."""
     figures, tables, leads = [], [], []
     for group in group_delayed_loops(records):
         points = [

@@ -50,7 +50,7 @@ LIKE = 0.01
 
 
 def build_thrusters_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Build the report's part on thruster power and wear by solver; None without such runs."""
+    """Return the report's part on thruster power and wear by solver; None without such runs."""
     found = select_thruster_control_loops(records, requirements)
     if not found.best:
         return None
@@ -124,7 +124,7 @@ def _format_largest_ratio(
 
 
 def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
-    """Build the report's conclusions for an operator; None unless most loops command thrusters."""
+    """Return the report's conclusions for an operator; None unless most loops command thrusters."""
     if not is_mostly_thruster_control(records):
         return None
     requirements, chosen = verdicts.requirements, choose_solver(verdicts).chosen

@@ -91,7 +91,7 @@ def _describe_machine_load(disturbance: Disturbance, machine: Mapping[str, Any])
 
 
 def build_trust_topic(records: Records) -> Topic | None:
-    """Build the report's part on how far its times can be trusted; None if nothing was timed."""
+    """Return the report's part on how far its times can be trusted; None if nothing was timed."""
     timed = select_timed_replays(records) or select_delayed_loops(records)
     disturbance = sum_disturbances(timed)
     medians = find_largest_median_by_test_solver(records.calibration)

@@ -122,7 +122,7 @@ class HighsWorkspace(NativeWorkspace):
             )
 
     def _call_library_solve(self) -> None:
-        """Run HiGHS; its time limit is raised by the run time of earlier solves."""
+        """Run HiGHS in place; its time limit is raised by the run time of earlier solves."""
         if TIME_LIMIT in self._options:
             # HiGHS compares the limit with the run time of all solves of the object so far.
             limit_s = float(str(self._options[TIME_LIMIT]))

@@ -237,7 +237,7 @@ class StagedVector:
                 at += size
 
     def gather_entries_in_stage_order(self, source: Vector, numbers: Indices) -> Vector:
-        """Store entries of a QP vector in stage order, to be sent to HPIPM later."""
+        """Store and return entries of a QP vector in stage order, to be sent to HPIPM later."""
         return source.take(numbers, out=self._new)
 
     def send_gathered_entries_to_hpipm(self, everything: bool = False) -> None:

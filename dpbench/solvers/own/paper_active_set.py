@@ -69,13 +69,13 @@ class PaperActiveSetWorkspace(Workspace):
         self._factorise(problem)
 
     def _factorise(self, problem: Problem) -> None:
-        """Have the C library factorise a QP's matrices; keep its refusal, if any."""
+        """Have the C library factorise a QP's matrices; store its refusal, if any."""
         arrays = problem.P_pointer, problem.A_pointer
         refusal = self._library.active_set_factorise(self._pointer, *arrays)
         self._ending = self._ready = NOT_SOLVED_YET - refusal
 
     def update(self, step: QPStep) -> None:
-        """Write a step's vectors and what else it brings; a new P is factorised."""
+        """Write a step's vectors, and what else it brings, into the library; factorise a new P."""
         if step.P is None and step.A is None and step.lb is None and step.ub is None:
             try:
                 # Assigning to a memoryview is faster than NumPy and refuses another shape or type.
@@ -87,7 +87,7 @@ class PaperActiveSetWorkspace(Workspace):
         self._update_with_shape_checks(step)
 
     def _update_with_shape_checks(self, step: QPStep) -> None:
-        """Write a step that brings matrices, bounds or other kinds of arrays; check its shapes."""
+        """Write a step that brings matrices or bounds into the library; ShapeError if unfit."""
         problem = self._problem
         if problem is None:
             raise make_error_for_missing_setup("update")
