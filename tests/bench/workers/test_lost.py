@@ -13,7 +13,7 @@ import pytest
 
 from dpbench import load_results, run_campaign
 from dpbench.bench.record.result_folder import read_lost_count_and_remarks
-from dpbench.bench.workers import batch, scratch
+from dpbench.bench.workers import batch, child, scratch
 from dpbench.bench.workers.child import KILLED_FORKSERVER
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.cli.main import main
@@ -122,6 +122,7 @@ def test_without_any_process_the_command_ends_in_one_line(
     command = ["run", str(suite), "--out", str(tmp_path / "out"), "--quiet"]
     with monkeypatch.context() as patch:
         patch.setattr(ForkServerProcess, "start", none_left)
+        patch.setattr(child, "STARTS", 2)
         assert main(command) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("dpbench: no process can be started any more") and "kept" in line
