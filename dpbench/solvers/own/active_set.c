@@ -632,21 +632,13 @@ static as_real write_base(active_set *s) {
     return -dot(s->q, s->base, s->n);
 }
 
-/* ‖z‖ in the norm of P by zᵀ(P z + q + Cᵀλ) = 0 */
-static as_real length_of_point(const active_set *s) {
-    as_real square = -dot(s->q, s->z, s->n);
-    for (int k = 0; k < s->count; k++)
-        square -= s->lam[s->active[k]] * s->z[s->active[k]];
-    return root(larger(square, 0));
-}
-
-/* Whether the active rows are at their limits, z of a given length, and multipliers have their signs,
- * as restore_signs leaves them. */
-static int is_settled(const active_set *s, as_real length, int moved) {
+/* Whether the active rows are at their limits, P⁻¹q of a given length, and multipliers have their
+ * signs, as restore_signs leaves them. */
+static int is_settled(const active_set *s, as_real size, int moved) {
     for (int k = 0; k < s->count; k++) {
         const int i = s->active[k];
         const as_real g = limit_of(s, i), off = size_of(s->z[i] - g);
-        if (!(off * s->unit[i] <= ON_LIMIT * length + TINY)) return 0;
+        if (!(off * s->unit[i] <= ON_LIMIT * size + TINY)) return 0;
         if (off > SMALL * REAL(1e-3) * (1 + size_of(g))) return 0;
         if (moved && has_wrong_sign(s, i, s->lam[i])) return 0;
     }
@@ -684,12 +676,10 @@ static int search(active_set *s) {
     }
     const int ending = activate_violated(s, coarse, close, 2 * size);
     if (ending != OPTIMAL) return ending;
-    const as_real length = s->count > 0 ? length_of_point(s) : 0;
-    for (int again = 0; again < 2; again++) {
-        if (is_settled(s, length, again + s->iterations)) return s->iterations;
-        if (again == 0) settle(s);
-    }
-    return UNREFINED;
+    if (is_settled(s, size, s->iterations)) return s->iterations;
+    if (s->refine) return UNREFINED;
+    settle(s);
+    return is_settled(s, size, 1) ? s->iterations : UNREFINED;
 }
 
 int active_set_solve(active_set *s) {

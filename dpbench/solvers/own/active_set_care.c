@@ -193,6 +193,14 @@ static int prove(active_set *s) {
     return DOUBTFUL;
 }
 
+/* ‖z‖ in the norm of P by zᵀ(P z + q + Cᵀλ) = 0 */
+static as_real length_of_point(const active_set *s) {
+    as_real square = -dot(s->q, s->z, s->n);
+    for (int k = 0; k < s->count; k++)
+        square -= s->lam[s->active[k]] * s->z[s->active[k]];
+    return root(larger(square, 0));
+}
+
 /* Whether active rows are nearly dependent. */
 static int is_steep(active_set *s) {
     for (int k = 0; k < s->count; k++)
@@ -361,10 +369,26 @@ static int refine_search(active_set *s, as_real reach) {
     return is_clear(s, next, size) || active_set_excess(s) <= 1 ? s->iterations : DOUBTFUL;
 }
 
+/* Move z to active bounds that it misses by the rounding of base alone, which is much larger than z
+ * where a variable is penalised. */
+static void meet_bounds(active_set *s) {
+    for (int k = 0; k < s->count; k++) {
+        const int i = s->active[k];
+        const as_real g = limit_of(s, i);
+        if (i < s->n && size_of(s->z[i] - g) <= ON_LIMIT * size_of(s->base[i])) s->z[i] = g;
+    }
+    write_row_values(s);
+}
+
 /* Refine the answer of a search where rounding could decide it, and decide on exact values what is
  * doubtful still. */
 static int refine_answer(active_set *s, int ending) {
     const as_real reach = root(larger(-dot(s->q, s->base, s->n), 0));
+    if (ending == UNREFINED) {
+        meet_bounds(s);
+        if (!is_settled(s, reach, s->iterations)) settle(s);
+        if (is_settled(s, reach, 1)) ending = s->iterations;
+    }
     if (ending >= 0 && !s->found.near && (s->count == 0 || length_of_point(s) <= 2 * reach) &&
         !is_steep(s) && s->loss * largest_of(s->q, s->n) <= LOST)
         return ending;
