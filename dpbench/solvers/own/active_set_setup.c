@@ -31,8 +31,8 @@ static void add_own_rows(
     for (; count > 0; count--, row += n) add_scaled(out, sign * row[i], row, length);
 }
 
-/* X := X⁻¹ in place, from its upper triangle: X = UᵀU row by row, then W = U⁻ᵀ into the lower triangle and WᵀW; 0 unless X is
- * positive definite. */
+/* X := X⁻¹ in place, from its upper triangle: X = UᵀU row by row, then W = U⁻ᵀ into the lower
+ * triangle and WᵀW; 0 unless X is positive definite. */
 static int invert(as_real *X, int n) {
     as_real *row = X;
     for (int i = 0; i < n; i++, row += n) {

@@ -163,6 +163,16 @@ def test_a_multiplier_that_gets_the_wrong_sign_leaves_the_set_on_the_way() -> No
     np.testing.assert_allclose([*second.z, *second.y_box, *second.y], [0, -2, 1, 0, 0], atol=1e-12)
 
 
+def test_an_active_limit_that_becomes_infinite_is_left() -> None:
+    """By hand: nearest to (2, 1) under z₀ + z₁ ≤ 1 is (1, 0); without that row it is (2, 1)."""
+    none = np.full(2, np.inf)
+    base = QuadraticProgram(np.eye(2), [-2, -1], [[1, 1]], [-np.inf], [1], -none, none)
+    workspace = open_workspace("paper_active_set", policy="warm")
+    np.testing.assert_allclose(solve_qp(workspace, base).z, [1, 0], rtol=0, atol=1e-12)
+    free = solve_next(workspace, QPStep(base.q, base.l, np.array([np.inf])))
+    np.testing.assert_allclose([*free.z, *free.y], [2, 1, 0], rtol=0, atol=1e-12)
+
+
 def test_a_missing_library_without_a_compiler_is_one_line_with_the_remedy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
