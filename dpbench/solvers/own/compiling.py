@@ -14,13 +14,6 @@ import zlib
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
-SOURCES = (
-    "active_set.h",
-    "active_set.c",
-    "active_set_care.c",
-    "active_set_setup.c",
-    "hildreth.c",
-)
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 # Neither the machine's own instructions nor contracted products: the same results everywhere.
 FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-shared", "-fPIC")
@@ -30,8 +23,8 @@ REMEDY = "install ziglang, or name a C compiler by DPBENCH_CC=cc"
 def make_library_file_name() -> str:
     """Return the library's file name, with a checksum of sources and flags."""
     checksum = zlib.crc32(" ".join(FLAGS).encode())
-    for name in SOURCES:
-        checksum = zlib.crc32((FOLDER / name).read_bytes(), checksum)
+    for path in sorted(FOLDER.glob("*.[ch]")):
+        checksum = zlib.crc32(path.read_bytes(), checksum)
     return f"_own_{checksum:08x}{SUFFIX}"
 
 
