@@ -486,7 +486,7 @@ static as_real violation(const active_set *s, int i, as_real v) {
 }
 
 /* A few for few variables: where a look is cheap, another one saves rows that would be dropped again. */
-static void insert(active_set *s, int i, as_real by) {
+SELDOM static void insert(active_set *s, int i, as_real by) {
     active_set_view *found = &s->found;
     int k = found->count;
     if (k <= s->n / 4 && k < ACTIVE_SET_CANDIDATES) found->count++;
@@ -500,7 +500,7 @@ static void insert(active_set *s, int i, as_real by) {
 }
 
 /* Look at a row that is not active, or cannot be, and is near a limit or beyond one. */
-RARE static void look_at(active_set *s, int i, as_real noise, as_real close) {
+SELDOM RARE static void look_at(active_set *s, int i, as_real noise, as_real close) {
     active_set_view *found = &s->found;
     const as_real v = s->z[i], low = s->low[i], high = s->high[i], u = s->unit[i];
     if ((v - high) * u < -close && (low - v) * u < -close) return;
