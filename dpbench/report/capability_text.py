@@ -73,7 +73,7 @@ def describe_losses_held(analysis: ConsequenceAnalysis) -> str:
 
 
 def describe_answers_at_edge(plot: CapabilityResult) -> str:
-    """Return which solvers answer all QPs at the largest winds held rightly; "" without runs."""
+    """Return a sentence on solvers right on all QPs at the largest winds held; "" without runs."""
     if not plot.answers:
         return ""
     right = sorted(a.solver for a in plot.answers if a.has_only_right_answers)

@@ -71,7 +71,7 @@ class CoreTimes:
 
 
 def make_calculator_rows(results: EmbeddedResults, requirements: Requirements) -> list[CoreTimes]:
-    """Return the rows of the calculator, in the order of the table of counts."""
+    """Return rows with solvers' times on embedded cores, in the order of the table of counts."""
     return [
         CoreTimes(
             one.solver, name_sequence_and_core(group), one.p99, one.worst, requirements.deadline_ns
@@ -102,7 +102,7 @@ def describe_embedded_cost(
 
 
 def describe_cheapest_solver(sequence: CountedSequence, requirements: Requirements) -> str:
-    """Return which solver executes the fewest instructions within the required error."""
+    """Return a sentence on the solver of fewest instructions within the required error."""
     right = [one for one in sequence.solvers if one.error_move <= requirements.error_move]
     where = name_sequence_and_core(sequence)
     if not right:

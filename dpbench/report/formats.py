@@ -33,7 +33,7 @@ NOTED_WAIT = 0.1
 
 
 def describe_wait(time_ns: float, wait_ns: float) -> str:
-    """State how much of a time [ns] was a wait for the processor core; "" for less than a tenth.
+    """Return words on how much of a time [ns] was a wait for the core; "" below a tenth.
 
     >>> describe_wait(4.5e6, 4.2e6)
     ' (4.20 ms of it a wait for the core)'

@@ -173,7 +173,7 @@ def _format_station_limits(ship: ShipResult) -> str:
 
 
 def _describe_kept(known: Sequence[ShipResult]) -> str:
-    """Return in how many scenarios and seas the ship stays on station, and its largest offset."""
+    """Return a sentence on where the ship stays on station, and how far off; "" for nowhere."""
     kept = [ship for ship in known if ship.state == "on station"]
     if not kept:
         return ""

@@ -80,7 +80,7 @@ _VERBS: dict[State, tuple[str, str]] = {
 
 
 def describe_which_solvers_pass(verdicts: Verdicts) -> str:
-    """Name the solvers that pass, and those that do not with the reason; three of each verdict."""
+    """Return the names of solvers that pass, of others with the reason; three of each verdict."""
     if not verdicts.verdicts_on_references:
         return NOBODY
     by_state = group_by_key(list_best_verdict_of_each_solver(verdicts), lambda v: v.state)
@@ -106,12 +106,12 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
 
 
 def _count_others(count: int, verbs: str) -> list[str]:
-    """State how many more there are than are named; none where all are."""
+    """Return in words how many more there are than are named; empty where all are named."""
     return [f"{count - MOST_NAMED} more{verbs}"] if count > MOST_NAMED else []
 
 
 def describe_main_reason(verdict: Verdict) -> str:
-    """State the first reason why a configuration does not pass, in the run where it is worst."""
+    """Return the first reason why a configuration does not pass, in the run where it is worst."""
     if verdict.refusal:
         return verdict.refusal
     first, *_ = verdict.causes or verdict.findings_that_bar_pass

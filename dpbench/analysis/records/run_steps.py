@@ -282,7 +282,7 @@ class Delays:
         return self._count_chosen_by_repetition(self.net_ns > limit_ns)
 
     def count_stalls_by_repetition(self, longer_than_ns: float) -> Ints:
-        """Count, by repetition (R,), the timings that exceed their step's usual time by so much."""
+        """Return by repetition (R,) the number of timings so far over their step's usual time."""
         if longer_than_ns not in self._stalls:
             chosen = self.net_ns - self.own_ns > longer_than_ns
             self._stalls[longer_than_ns] = self._count_chosen_by_repetition(chosen)

@@ -144,12 +144,12 @@ def compute_study_effects(study: Study) -> tuple[Effect, ...]:
 
 
 def _is_told_from_noise(measure: Measure, difference: PairedDifference) -> bool:
-    """Return whether a difference has an interval, or is of what other programs do not change."""
+    """Return whether a measure's difference has an interval, or no other program changes it."""
     return measure != STEP_TIME or math.isfinite(difference.mean_interval.low)
 
 
 def group_keys_that_vary_together(points: pd.DataFrame) -> list[tuple[str, ...]]:
-    """Return the keys that vary, those together that change together."""
+    """Return the study keys that vary, in groups of those that change together."""
     groups: dict[tuple[object, ...], list[str]] = {}
     for key, values in points.items():
         codes, levels = pd.factorize(values)
@@ -191,7 +191,7 @@ def _list_level_changes(
 
 
 def _format_levels(points: pd.DataFrame, factor: tuple[str, ...], at: Any, digits: int = 6) -> str:
-    """Format the values of all keys of a factor at a point."""
+    """Return the values of all keys of a study's factor at a point, as text."""
     values = [points.at[at, key] for key in factor]
     return ", ".join(f"{v:.{digits}g}" if isinstance(v, float) else str(v) for v in values)
 
@@ -220,7 +220,7 @@ def _compute_sign(value: float) -> int:
 def _compute_level_effect(
     values: pd.Series, change: Change, least: pd.Series, other: pd.Series
 ) -> MeasuredChange:
-    """Return the mean change from one level to another over pairs in the same realisation."""
+    """Return a measure's mean change between two levels, over pairs in the same realisation."""
     sides = _select_values_of_side(values, other), _select_values_of_side(values, least)
     pairs = (sides[0] - sides[1]).dropna()
     points, seas = (pairs.index.get_level_values(level) for level in (0, 1))
@@ -239,7 +239,7 @@ def _select_values_of_side(values: pd.Series, side: pd.Series) -> pd.Series:
 def _fit_range_effects(
     points: pd.DataFrame, values: pd.Series, ranged: list[tuple[str, ...]]
 ) -> dict[tuple[str, ...], list[MeasuredChange]]:
-    """Return the least-squares change over the range of each factor that is drawn from one."""
+    """Return a measure's least-squares change over the range of each factor drawn from one."""
     if not ranged or values.empty:
         return {factor: [] for factor in ranged}
     keys = points[[factor[0] for factor in ranged]].astype(np.float64)

@@ -220,7 +220,7 @@ class _Percentiles:
 
     @property
     def high_ns(self) -> float:
-        """The p99, or the p95 where there are too few steps for it."""
+        """The p99 step time [ns], or the p95 where there are too few steps for it."""
         return self.p95_ns if math.isnan(self.p99_ns) else self.p99_ns
 
 

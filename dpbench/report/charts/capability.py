@@ -116,7 +116,7 @@ def _draw_web_lines(parts: Iterable[dict[str, Any]], place: Place) -> Any:
 
 
 def _draw_ring_names(place: Place, closed: pd.DataFrame) -> tuple[Any, Any]:
-    """Return the outlines and the text of the numbers at the polar chart's wind rings."""
+    """Return two chart layers, outlines and text, of the numbers at the polar chart's rings."""
     winds = [DP_CONDITIONS[n][0] for n in _RINGS]
     places = zip(_RINGS, winds, _find_clear_deg(closed, np.array(winds)), strict=True)
     names = [{**_polar_coordinates(wind, from_deg), "name": f"{n}"} for n, wind, from_deg in places]

@@ -133,7 +133,7 @@ _MEAN_TIPS = (
 
 
 def _draw_mean_errors(base: alt.Chart) -> tuple[alt.Chart, alt.Chart]:
-    """Return intervals and points of the mean position errors over the reference solver's."""
+    """Return chart layers: intervals and points of mean position errors over the reference's."""
     bars = base.mark_rule(strokeWidth=3, color=style.ACCENT).encode(
         x=alt.X("low_cm:Q"), x2=alt.X2("high_cm:Q")
     )

@@ -160,7 +160,7 @@ def make_solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
 
 
 def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
-    """Yield the replay of each time where they differ, and the options of the user's settings."""
+    """Yield remarks: the replay of each time where they differ, the user's settings' options."""
     timed = [verdict for verdict in verdicts if verdict.timed_on]
     usual = {v.configuration.label: f"the replay of {v.timed_on}" for v in timed}
     worst = {v.configuration.label: _where(v.p99_run) for v in timed if not math.isnan(v.p99_ns)}

@@ -55,11 +55,11 @@ class Block:
         self._size = 0
 
     def add_as_uint16_logs(self, values: ArrayLike, places: int | None = None) -> int:
-        """Add positive numbers of many decades as uint16 logarithms; return the array's index."""
+        """Add positive numbers, as uint16 logarithms, to the packed arrays; return their index."""
         return self._append_encoded_array("log", encode_as_uint16_logs(values), 1.0, places)
 
     def add_as_int16_multiples(self, values: ArrayLike, scale: float) -> int:
-        """Add an array of numbers as int16 multiples of `scale`; return its index."""
+        """Add numbers, as int16 multiples of `scale`, to the packed arrays; return their index."""
         x = np.asarray(values, dtype=np.float64) / scale
         codes = np.clip(np.round(np.nan_to_num(x)), -32767, 32767)
         codes[np.isnan(x)] = GAP
@@ -68,7 +68,7 @@ class Block:
         )
 
     def add_as_uint16_counts(self, values: ArrayLike, places: int | None = None) -> int:
-        """Add an array of whole numbers up to 65534, NaN if missing; return its index."""
+        """Add whole numbers up to 65534, or NaN, to the packed arrays; return their index."""
         x = np.asarray(values, dtype=np.float64)
         codes = np.where(np.isnan(x) | (x < 0), INFINITE, np.minimum(np.nan_to_num(x), 65534))
         return self._append_encoded_array(
@@ -76,11 +76,11 @@ class Block:
         )
 
     def add_as_flag_bytes(self, values: ArrayLike, places: int | None = None) -> int:
-        """Add an array of bytes of bit flags; return its index."""
+        """Add bytes of bit flags to the packed arrays; return their index."""
         return self._append_encoded_array("flag", np.asarray(values, dtype=np.uint8), 1.0, places)
 
     def add_rising_indices(self, values: ArrayLike, length: int) -> int:
-        """Add rising indices below `length`; return the array's index. ValueError for wide gaps."""
+        """Add rising indices below `length`; return their index. ValueError for wide gaps."""
         apart = np.diff(np.asarray(values, dtype=np.int64), prepend=0)
         if apart.size and apart.max() > INFINITE:
             raise ValueError(f"places {apart.max()} apart")

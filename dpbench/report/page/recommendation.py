@@ -284,7 +284,7 @@ def _yield_untimed_loops_sentences(data: PageData) -> Iterator[str]:
 
 
 def _describe_slow_step(step: SlowStep, wait_ns: float = 0.0) -> str:
-    """Describe a slow step: time and wait in it, scenario, index, iterations, active limits."""
+    """Return a text on a slow step: time, wait, scenario, index, iterations, active limits."""
     iterations = "" if isnan(step.iterations) else f"{plural(step.iterations, 'iteration')}, "
     work = f"{iterations}{plural(step.n_active, 'active limit')}"
     where = step.run.scenario or step.run.sequence
