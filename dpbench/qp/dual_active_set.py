@@ -28,7 +28,7 @@ so that row 2 comes first and λ₂ = 3.5 s. Three more iterations end at x = (1
 >>> found, ending = method._find_most_violated_row_and_side(), method._activate_violated_row(2, 1.0)
 >>> found, ending, bool(np.isclose(method._lam[2], 3.5 * s))
 ((2, 1.0), None, True)
->>> outcome = method.run_from_active_set()
+>>> outcome = method.run()
 >>> outcome.multipliers.round(12).tolist(), outcome.iterations
 ([2.0, 2.0, 0.0], 4)
 """
@@ -91,21 +91,10 @@ class DualActiveSet:
     x0 : (n,) the point to project.
     lower, upper : (p,) limits, lower ≤ upper; ±inf where there is none.
     limit : iterations after which to give up.
-    contradiction : share beyond which a violated dependent row ends the run as infeasible.
     """
 
-    def __init__(
-        self,
-        J: Matrix,
-        x0: Vector,
-        lower: Vector,
-        upper: Vector,
-        *,
-        limit: int,
-        contradiction: float = CONTRADICTION,
-    ) -> None:
-        self._J, self._lower, self._upper = J, lower, upper
-        self._limit, self._contradiction = limit, contradiction
+    def __init__(self, J: Matrix, x0: Vector, lower: Vector, upper: Vector, *, limit: int) -> None:
+        self._J, self._lower, self._upper, self._limit = J, lower, upper, limit
         self._free = lower == upper  # an equality, whose multiplier has either sign
         self._base = self._x = x0
         self._active: list[int] = []
@@ -114,34 +103,14 @@ class DualActiveSet:
         self._Q, self._R = np.empty((x0.size, 0)), np.empty((0, 0))
         self.iterations = 0
 
-    def run_from_active_set(self, start: Vector | None = None) -> Outcome:
-        """Add violated rows to the active set until none is left or no step is possible.
-
-        start : (p,) +1 or −1 for independent rows to begin with, at their upper or lower limit.
-        """
-        if start is not None:
-            self._start_from_active_set(start)
+    def run(self) -> Outcome:
+        """Add violated rows to the active set until none is left or no step is possible."""
         while True:
             j, side = self._find_most_violated_row_and_side()
             if j < 0:
                 return self._build_outcome(Ending.OPTIMAL)
             if (ending := self._activate_violated_row(j, side)) is not None:
                 return self._build_outcome(ending)
-
-    def _start_from_active_set(self, start: Vector) -> None:
-        """Start from the active set `start`, less the rows with multipliers of the wrong sign."""
-        self._active = [int(i) for i in np.flatnonzero(start)]
-        self._side[self._active] = start[self._active]
-        while self._active:
-            self._factor_active_normals_by_qr()
-            self._recompute_point_and_multipliers()
-            wrong = np.where(self._free, 0.0, self._side * self._lam)[self._active]
-            worst = int(np.argmin(wrong))
-            if wrong[worst] >= 0.0:
-                return
-            self._lam[self._active.pop(worst)] = 0.0
-        self._factor_active_normals_by_qr()
-        self._x = self._base
 
     def _build_outcome(self, ending: Ending) -> Outcome:
         """Return the active set, multipliers and iterations with the way it ended."""
@@ -185,7 +154,7 @@ class DualActiveSet:
             )
             t_primal = np.inf if dependent else max(gap, 0.0) / float(d @ d)
             if dependent and blocking < 0:
-                if gap > self._contradiction * self._compute_reference_size_of_violation(limit):
+                if gap > CONTRADICTION * self._compute_reference_size_of_violation(limit):
                     # The ray that proves row j, dependent on the active ones, contradictory.
                     lam[:] = 0.0
                     lam[self._active], lam[j] = -r, side
@@ -269,37 +238,17 @@ def _solve_triangular(R: Matrix, b: Vector, *, lower: bool = False) -> Vector:
     return np.asarray(x, dtype=np.float64)
 
 
-@dataclass(frozen=True, eq=False)
-class Projection:
-    """Cholesky factor L (n, n) of P and normals J (n, N) of unit length, shared by many QPs."""
+def find_active_set(P: Matrix, C: Matrix, q: Vector, lower: Vector, upper: Vector) -> Outcome:
+    """Minimise ½ zᵀPz + qᵀz within limits (N,) of rows C (N, n) by the dual active-set method.
 
-    L: Matrix
-    J: Matrix
-    scale: Vector
-
-    @classmethod
-    def factorise_hessian_and_rows(cls, P: Matrix, C: Matrix) -> "Projection":
-        """Factorise P (n, n) and scale rows C (N, n); LinAlgError if P is not positive definite."""
-        L = np.linalg.cholesky(0.5 * (P + P.T)).astype(np.float64)
-        J = scipy.linalg.solve_triangular(L, C.T, lower=True)
-        length = np.linalg.norm(J, axis=0)
-        scale = np.ones(length.size)
-        np.divide(1.0, length, out=scale, where=length > 0.0)
-        return cls(L, J * scale, scale)
-
-    def solve_for_vectors(
-        self,
-        q: Vector,
-        lower: Vector,
-        upper: Vector,
-        *,
-        start: Vector | None = None,
-        contradiction: float = CONTRADICTION,
-    ) -> Outcome:
-        """Solve for q and row limits (N,); start : (N,) signs, as in `DualActiveSet.run`."""
-        x0 = -np.linalg.solve(self.L, q).astype(np.float64)
-        limit = ITERATIONS_PER_ROW * self.scale.size
-        low, high = lower * self.scale, upper * self.scale
-        method = DualActiveSet(self.J, x0, low, high, limit=limit, contradiction=contradiction)
-        outcome = method.run_from_active_set(start)
-        return replace(outcome, multipliers=outcome.multipliers * self.scale)
+    LinAlgError if P (n, n) is not positive definite.
+    """
+    L = np.linalg.cholesky(0.5 * (P + P.T)).astype(np.float64)
+    J = scipy.linalg.solve_triangular(L, C.T, lower=True)
+    length = np.linalg.norm(J, axis=0)
+    scale = np.ones(length.size)
+    np.divide(1.0, length, out=scale, where=length > 0.0)
+    x0 = -np.linalg.solve(L, q).astype(np.float64)
+    limit = ITERATIONS_PER_ROW * scale.size
+    outcome = DualActiveSet(J * scale, x0, lower * scale, upper * scale, limit=limit).run()
+    return replace(outcome, multipliers=outcome.multipliers * scale)

@@ -46,7 +46,7 @@ from importlib import import_module
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.qp.dual_active_set import Ending, Projection
+from dpbench.qp.dual_active_set import Ending, find_active_set
 from dpbench.qp.referee.kernels import add_matrix_vector_product, cached_njit, inlined_njit
 from dpbench.qp.referee.kkt import Geometry, KKTSystem
 from dpbench.qp.referee.optimum import JointQP, Signs
@@ -215,9 +215,7 @@ def _guess_active_set_by_daqp(problem: JointQP) -> Signs | None:
 
 def _guess_active_set_by_dual_method(problem: JointQP) -> Signs | None:
     """Return the active set at which the dual method ends, its iterations limited."""
-    outcome = Projection.factorise_hessian_and_rows(problem.P, problem.C).solve_for_vectors(
-        problem.q, problem.L, problem.U
-    )
+    outcome = find_active_set(problem.P, problem.C, problem.q, problem.L, problem.U)
     if outcome.ending is Ending.INFEASIBLE:
         return None
     signs = np.zeros(len(problem.L))
