@@ -209,22 +209,15 @@ def cache_folder(name: str) -> Path:
     return folder
 
 
-def compile_library(
-    sources: Iterable[Path],
-    triple: str,
-    out: Path,
-    *,
-    include: Iterable[Path] = (),
-    flags: Sequence[str] = ("-std=c99", "-O2", "-ffp-contract=off"),
-) -> Path:
+def compile_library(sources: Iterable[Path], triple: str, out: Path) -> Path:
     """Compile C sources to a shared library of another system at `out`; return its path.
 
     `triple` is zig's name of the system, such as x86_64-linux-gnu, x86_64-windows-gnu or
     aarch64-macos. SituationError with the compiler's words if that fails.
     """
     position = [] if "windows" in triple else ["-fPIC"]
-    words = ["-target", triple, *flags, *position, "-shared", "-s", *_include_flags(include)]
-    return _compile(words, sources, out)
+    flags = ("-std=c99", "-O2", "-ffp-contract=off", *position, "-shared", "-s")
+    return _compile(["-target", triple, *flags], sources, out)
 
 
 def compile_program(
