@@ -34,6 +34,7 @@ from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.report.formats import (
     MISSING,
     as_float,
+    describe_wait,
     format_count,
     format_error,
     format_share,
@@ -346,6 +347,21 @@ def describe_finding(finding: Finding) -> str:
         some_also=f" (some also in {also})" if also else "",
         also_over=f" (over the requirements also in {also})" if also else "",
     )
+
+
+def describe_hardest_wait(records: Records, run: RunRecord | None) -> str:
+    """State how much of a replay's hardest step was a wait for the core; "" for hardly anything."""
+    times = None if run is None else records.get_step_times(run)
+    return "" if times is None else describe_wait(times.algo_ns.max(), times.hardest_wait_ns)
+
+
+def describe_longest_wait(records: Records, run: RunRecord | None) -> str:
+    """State how much of a run's largest timing was a wait for the core; "" for hardly anything."""
+    delays = None if run is None else records.read_delays_by_run([run]).get(run.run_id)
+    if run is None or delays is None or not (delays.delay_ns == run.raw_max_ns).any():
+        return ""
+    at = int(delays.delay_ns.argmax())
+    return describe_wait(run.raw_max_ns, delays.delay_ns[at] - delays.net_ns[at])
 
 
 def describe_answer(steps: RunSteps, at: int) -> str:

@@ -388,21 +388,6 @@ def _find_step_nearest_to_time(run: RunRecord, steps: RunSteps, time_ns: float) 
     return SlowStep(time_ns, run, k, float(steps.iterations[at]), float(steps.n_active[at]))
 
 
-def find_wait_in_hardest_step_ns(records: Records, run: RunRecord | None) -> float:
-    """Return how much of a replay's hardest step was a wait for the core [ns]; 0 where unknown."""
-    times = None if run is None else records.get_step_times(run)
-    return 0.0 if times is None else times.hardest_wait_ns
-
-
-def find_wait_in_largest_timing_ns(records: Records, run: RunRecord) -> float:
-    """Return how much of a run's largest timing was a wait for the core [ns]; 0 where unknown."""
-    delays = records.read_delays_by_run([run]).get(run.run_id)
-    if delays is None or not (delays.delay_ns == run.raw_max_ns).any():
-        return 0.0
-    at = int(delays.delay_ns.argmax())
-    return float(delays.delay_ns[at] - delays.net_ns[at])
-
-
 def find_largest_stall_ns(records: Records) -> float:
     """Return the longest delay by the machine in runs of the test solvers [ns]; or NaN."""
     arms = [run for run in records.calibration if run.mode == "replay"]

@@ -11,7 +11,6 @@ from dpbench.analysis.records.thinned_runs import (
     find_worst_steps,
 )
 from dpbench.analysis.times.contrasts import compare_paired_times
-from dpbench.analysis.verdict.time_findings import find_wait_in_hardest_step_ns
 from dpbench.analysis.verdict.verdict import (
     Verdict,
     Verdicts,
@@ -45,6 +44,7 @@ from dpbench.report.verdict_text import (
     describe_answer,
     describe_best_of_grids,
     describe_findings,
+    describe_hardest_wait,
     describe_paired_times,
     describe_requirements,
     describe_which_solvers_pass,
@@ -209,10 +209,7 @@ def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[
             format_time(verdict.replay_p99_ns),
             format_time(verdict.raw_p99_ns),
             format_time(verdict.p99_ns),
-            f"{format_time(verdict.algo_max_ns)}"
-            + describe_wait(
-                verdict.algo_max_ns, find_wait_in_hardest_step_ns(data.records, verdict.max_run)
-            ),
+            format_time(verdict.algo_max_ns) + describe_hardest_wait(data.records, verdict.max_run),
             MISSING
             if margin is None
             else f"× {format_rounded_down(margin.allowed_slowness_factor)}",

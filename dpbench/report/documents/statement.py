@@ -21,7 +21,6 @@ from dpbench.analysis.suites.capability import (
 )
 from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances
 from dpbench.analysis.verdict.ship_results import ShipResult
-from dpbench.analysis.verdict.time_findings import find_wait_in_hardest_step_ns
 from dpbench.analysis.verdict.verdict import (
     Verdict,
     choose_solver,
@@ -42,7 +41,7 @@ from dpbench.report.capability_text import (
 )
 from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
 from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
-from dpbench.report.formats import describe_wait, format_time, join_with_and, strip_markdown
+from dpbench.report.formats import format_time, join_with_and, strip_markdown
 from dpbench.report.open_losses import find_open_losses
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation, describe_speed_margin
@@ -51,6 +50,7 @@ from dpbench.report.ship_text import describe_ship, describe_unmet, list_losses,
 from dpbench.report.verdict_text import (
     describe_deployment,
     describe_disturbance,
+    describe_hardest_wait,
     describe_judged_runs,
     describe_requirements,
     describe_selection,
@@ -234,9 +234,7 @@ def _fill_statement(
         machine_state=describe_disturbance(sum_disturbances(select_timed_replays(records))),
         c=c,
         v=chosen,
-        wait=describe_wait(
-            chosen.algo_max_ns, find_wait_in_hardest_step_ns(records, chosen.max_run)
-        ),
+        wait=describe_hardest_wait(records, chosen.max_run),
         judged_runs_text=describe_judged_runs(chosen),
         version=versions[c.solver],
         numbers=", ".join(f"{key} = {value!r}" for key, value in options.items())

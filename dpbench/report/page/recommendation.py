@@ -11,8 +11,6 @@ from dpbench.analysis.times.machine import find_shortest_wait_ns
 from dpbench.analysis.verdict.time_findings import (
     SlowStep,
     find_largest_stall_ns,
-    find_wait_in_hardest_step_ns,
-    find_wait_in_largest_timing_ns,
 )
 from dpbench.analysis.verdict.verdict import (
     SolverChoice,
@@ -26,7 +24,6 @@ from dpbench.errors import InputError, format_allowed_names
 from dpbench.report.capability_text import describe_consequence_solver, describe_unanswered_qps
 from dpbench.report.embedded_text import describe_embedded_cost
 from dpbench.report.formats import (
-    describe_wait,
     format_error,
     format_rounded_down,
     format_time,
@@ -41,7 +38,9 @@ from dpbench.report.verdict_text import (
     describe_deployment,
     describe_disturbed_times,
     describe_findings,
+    describe_hardest_wait,
     describe_judged_runs,
+    describe_longest_wait,
     describe_paired_times,
     describe_requirements,
     describe_stopped_runs,
@@ -247,8 +246,8 @@ def describe_speed_margin(data: PageData, chosen: Verdict) -> str:
     margin, requirements = data.get_speed_margin(chosen.configuration), data.requirements
     if margin is None:
         return ""
-    wait_ns = find_wait_in_hardest_step_ns(data.records, margin.hardest.run)
-    hardest = p99 = _describe_slow_step(margin.hardest, wait_ns)
+    wait = describe_hardest_wait(data.records, margin.hardest.run)
+    hardest = p99 = _describe_slow_step(margin.hardest, wait)
     if margin.p99.time_ns != margin.hardest.time_ns:
         p99 = _describe_slow_step(margin.p99)
     time = "p99" if isfinite(chosen.p99_ns) else "largest step (in place of a p99)"
@@ -267,7 +266,7 @@ def describe_speed_margin(data: PageData, chosen: Verdict) -> str:
     if longest is not None:
         experiment, run = longest
         arms = f", the largest stall of a calibration run {format_time(arms_ns)}" * (arms_ns > 0.0)
-        wait = describe_wait(run.raw_max_ns, find_wait_in_largest_timing_ns(data.records, run))
+        wait = describe_longest_wait(data.records, run)
         largest = f"{format_time(run.raw_max_ns)}{wait} in {experiment.label}{arms}"
         parts.append(f"Stalls do not scale with the computer: the largest timing is {largest}.")
     parts += _yield_untimed_loops_sentences(data)
@@ -283,13 +282,12 @@ def _yield_untimed_loops_sentences(data: PageData) -> Iterator[str]:
         yield f"Not timed, as no replay has their QPs: {join_with_and(untimed)}."
 
 
-def _describe_slow_step(step: SlowStep, wait_ns: float = 0.0) -> str:
+def _describe_slow_step(step: SlowStep, wait: str = "") -> str:
     """Return a text on a slow step: time, wait, scenario, index, iterations, active limits."""
     iterations = "" if isnan(step.iterations) else f"{plural(step.iterations, 'iteration')}, "
     work = f"{iterations}{plural(step.n_active, 'active limit')}"
     where = step.run.scenario or step.run.sequence
-    time = f"{format_time(step.time_ns)}{describe_wait(step.time_ns, wait_ns)}"
-    return f"{time} in {where}, k {step.k} ({work})"
+    return f"{format_time(step.time_ns)}{wait} in {where}, k {step.k} ({work})"
 
 
 def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:

@@ -14,10 +14,6 @@ from markupsafe import Markup
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.times.solver_tables import make_configuration_columns
 from dpbench.analysis.verdict.run_matrix import Experiment
-from dpbench.analysis.verdict.time_findings import (
-    find_wait_in_hardest_step_ns,
-    find_wait_in_largest_timing_ns,
-)
 from dpbench.analysis.verdict.verdict import (
     Verdict,
     find_solver_family,
@@ -30,7 +26,6 @@ from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.report.charts import style
 from dpbench.report.charts.render import FORMATS, compile_vega, render_svg
 from dpbench.report.embedded_text import CLOCK_MHZ, CYCLES, NOTE, make_calculator_rows
-from dpbench.report.formats import describe_wait
 from dpbench.report.page.data import (
     GROUPS,
     MOST_ROWS,
@@ -44,6 +39,7 @@ from dpbench.report.page.recommendation import Recommendation, format_python_cal
 from dpbench.report.page.section import Topic
 from dpbench.report.page.terms import GlossaryEntry, Terms, describe_experiments
 from dpbench.report.page.vendored import list_vendored_scripts, read_script
+from dpbench.report.verdict_text import describe_hardest_wait, describe_longest_wait
 from dpbench.report.words import topics as glossary
 
 
@@ -110,14 +106,8 @@ def _describe_configuration(
         "timed_experiment_index": None if v is None else data.find_timed_experiment_index(v),
         "call": format_python_call(c),
         **_describe_margin(data, c),
-        "max_wait": ""
-        if v is None
-        else describe_wait(v.algo_max_ns, find_wait_in_hardest_step_ns(data.records, v.max_run)),
-        "longest_wait": ""
-        if longest is None
-        else describe_wait(
-            longest[1].raw_max_ns, find_wait_in_largest_timing_ns(data.records, longest[1])
-        ),
+        "max_wait": describe_hardest_wait(data.records, None if v is None else v.max_run),
+        "longest_wait": describe_longest_wait(data.records, longest and longest[1]),
         "longest": None if longest is None else convert_to_json_number(longest[1].raw_max_ns),
         "longest_at": None if longest is None else data.experiments.index(longest[0]),
     }

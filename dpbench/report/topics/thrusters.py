@@ -28,13 +28,11 @@ from dpbench.analysis.verdict.thruster_verdicts import (
 from dpbench.analysis.verdict.time_findings import (
     SpeedMargin,
     compute_speed_margins,
-    find_wait_in_hardest_step_ns,
 )
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, choose_solver
 from dpbench.report.formats import (
     MISSING,
     Table,
-    describe_wait,
     format_rounded_up,
     format_sample_share,
     join_with_and,
@@ -42,6 +40,7 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.page.section import Topic
+from dpbench.report.verdict_text import describe_hardest_wait
 
 MOST_ROWS = 8
 """Rows on the page, the most often right first; the file has all."""
@@ -156,7 +155,7 @@ def _describe_solver_to_use(
         return f"{label}."
     step, share = margin.hardest, format_sample_share(1.0 / margin.deadline)
     where = f"k {step.k} of the replay of {step.run.sequence}"
-    wait = describe_wait(step.time_ns, find_wait_in_hardest_step_ns(records, step.run))
+    wait = describe_hardest_wait(records, step.run)
     return f"{label}: its hardest step, {where}, takes {share} of the sample{wait}."
 
 
