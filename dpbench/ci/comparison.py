@@ -173,13 +173,12 @@ class RunComparison:
             console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def describe_end(found: RunComparison, against: str) -> str:
-    """Return a line on whether a regression against a baseline is shown."""
-    line = f"{'a regression' if found.worse else 'no regression shown'} against {against}"
-    open_ones = sum(row.verdict in (DISTURBED, NO_KERNEL) for row in found.rows)
-    if not open_ones:
-        return line
-    return f"{line}; no verdict on times of {open_ones} of {plural(len(found.rows), 'benchmark')}"
+def describe_end(found: RunComparison, base: str, head: str) -> list[str]:
+    """Return lines on what was compared, and on whether a regression is shown."""
+    line = f"{'a regression' if found.worse else 'no regression shown'} against {base}"
+    if open_ones := sum(row.verdict in (DISTURBED, NO_KERNEL) for row in found.rows):
+        line += f"; no verdict on times of {open_ones} of {plural(len(found.rows), 'benchmark')}"
+    return [found.describe_scope(base, head), line]
 
 
 def compare_runs(

@@ -68,8 +68,7 @@ class SessionComparison:
             allow_gone=self._config.getoption("dpbench_allow_gone"),
             left_out=[name for name in self._baseline.names if self._is_left_out(name)],
         )
-        lines = [found.describe_scope(str(self._path), "this session")]
-        lines.append(describe_end(found, str(self._path)))
+        lines = describe_end(found, str(self._path), "this session")
         found.print(Console(file=self._text, width=120), lines)
         if session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = found.exit_code(self._config.getoption("dpbench_disturbed_exit"))
@@ -167,8 +166,7 @@ def main(argv: list[str] | None = None) -> int:
         print(f"gate: {error}", file=sys.stderr)
         return 2
     found = compare_runs([(was, now)], allow_gone=arguments.allow_gone)
-    scope = found.describe_scope(str(baseline), str(arguments.json))
-    found.print(console, [scope, describe_end(found, str(baseline))])
+    found.print(console, describe_end(found, str(baseline), str(arguments.json)))
     return found.exit_code(arguments.disturbed_exit)
 
 

@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -81,12 +82,10 @@ def measure_tree(tree: Path, arguments: Sequence[str]) -> Measured:
         reason = f"pytest ended with exit code {code}: {' | '.join(lines[-SHOWN_LINES:])}"
         reason += _find_remedy(tree, output)
         # 0 and 1: every test was run to its end.
-        if code > 1 or not path.exists():
-            return Measured(BenchmarkRun(), reason)
-        try:
-            return Measured(load_run(path))
-        except InputError:
-            return Measured(BenchmarkRun(), reason)
+        with suppress(InputError):
+            if code <= 1:
+                return Measured(load_run(path))
+    return Measured(BenchmarkRun(), reason)
 
 
 def _find_remedy(tree: Path, output: str) -> str:
@@ -151,7 +150,7 @@ def measure_by_turns(
             spent_s.append(time.monotonic() - start_s)
             left_s = sum(spent_s) / len(spent_s) * (2 * (count - done) - len(measured))
             seconds = f"{spent_s[-1]:.0f} s, about {format_duration(left_s)} left"
-            _print_progress(f"{pair}{attempt}, {('base', 'head')[turn]}: {seconds}")
+            print(f"{pair}{attempt}, {('base', 'head')[turn]}: {seconds}", file=sys.stderr)
         pairs.append((measured[0], measured[1]))
         base, head = pairs[-1]
         require_imports_of_own_files(trees, (base.run, head.run))
@@ -159,18 +158,13 @@ def measure_by_turns(
             break
         if not (base.is_quiet and head.is_quiet):
             again = "repeated" if len(pairs) < 2 * count else "no repeat left"
-            _print_progress(f"{pair} disturbed: {again}")
+            print(f"{pair} disturbed: {again}", file=sys.stderr)
     return pairs
 
 
 def _count_undisturbed_pairs(pairs: Sequence[tuple[Measured, Measured]]) -> int:
     """Count the pairs of runs that nothing disturbed."""
     return sum(base.is_quiet and head.is_quiet for base, head in pairs)
-
-
-def _print_progress(line: str) -> None:
-    """Print a line on standard error at once."""
-    print(line, file=sys.stderr, flush=True)
 
 
 def compare_trees(
@@ -265,7 +259,7 @@ def run() -> int:
         try:
             return main()
         except KeyboardInterrupt:
-            _print_progress("revisions: interrupted")
+            print("revisions: interrupted", file=sys.stderr)
             return 128 + interruption.signal
 
 
