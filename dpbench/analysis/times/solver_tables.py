@@ -253,7 +253,8 @@ def compute_half_widths_of_pairs(
 ) -> tuple[list[int], list[float], dict[int, float]]:
     """Return indices of timed configurations, and of each two the log time ratio's half-width.
 
-    In the order (0, 1), (0, 2), ... (1, 2), ...; last the variables of the QPs of each replay.
+    In the order (0, 1), (0, 2), ... (1, 2), ...; last the variables of the QPs of each replay,
+    0 if unknown.
     """
     timed: dict[int, dict[int, StepTimes]] = {}
     sizes: dict[int, float] = {}
@@ -263,7 +264,8 @@ def compute_half_widths_of_pairs(
         )
         if times is not None:
             timed.setdefault(c, {})[p] = times
-            sizes[p] = run.n
+            # A run that crashed has no size.
+            sizes[p] = max(sizes.get(p, 0.0), 0.0 if isnan(run.n) else run.n)
     pairs = combinations(timed.values(), 2)
     return list(timed), [compute_log_ratio_half_width(*two, sizes) for two in pairs], sizes
 
