@@ -96,7 +96,7 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
         assert row["p99 of timings"] == format_time(verdict.raw_p99_ns)
         assert row["hardest step"] == format_time(verdict.algo_max_ns)
         assert row["largest error"] == format_error(verdict.error_move)
-        assert row["failed"] == str(verdict.failed_steps)
+        assert row["failed answers"] == str(verdict.failed_steps)
 
 
 def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(records: Any) -> None:
