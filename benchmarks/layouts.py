@@ -3,11 +3,12 @@
     python benchmarks/layouts.py [--share 0.01] [--first N]
 
 Each of 10 000 seeds draws a hull and 1 to 12 thrusters, degenerate ones included: in line, at one
-place, with next to no thrust, narrow sectors, azimuths that flush each other, skegs, a switchboard
-for all but one. They are read as a vessel file is, and may be refused in one line. Of one direction
-and one failure case the largest wind held is found as by `dpbench capability`. At 1e-6 below and
-above it the least use of thrust is computed once more: a mixed-integer linear program over the
-corners of each thruster's forces chooses the pieces, a linear program gives the use.
+place, with next to no thrust, narrow sectors and wide ones, azimuths that flush each other, skegs,
+a switchboard for all but one. They are read as a vessel file is, and may be refused in one line. Of
+one direction and one failure case the largest wind held is found as by `dpbench capability`. At
+1e-6 below and above it the least use of thrust is computed once more: a mixed-integer linear
+program over the corners of each thruster's forces chooses the pieces, a linear program gives the
+use.
 """
 
 import argparse
@@ -54,8 +55,9 @@ def draw_thruster(rng: np.random.Generator, i: int) -> dict[str, Any]:
         if rng.random() < 0.5:
             table["height_m"] = rng.uniform(-2.0, 3.0)
     if kind == "azimuth" and rng.random() < 0.3:
+        widths = [0.5, rng.uniform(1.0, 179.0), 180.0, rng.uniform(181.0, 359.0)]
         start = rng.uniform(-180.0, 180.0)
-        table["sector_deg"] = [start, start + rng.choice([0.5, rng.uniform(1.0, 179.0), 180.0])]
+        table["sector_deg"] = [start, start + rng.choice(widths)]
     if kind == "main":
         table["astern"] = rng.choice([0.01, 0.5, 1.0])
     if rng.random() < 0.6:
