@@ -89,6 +89,15 @@ def test_a_ship_in_a_loop_that_is_unstable_without_limits(
     assert ship.unstable_radius == pytest.approx(radius, abs=1e-4, nan_ok=True)
 
 
+@pytest.mark.parametrize(("heading_deg", "share"), [(4.5, 0.9), (2.0, 0.8)])
+def test_the_used_share_of_the_station(records: Any, heading_deg: float, share: float) -> None:
+    """The larger of 4 m of 5 m and of a heading error of so much of 5°."""
+    largest = {"exact_offset_max_m": 4.0, "exact_heading_max_deg": heading_deg}
+    records.loop("daqp", "rough", **EDGE | largest)
+    (ship,) = find_ship_results(records.view())
+    assert ship.used_share_of_station_limits == pytest.approx(share)
+
+
 def test_a_scenario_names_its_horizons_where_it_has_several(records: Any) -> None:
     records.loop("daqp", "rough", N_p=30.0, N_c=5.0)
     records.loop("daqp", "rough", N_p=60.0, N_c=10.0)
