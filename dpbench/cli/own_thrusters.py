@@ -323,7 +323,7 @@ def _name_groups_lost_one_by_one(groups: Sequence[str]) -> str:
 
 
 def find_hardest_sea(vessel: Vessel, held: HeldSea | None) -> int:
-    """Return the largest DP number that the intact ship holds, by its limits without thrusters."""
+    """Return the largest DP number that the intact ship holds, by `held` or else its limits."""
     if held is None:
         held_numbers = (n for n in scaling.DP_NUMBERS if find_mean_share(vessel, n)[0] <= 1.0)
     else:

@@ -108,7 +108,7 @@ def escape_latex(text: str) -> str:
 
 
 def _format_number(value: float) -> str:
-    """Format a number to three digits, without exponent from 1e-4 to 1e7."""
+    """Return a number as LaTeX of three digits, without exponent from 1e-4 to 1e7."""
     if abs(value) == float("inf"):
         return r"$\infty$" if value > 0.0 else r"$-\infty$"
     rounded = float(f"{value:.{_DIGITS}g}")

@@ -55,7 +55,7 @@ class Berth:
 
 
 def read_rows_of_thruster_table(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a thruster table, by column, without empty cells; InputError if bad."""
+    """Return a dict for each row of a thruster table, of its filled cells; InputError if bad."""
     rows = read_csv_rows(path)
     names = [cell.strip() for cell in rows[0]] if rows else []
     for name in names:

@@ -160,7 +160,7 @@ def _get_installed_package_version(distribution: str) -> str:
 
 
 def find_solver_availability(name: str, *, imported: bool = True) -> Availability:
-    """Return whether a solver's library is installed and, if `imported`, can be imported."""
+    """Return version or fault of a solver's library; if `imported`, also whether it imports."""
     row = find_solver_record(name)
     if row.extra == "own":
         return Availability(True, _get_installed_package_version("dpbench"))

@@ -180,7 +180,7 @@ def _stack_attribute(parts: Sequence[object], name: str) -> Matrix:
 
 
 def _stack_q_l_u(steps: Sequence[QPStep]) -> tuple[Matrix, Matrix, Matrix]:
-    """Return the QP vectors q (K, n), l (K, m) and u (K, m) of K steps."""
+    """Stack the vectors of K given steps, one row each: q (K, n), l (K, m) and u (K, m)."""
     return _stack_attribute(steps, "q"), _stack_attribute(steps, "l"), _stack_attribute(steps, "u")
 
 
@@ -325,7 +325,7 @@ def make_answer_columns(
     evaluations: Floats,
     certificates: NDArray[np.int8],
 ) -> Columns:
-    """Return times, status, iterations and errors of the recorded steps of `rounds`, as columns."""
+    """Return times, status and errors of the first `counts` steps of each round, as columns."""
 
     def rows(array: NDArray[Any]) -> NDArray[Any]:
         parts = [array[r, :count] for r, count in zip(rounds, counts, strict=True)]

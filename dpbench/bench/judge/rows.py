@@ -178,7 +178,7 @@ def sum_step_times_ns(steps: Mapping[str, NDArray[Any]]) -> Ints:
 
 
 def make_step_rows(run_id: str, steps: StepColumns) -> pd.DataFrame:
-    """Return the step columns of one run as rows of `steps.parquet`."""
+    """Return a data frame laid out as `steps.parquet`, from one run's id and step columns."""
     columns: dict[str, Any] = {"run_id": np.full(len(steps["k"]), run_id, dtype=object)}
     for name, column in steps.items():
         whole = STEP_COLUMNS[name][0] == "Int64"

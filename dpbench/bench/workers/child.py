@@ -38,7 +38,7 @@ _LAST_COMPILED = "replay._reference_kernel-*.nbi"
 
 
 def has_compiled_kernels() -> bool:
-    """Return whether the compiled code of every cell is in Numba's cache on this machine."""
+    """Return whether Numba's cache on this machine holds all kernels, whatever cells will run."""
     return any(any(folder.rglob(_LAST_COMPILED)) for folder in list_numba_cache_folders())
 
 

@@ -80,7 +80,7 @@ NEGLIGIBLE_WEIGHT = 1e-9  # Weights below it are rounding
 
 
 def remove_limits_of_zero_rows(problem: JointQP) -> JointQP:
-    """Remove the limits of rows without coefficients that every z satisfies."""
+    """Return a new QP without the limits of zero rows that every z satisfies."""
     idle = ~problem.C.any(axis=1) & (problem.L <= 0.0) & (problem.U >= 0.0)
     L, U = np.where(idle, -np.inf, problem.L), np.where(idle, np.inf, problem.U)
     return JointQP(problem.P, problem.q, problem.C, L, U)

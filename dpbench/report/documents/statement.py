@@ -103,7 +103,7 @@ def make_statement_svg(folder: Path, results: Results, data: PageData) -> str:
 
 
 def _wrap(text: str, size: float) -> list[str]:
-    """Return a text in lines that fit between the margins at a font size [points]."""
+    """Return the lines of a text, as a list, that fit the width at a font size [points]."""
     lines = [""]
     for word in text.split():
         longer = f"{lines[-1]} {word}".lstrip()
