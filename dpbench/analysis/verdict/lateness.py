@@ -182,7 +182,8 @@ def find_late_timings(
     loops = [run for run in runs if run.mode == "closed_loop"]
     arms = [run for run in records.calibration if run.mode == "replay"]
     found = records.read_delays_by_run([*replays, *loops, *arms])
-    replays, loops, arms = ([r for r in of if r.run_id in found] for of in (replays, loops, arms))
+    timed = {run_id for run_id, own in found.items() if own.samples.any()}
+    replays, loops, arms = ([r for r in of if r.run_id in timed] for of in (replays, loops, arms))
     delays: dict[str, Delays] = {}
     for run in (*replays, *loops, *arms):
         own = found[run.run_id]

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from dpbench.analysis.verdict.lateness import (
@@ -280,6 +281,15 @@ def test_a_replay_of_two_rounds_beside_one_of_a_test_solver(records: Any) -> Non
     assert (found.kind, found.late, found.samples) == ("late at random", 6, 2000)
     assert found.p == pytest.approx(2 / 27**2, rel=1e-9)
     assert found.machine == pytest.approx(1 / 2000)
+
+
+@pytest.mark.parametrize("is_loop", [True, False])
+def test_a_run_without_a_single_timing_is_not_tested(records: Any, is_loop: bool) -> None:
+    """A result folder of others may hold one; the late loop beside it is found all the same."""
+    _loop(records, 1000, dict.fromkeys(range(100), 7e6))
+    records.loop("piqp", steps=1000) if is_loop else _replay(records, "piqp", {}, rounds=1)
+    records._steps[-1]["total_ns"] = pd.array([None] * len(records._steps[-1]), dtype="Int64")
+    assert list(_found(records)) == ["daqp"]
 
 
 def test_who_remembers_answers_hides_nobody(records: Any) -> None:
