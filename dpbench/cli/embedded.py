@@ -172,7 +172,7 @@ def _read_sequence(name: str, steps: int) -> Recorded:
     if not steps or steps >= len(recorded.sequence):
         return recorded
     optima = None if recorded.optima is None else recorded.optima[:steps]
-    return Recorded(thin_sequence(recorded.sequence, steps), optima, recorded.units)
+    return Recorded(thin_sequence(recorded.sequence, steps), optima)
 
 
 def _read_sources(texts: list[str]) -> dict[str, Path]:

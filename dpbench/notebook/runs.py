@@ -292,7 +292,7 @@ def replay(
         scenario={"name": sequence.name},
         steps=len(sequence),
         formulation=formulation,
-        units="scaled" if sequence.units is None else "si",
+        units="scaled" if sequence.scaled is None else "si",
         rounds=repeats,
         warmup_steps=warmup_steps,
     )

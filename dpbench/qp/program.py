@@ -282,10 +282,11 @@ class QPSequence:
     base : the problem of step 0.
     q, l, u : (K, n), (K, m), (K, m) vectors of each step.
     P, A, lb, ub : (K, …) matrices and bounds of each step; None where they are those of `base`.
-    units : relation of the variables to the scaled ones; None for a scaled sequence.
+    units : what 1 of a scaled variable and of a scaled row is in SI; None where nothing is known.
     scaled : the same sequence in scaled units, in which answers are judged; None when this is it.
-    meta : origin: scenario, sample time [s], first step, versions.
+    meta : origin: scenario, sample time [s], first step, horizons, versions.
     sparse_equivalent : makes the sparse form with the states kept; None where there is none.
+    documents : of the scenario (`Scenario.files`), or the capability plot; empty for others.
 
     Examples
     --------
@@ -310,6 +311,7 @@ class QPSequence:
     lb: Matrix | None = None
     ub: Matrix | None = None
     sparse_equivalent: Callable[[], SparseEquivalent] | None = None
+    documents: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         K, n, m = np.shape(self.q)[0], self.base.n, self.base.m

@@ -82,7 +82,7 @@ def load_tuned_problem(name: str, steps: int = 0) -> TunedProblem:
         return TunedProblem(
             sequence.name,
             table,
-            _make_loop_key(recorded.documents),
+            _make_loop_key(sequence.documents),
             _hash_steps(sequence),
             every if isinstance(every, int) else 1,
         )

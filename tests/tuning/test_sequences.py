@@ -37,7 +37,7 @@ def test_sequences_of_other_scenarios_do_not_overlap() -> None:
 def test_a_file_without_a_scenario_is_compared_by_its_qps(tmp_path: Path) -> None:
     """A shorter file of another name has QPs of the longer one."""
     path = tmp_path / "mine.npz"
-    save_sequence(path, load_sequence("calm-30-5"))
+    save_sequence(path, load_sequence("calm-30-5"), documents={})
     mine = load_tuned_problem(str(path))
     assert mine.loop == ""
     with pytest.raises(InputError, match="has the same QPs as calm-30-5"):

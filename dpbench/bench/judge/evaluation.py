@@ -361,7 +361,7 @@ def evaluate_replay_log(
     rounds = np.flatnonzero(log.done > 0).tolist()
     counts = log.done[rounds].tolist()
     units = own.units
-    if units is None:
+    if units is None or own.scaled is None:
         units = Units(np.ones(own.base.n), np.ones(own.base.n))
     evaluations = np.full((sum(counts), len(EVALUATION)), np.nan)
     certificates = np.full(sum(counts), CERTIFICATES.index("none"), dtype=np.int8)

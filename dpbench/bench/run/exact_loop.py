@@ -267,10 +267,10 @@ def rebuild_sequence(
         raise ResultsError(where, "first, count", f"{first}:{last}", allowed)
     builder, steps = QPBuilder(scenario, units), range(first, last)
     if part == "allocation":
-        emitted, base, scale = _rebuild_allocation_steps(scenario, exact, builder, steps)
+        emitted, base = _rebuild_allocation_steps(scenario, exact, builder, steps)
     else:
         emitted = [builder.rebuild(k, exact.theta[k]) for k in steps]
-        base, scale = builder.condensed.problem(emitted[0]), builder.condensed.scale
+        base = builder.condensed.problem(emitted[0])
     whole = scenario.name if part == "controller" else f"{scenario.name}-{part}"
     name = whole if first == 0 else f"{whole}[{first}:{last}]"
     scaled, sparse = None, None
@@ -285,23 +285,37 @@ def rebuild_sequence(
         P=_stack_matrices([step.P for step in emitted]),
         A=_stack_matrices([step.A for step in emitted]),
         **_stack_q_l_u(emitted),
-        units=None if scaled is None else scale,
+        units=_choose_si_units(scenario, part),
         scaled=scaled,
-        meta={"scenario": scenario.name, "sample_s": scenario.sample_s, "first": first},
+        meta={
+            "scenario": scenario.name,
+            "sample_s": scenario.sample_s,
+            "first": first,
+            **scenario.problem.horizons_by_name,
+        },
         sparse_equivalent=sparse,
+        documents={**scenario.files},
     )
 
 
 def _rebuild_allocation_steps(
     scenario: Scenario, exact: ExactLoop, builder: QPBuilder, steps: range
-) -> tuple[list[QPStep], QuadraticProgram, Units]:
-    """Return a cascade's thrust-allocation QPs, the problem of the first, and their units."""
+) -> tuple[list[QPStep], QuadraticProgram]:
+    """Return a cascade's thrust-allocation QPs, and the problem of the first."""
     allocation, demand = builder.allocation, exact.demand
     if allocation is None or demand is None:
         allowed = 'a cascade with allocation = "qp"'
         raise InputError(f"sequence of {scenario.name}", "part", '"allocation"', allowed)
     emitted = [builder.rebuild_allocation(k, demand, exact.thrust) for k in steps]
-    return emitted, allocation.problem(emitted[0]), allocation.scale
+    return emitted, allocation.problem(emitted[0])
+
+
+def _choose_si_units(scenario: Scenario, part: Part) -> Units:
+    """Return what 1 is in SI of the scaled QPs of a scenario's controller or allocation."""
+    allocation = scenario.controller.make_allocation_qp_builder("si")
+    if part == "allocation" and allocation is not None:
+        return allocation.scale
+    return scenario.controller.make_condensed_qp_builder("si").scale
 
 
 def _rebuild_sparse_sequence(

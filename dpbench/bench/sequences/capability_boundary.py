@@ -26,9 +26,10 @@ def write_capability_boundary(path: Path, vessel: Vessel, sides: int, name: str)
 def read_capability_plot(path: Path) -> dict[str, list[Any]] | None:
     """Return the capability plot stored in a file with its QPs; None where the file is gone."""
     try:
-        table: dict[str, list[Any]] | None = load_recorded(path).documents.get("capability")
+        documents = load_recorded(path).sequence.documents
     except InputError:
         return None
+    table: dict[str, list[Any]] | None = documents.get("capability")
     return table
 
 

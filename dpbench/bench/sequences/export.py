@@ -187,7 +187,7 @@ def _is_scenario(what: object) -> bool:
 def _load_recorded(what: str | Path | Scenario | QPSequence) -> Recorded:
     """Return a sequence by name or file as recorded; one given as an object, without optima."""
     if isinstance(what, QPSequence):
-        return Recorded(what.scaled or what, None, what.units)
+        return Recorded(what.scaled or what, None)
     return source.load_named_sequence(str(what))
 
 
@@ -327,8 +327,8 @@ def _collect_arrays(recorded: Recorded) -> dict[str, Vector]:
     if optima:
         arrays |= {name: np.array([getattr(o, name) for o in optima]) for name in OPTIMUM}
         arrays["bound"] = np.array([o.bound for o in optima])
-    if recorded.units is not None:
-        arrays |= {"unit_z": recorded.units.z, "unit_row": recorded.units.row}
+    if sequence.units is not None:
+        arrays |= {"unit_z": sequence.units.z, "unit_row": sequence.units.row}
     return arrays
 
 

@@ -31,7 +31,7 @@ import json
 import re
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -76,20 +76,14 @@ _TEXTS = ("format", "name", "meta", "documents")
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A sequence of QPs in scaled units with its certified optima, None if not certified yet.
-
-    units : what 1 is in SI; None where the QPs have no units but their own.
-    documents : of the scenario (`Scenario.files`), or the capability plot; empty for others.
-    """
+    """A sequence of QPs in scaled units with its certified optima, None if not certified yet."""
 
     sequence: QPSequence
     optima: list[Optimum] | None
-    units: Units | None = None
-    documents: dict[str, Any] = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
         """Write the QPs, certified optima, units and scenario documents to a `.npz` file."""
-        save_sequence(path, self.sequence, self.optima, units=self.units, documents=self.documents)
+        save_sequence(path, self.sequence, self.optima)
 
 
 def save_sequence(
@@ -105,8 +99,9 @@ def save_sequence(
     Parameters
     ----------
     path : a name that ends in .npz; InputError for another.
-    sequence : one in SI is written as its scaled form, with its units.
+    sequence : one in SI is written as its scaled form.
     optima : those of `certify_all_steps`, which finds them where they are not given.
+    units, documents : instead of those of the sequence.
 
     Examples
     --------
@@ -121,6 +116,7 @@ def save_sequence(
         raise InputError("save_sequence", "path", repr(path.name), allowed)
     scaled = sequence.scaled or sequence
     units = units or sequence.units
+    documents = scaled.documents if documents is None else documents
     if optima is None:
         # Reading a file takes no referee, whose kernels take longer to load than the file.
         from dpbench.qp.referee.referee import certify_all_steps
@@ -133,7 +129,7 @@ def save_sequence(
         "version": FORMAT_VERSION,
         "name": scaled.name,
         "meta": json.dumps(meta, sort_keys=True, ensure_ascii=False),
-        "documents": json.dumps(documents or {}, sort_keys=True, ensure_ascii=False),
+        "documents": json.dumps(documents, sort_keys=True, ensure_ascii=False),
         "block": base.block,
         "moves": base.moves,
     }
@@ -184,10 +180,10 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
     recorded = load_recorded(path)
     if units == "scaled":
         return recorded.sequence
-    if recorded.units is None:
+    if recorded.sequence.units is None:
         found = "1 for all: units of its own"
         raise InputError(str(path), "unit_z, unit_row", found, "units in SI, or units='scaled'")
-    return convert_sequence_to_units(recorded.sequence, recorded.units)
+    return convert_sequence_to_units(recorded.sequence, recorded.sequence.units)
 
 
 def as_sequence(given: object) -> QPSequence:
@@ -220,10 +216,9 @@ def load_recorded(path: str | Path) -> Recorded:
     given = {"unit_z": (n,), "unit_row": (m,)}
     units = Units(*(read_float_array(arrays, where, *unit) for unit in given.items()))
     own = (units.z == 1.0).all() and (units.row == 1.0).all()
-    optima = _read_optima(arrays, where, sizes)
-    return Recorded(
-        sequence, optima, None if own else units, _read_document(where, "documents", texts)
-    )
+    documents = _read_document(where, "documents", texts)
+    sequence = replace(sequence, units=None if own else units, documents=documents)
+    return Recorded(sequence, _read_optima(arrays, where, sizes))
 
 
 def _read_sequence(

@@ -36,7 +36,6 @@ from dpbench.bench.run.exact_loop import (
     rebuild_sequence,
     solve_loop_exactly,
 )
-from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.sequences.capability_boundary import write_capability_boundary
 from dpbench.bench.sequences.loop_sequences import (
     build_consequence_sequence,
@@ -98,14 +97,8 @@ def record_scenario(
         scenario = scenario.truncate(steps)
     exact = solve_loop_exactly(scenario)
     exact.require_certificates(scenario.name)
-    sequence = rebuild_sequence(scenario, exact, part=part)
-    meta = sequence.meta | scenario.problem.horizons_by_name
-    sequence = thin_sequence(replace(sequence, meta=meta), None, every)
-    builder = QPBuilder(scenario, "si")
-    units = builder.condensed.scale
-    if part == "allocation" and builder.allocation is not None:
-        units = builder.allocation.scale
-    return Recorded(sequence, certify_all_steps(sequence), units, {**scenario.files})
+    sequence = thin_sequence(rebuild_sequence(scenario, exact, part=part), None, every)
+    return Recorded(sequence, certify_all_steps(sequence))
 
 
 def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequence:
@@ -360,7 +353,7 @@ class _RecordedFile(_SequenceFile):
             allowed = f"the file the cell was planned with, SHA-256 {planned[:12]}…"
             raise InputError(str(origin), "", f"SHA-256 {actual[:12]}…", allowed)
         recorded = read_sequence(origin)
-        save_sequence(path, recorded.sequence, units=recorded.units, documents=recorded.documents)
+        save_sequence(path, recorded.sequence)
 
 
 SourceFile = _LoopFile | _RandomFile | _CapabilityFile | _RecordedFile

@@ -14,7 +14,6 @@ from typing import Any
 from dpbench.bench.plan.configurations import find_plugin_file
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import Cell
-from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.bench.workers.child import start_forkserver
 from dpbench.bench.workers.interrupts import first_signal_only
@@ -213,7 +212,7 @@ def _save_findings(worst_case: WorstCase, seed: int) -> WorstCase:
 
 def _save_case(path: Path, case: Case, facts: dict[str, Any]) -> None:
     """Save the QPs of one scenario variant, with what happened to the solver as metadata."""
-    scenario, worst = case.scenario, case.worst
+    worst = case.worst
     facts = facts | {"outcome": case.outcome.outcome}
     if worst is not None:
         facts |= {
@@ -223,8 +222,5 @@ def _save_case(path: Path, case: Case, facts: dict[str, Any]) -> None:
             "error_plan": repr(worst.error_plan),
             "status": worst.status.name.lower(),
         }
-    meta = case.sequence.meta | scenario.problem.horizons_by_name
-    meta |= {f"worst_case_{name}": fact for name, fact in facts.items()}
-    sequence = replace(case.sequence, meta=meta)
-    units = QPBuilder(scenario, "si").condensed.scale
-    save_sequence(path, sequence, units=units, documents={**scenario.files})
+    meta = case.sequence.meta | {f"worst_case_{name}": fact for name, fact in facts.items()}
+    save_sequence(path, replace(case.sequence, meta=meta))

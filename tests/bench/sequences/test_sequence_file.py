@@ -1,5 +1,6 @@
 """Recorded sequences as files: what stands in them, and what is said of a bad one."""
 
+import json
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,9 +20,11 @@ from dpbench import (
     record_sequence,
 )
 from dpbench.bench.record.npz import write_npz
+from dpbench.bench.sequences.export import export_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.bench.sequences.source import _check_step, record_scenario
 from dpbench.errors import ShapeError
+from dpbench.mpc.condense import UnitSystem
 from dpbench.qp.program import Units, convert_sequence_to_units
 from dpbench.qp.random_sequence import RandomRecipe, generate_random_sequence
 from dpbench.qp.referee.referee import certify, certify_all_steps
@@ -94,7 +97,7 @@ def test_a_random_sequence_survives_its_file(family: str, tmp_path: Path) -> Non
     save_sequence(tmp_path / "one.npz", sequence, optima)
     recorded = load_recorded(tmp_path / "one.npz")
     same(recorded.sequence, sequence)
-    assert recorded.optima is not None and recorded.units is None
+    assert recorded.optima is not None and recorded.sequence.units is None
     for mine, theirs in zip(recorded.optima, optima, strict=True):
         assert (mine.kind, mine.bound) == (theirs.kind, theirs.bound)
         for name in ("z", "y", "y_box"):
@@ -241,9 +244,35 @@ def test_what_is_read_is_what_the_builder_makes_in_si(scenario: str, tmp_path: P
 def test_read_in_si_and_written_it_is_the_same_file(tmp_path: Path) -> None:
     path = saved("paper", tmp_path / "one.npz")
     again = tmp_path / "two.npz"
-    documents = record_scenario(load_scenario("paper"), steps=5).documents
-    save_sequence(again, load_sequence(path, units="si"), documents=documents)
+    save_sequence(again, load_sequence(path, units="si"))
     assert again.read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("units", ["scaled", "si"])
+def test_a_recorded_sequence_is_written_as_its_scenario_is(
+    units: UnitSystem, tmp_path: Path
+) -> None:
+    """With its units, horizons and documents, whichever way it is written."""
+    scenario = load_scenario("paper").truncate(5)
+    sequence = record_sequence(scenario, units=units)
+    of_scenario, saved, exported = (tmp_path / f"{name}.npz" for name in "abc")
+    export_sequence(scenario, of_scenario)
+    save_sequence(saved, sequence)
+    export_sequence(sequence, exported)
+    assert saved.read_bytes() == exported.read_bytes() == of_scenario.read_bytes()
+    contents = arrays_of(saved)
+    np.testing.assert_allclose(contents["unit_z"][:3], scenario.problem.du_max, rtol=1e-12)
+    assert json.loads(str(contents["meta"]))["N_c"] == scenario.problem.N_c
+    assert json.loads(str(contents["documents"])) == scenario.files
+
+
+def test_the_second_qps_of_a_cascade_are_written_with_their_units(tmp_path: Path) -> None:
+    """Their variables are thrusts, of other sizes than the controller's moves."""
+    scenario = load_scenario("thrusters_cascade").truncate(3)
+    save_sequence(tmp_path / "a.npz", record_sequence(scenario, part="allocation"))
+    export_sequence(scenario, tmp_path / "b.npz", part="allocation")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    assert not (arrays_of(tmp_path / "a.npz")["unit_z"] == 1.0).all()
 
 
 @given(seed=st.integers(0, 10_000), moves=st.integers(2, 5), rows=st.integers(1, 5))

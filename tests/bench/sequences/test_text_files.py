@@ -75,8 +75,9 @@ def test_a_sequence_in_memory_is_written_in_scaled_units(tmp_path: Path) -> None
         load_recorded(tmp_path / "a.npz"),
         load_recorded(resolve_sequence_path("turn-30-5")),
     )
-    assert written.units is not None and stored.units is not None
-    np.testing.assert_array_equal(written.units.z, stored.units.z)
+    units, expected = written.sequence.units, stored.sequence.units
+    assert units is not None and expected is not None
+    np.testing.assert_array_equal(units.z, expected.z)
     np.testing.assert_array_equal(written.sequence.q, stored.sequence.q[:3])
 
 

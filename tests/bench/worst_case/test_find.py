@@ -10,8 +10,8 @@ from hypothesis import given, settings, strategies as st
 from dpbench import InputError, load_results, load_scenario, load_sequence, open_workspace, replay
 from dpbench.bench.judge.evaluation import CERTIFICATES, EVALUATION, EvaluatedCell
 from dpbench.bench.plan.suite import build_sequence_suite
+from dpbench.bench.run.exact_loop import record_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded
-from dpbench.bench.sequences.source import record_scenario
 from dpbench.bench.workers import child as supervise
 from dpbench.bench.worst_case import search as case_search
 from dpbench.bench.worst_case.find import find_worst_case
@@ -86,11 +86,11 @@ def test_a_way_that_cannot_be_is_not_replayed() -> None:
 def test_the_documents_make_the_same_sequence_again(tmp_path: Path) -> None:
     path = tmp_path / "found.npz"
     find_worst_case("daqp", scenario="turn", budget=3, steps=12, out=path)
-    saved = load_recorded(path)
-    again = record_scenario(build_scenario_from_documents(saved.documents))
-    assert again.sequence.P is not None, "each step of a turn has a matrix of its own"
+    saved = load_sequence(path)
+    again = record_sequence(build_scenario_from_documents(saved.documents))
+    assert again.P is not None, "each step of a turn has a matrix of its own"
     for name in ("q", "l", "u", "P"):
-        np.testing.assert_array_equal(getattr(again.sequence, name), getattr(saved.sequence, name))
+        np.testing.assert_array_equal(getattr(again, name), getattr(saved, name))
     assert again.units is not None and saved.units is not None
     np.testing.assert_array_equal(again.units.z, saved.units.z)
 
