@@ -19,17 +19,15 @@ each solve is put off its only core by that thread, where a busy machine would p
 neighbours too."""
 
 
-def compute_repetition_spread(records: Records) -> tuple[float, float]:
-    """Return median and 95 % quantile, over configurations, of slowest over fastest repetition.
+def compute_repetition_spread(records: Records) -> tuple[float, float, int]:
+    """Return median, 95 % quantile and number of configurations' slowest over fastest repetition.
 
-    NaN without two rounds.
+    NaN, NaN and 0 without two rounds.
     """
     slowest = list(estimate_uncertainty(records).slowest.values())
-    return (
-        (float(np.median(slowest)), compute_factor_quantile(slowest))
-        if slowest
-        else (math.nan, math.nan)
-    )
+    if not slowest:
+        return math.nan, math.nan, 0
+    return float(np.median(slowest)), compute_factor_quantile(slowest), len(slowest)
 
 
 def select_timed_replays(records: Records) -> list[RunRecord]:

@@ -1,6 +1,5 @@
 """Can the times be believed: the machine, the harness measured by itself, what is not covered."""
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -35,22 +34,37 @@ from dpbench.report.verdict_text import (
 from dpbench.solvers.calibration import WAITS_NS
 
 UNSEEN = "not visible"
+LEAST_CONFIGURATIONS = 4
+"""Configurations with two rounds from which their spread is stated."""
 COVERED = (
     "Not covered at all: other ships, weather and tunings than these; times on an embedded target; "
     "steps harder than those that were run.",
 )
 
 
-def _describe_round_spread(records: Records) -> list[str]:
-    """Return lines on the ratio by which two step times must differ, in a run and between runs."""
-    usual, high = compute_repetition_spread(records)
-    if math.isnan(high):
+def _describe_round_spread(records: Records, disturbance: Disturbance) -> list[str]:
+    """Return lines on when two step times differ, in a run, and how far those of rounds lie apart.
+
+    Another run may differ by more than rounds do, and not even that much is known of a disturbed
+    machine or of fewer than `LEAST_CONFIGURATIONS`.
+    """
+    usual, high, count = compute_repetition_spread(records)
+    if not count:
         return []
+    few = f"only {plural(count, 'configuration')} had two rounds"
+    why = [
+        *(["the machine was disturbed"] if disturbance.complaints() else ()),
+        *([few] if count < LEAST_CONFIGURATIONS else ()),
+    ]
+    spread = (
+        f"This run cannot tell how far runs of other days differ: {join_with_and(why)}."
+        if why
+        else f"In 95 % of the configurations the rounds of this run lie within × "
+        f"{significant(high)} (median {significant(usual)}); runs of other days can differ by more."
+    )
     return [
         "Two solvers of this run differ in step time where the 95 % interval of their ratio "
-        "excludes 1. Between runs or days, only a ratio beyond × "
-        f"{significant(high)} counts: so far do the rounds of a configuration differ (95 % of "
-        f"them; median {significant(usual)}). For another machine compare two runs."
+        f"excludes 1. {spread} For another machine compare two runs."
     ]
 
 
@@ -98,7 +112,7 @@ def build_trust_topic(records: Records) -> Topic | None:
     waits = {name: p50_ns for name, p50_ns in medians.items() if name in WAITS_NS}
     if not disturbance.seconds > 0 and not waits:
         return None
-    lines = _describe_round_spread(records)
+    lines = _describe_round_spread(records, disturbance)
     figures = []
     if waits:
         lines.append(_describe_measured_waits(waits, find_shortest_wait_ns(records.calibration)))

@@ -147,11 +147,26 @@ def test_records_without_counters_say_nothing(records: Any) -> None:
     assert "machine" not in records.ending()
 
 
-def test_how_far_rounds_lie_apart_is_said(records: Any) -> None:
-    records.replay("daqp", spread=0.0, median_us=10.0, rounds=3, **QUIET)
-    steps = records._steps[-1]
-    for repeat, total_ns in zip((1, 2, 3), (10_000, 15_000, 20_000), strict=True):
-        steps.loc[steps["repeat"] == repeat, "total_ns"] = total_ns
-    assert compute_repetition_spread(records.view()) == (2.0, 2.0)
+@pytest.mark.parametrize(
+    ("configurations", "switches", "said"),
+    [
+        (4, 4, "the rounds of this run lie within × 2.00 (median 2.00); runs of other days can"),
+        (3, 4, "other days differ: only 3 configurations had two rounds."),
+        (4, 900, "other days differ: the machine was disturbed."),
+        (1, 900, "differ: the machine was disturbed and only 1 configuration had two rounds."),
+    ],
+)
+def test_how_far_rounds_lie_apart_is_said_of_a_quiet_run_alone(
+    records: Any, configurations: int, switches: int, said: str
+) -> None:
+    """Each configuration's slowest round takes twice its fastest; no bound holds for other runs."""
+    for solver in ("daqp", "osqp", "piqp", "quadprog")[:configurations]:
+        columns = QUIET | {"involuntary_switches": switches}
+        records.replay(solver, spread=0.0, median_us=10.0, rounds=3, **columns)
+        steps = records._steps[-1]
+        for repeat, total_ns in zip((1, 2, 3), (10_000, 15_000, 20_000), strict=True):
+            steps.loc[steps["repeat"] == repeat, "total_ns"] = total_ns
+    assert compute_repetition_spread(records.view()) == (2.0, 2.0, configurations)
     topic = build_trust_topic(records.view())
-    assert "only a ratio beyond × 2.00 counts" in topic.lines[0]
+    assert topic is not None and said in topic.lines[0]
+    assert ("× 2.00" in topic.lines[0]) == (configurations == switches == 4)

@@ -3,10 +3,9 @@
 from typing import Any
 
 from dpbench.analysis.times.contrasts import compare_routes
-from dpbench.analysis.times.machine import compute_repetition_spread
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
-from dpbench.report.formats import Table, significant
+from dpbench.report.formats import Table
 from dpbench.report.topics.replays import build_formulations_topic
 from dpbench.report.topics.trust import build_trust_topic
 
@@ -89,18 +88,6 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     )
     assert found == expected
     assert len(after.all_runs) == len(before.all_runs) + 3
-
-
-def test_one_sentence_says_which_figure_applies_to_what(records: Any) -> None:
-    """The interval within the run; against another run what the rounds of 95 % differ by."""
-    records.replay("daqp", replay_s=9.0)
-    view = records.view()
-    topic = build_trust_topic(view)
-    usual, high = compute_repetition_spread(view)
-    rule = topic.lines[0]
-    assert "95 % interval of their ratio" in rule
-    assert f"runs or days, only a ratio beyond × {significant(high)} counts" in rule
-    assert f"median {significant(usual)})" in rule
 
 
 def test_what_the_machine_hides_is_said(records: Any) -> None:
