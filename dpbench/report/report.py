@@ -52,6 +52,7 @@ from dpbench.report.page.recommendation import Recommendation, build_recommendat
 from dpbench.report.page.section import Topic
 from dpbench.report.study_effects_table import build_effects_table
 from dpbench.report.topics.all import build_topics
+from dpbench.report.topics.study import yield_disturbance_sentences
 from dpbench.report.verdict_text import (
     describe_calibration,
     describe_disturbance,
@@ -151,6 +152,8 @@ class Report:
             rows.append(("machine", f"{describe_disturbance(disturbance)}."))
         if medians := find_largest_median_by_test_solver(records.calibration):
             rows.append(("harness", f"{describe_calibration(medians)}."))
+        if disturbed := " ".join(yield_disturbance_sentences(self.data.studies)):
+            rows.append(("times", disturbed))
         return rows if can_draw() else [*rows, ("figures", f"{NOT_DRAWN}.")]
 
 

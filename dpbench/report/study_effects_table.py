@@ -94,19 +94,22 @@ def convert_effect_and_interval(effect: Effect) -> tuple[float, float, float]:
     """Return an effect and the ends of its interval in the unit of its measure; NaN for none.
 
     An effect that is the same in every realisation has no interval: its width would be that of
-    `NOTHING`.
+    `NOTHING`. Nor has one on the step times of a disturbed machine, which may change with the
+    factor by chance.
     """
     mean, convert = effect.mean_difference.mean_interval, effect.measure.convert
     if effect.mean_difference.is_constant:
         value = 0.0 if abs(mean.value) <= NOTHING else mean.value
         return convert(value), np.nan, np.nan
-    if not np.isfinite(mean.low):
+    if effect.is_disturbed or not np.isfinite(mean.low):
         return convert(mean.value), np.nan, np.nan
     return convert(mean.value), convert(mean.low), convert(mean.high)
 
 
 def _interval_text(effect: Effect) -> str:
-    """Return a text on whether an effect's interval is known: "95 %", "none", "in every …"."""
+    """Return whether an effect's interval is known: "95 %", "none", "disturbed", "in every …"."""
+    if effect.is_disturbed:
+        return "disturbed"
     if not np.isfinite(effect.mean_difference.mean_interval.low):
         return "none"
     return "in every realisation" if effect.mean_difference.is_constant else "95 %"
@@ -122,6 +125,8 @@ def _format_effect(effect: Effect, units: str) -> str:
     value, low, high = (
         significant(0.0 if abs(n) < 1e-4 else n, 2) for n in convert_effect_and_interval(effect)
     )
+    if effect.is_disturbed:
+        return f"{value} (disturbed, no interval)"
     if not np.isfinite(effect.mean_difference.mean_interval.low):
         return f"{value} (no interval)"
     if effect.mean_difference.is_constant:

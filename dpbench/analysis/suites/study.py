@@ -277,6 +277,11 @@ class Study:
         return int(self.runs["replicate"].nunique())
 
     @property
+    def is_disturbed(self) -> bool:
+        """True if other work disturbed the machine while the runs were timed."""
+        return self.disturbance is not None and bool(self.disturbance.complaints())
+
+    @property
     def sample_count(self) -> int:
         """Number of independent samples: sea realisations, or points if each is run once."""
         return self.seas_per_point if self.seas_per_point > 1 else len(self.points)

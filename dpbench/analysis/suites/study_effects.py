@@ -95,12 +95,14 @@ class Effect:
     """Change of one measure of a configuration from one value of a factor to another.
 
     factor : its keys; those of a `zip` change together.
+    is_disturbed : True if other work may have changed the measure more than the factor did.
     """
 
     configuration: str
     factor: str
     measure: Measure
     measured: MeasuredChange
+    is_disturbed: bool
 
     @property
     def levels_text(self) -> str:
@@ -127,6 +129,7 @@ def compute_study_effects(study: Study) -> tuple[Effect, ...]:
         for factor in factors
         if not pairings[factor] and is_numeric_dtype(study.points[factor[0]])
     ]
+    disturbed = STEP_TIME if study.is_disturbed else None
     effects: list[Effect] = []
     for configuration in study.results_by_cost:
         for measure, values in _collect_values_by_measure(study, configuration.name).items():
@@ -135,7 +138,9 @@ def compute_study_effects(study: Study) -> tuple[Effect, ...]:
                 for factor in factors
             } | _fit_range_effects(study.points, values, ranged)
             effects += [
-                Effect(configuration.name, ", ".join(factor), measure, measured)
+                Effect(
+                    configuration.name, ", ".join(factor), measure, measured, measure == disturbed
+                )
                 for factor in factors
                 for measured in found[factor]
                 if measured.difference.pairs and _is_told_from_noise(measure, measured.difference)

@@ -40,6 +40,7 @@ from dpbench.report.page.data import PageData
 from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
 from dpbench.report.ship_text import ShipSummary
+from dpbench.report.topics.study import yield_disturbance_sentences
 from dpbench.report.verdict_text import (
     describe_answer,
     describe_best_of_grids,
@@ -71,6 +72,7 @@ def make_report_markdown(report: Report) -> str:
     valid = ", ".join(chip.text for chip in recommendation.chips)
     after = [f"Verdicts by scenario: {valid}."] if valid else []
     after += [recommendation.requirements, recommendation.machine]
+    after += yield_disturbance_sentences(data.studies)
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     if data.counts.sequences:
         after += yield_uncounted_sentences(data.counts.not_counted)

@@ -82,7 +82,7 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
             f"{named}{more}."
         )
     yield from _yield_unfinished_sentences(study)
-    yield from _yield_disturbance_sentences(study)
+    yield from yield_disturbance_sentences([study])
     yield from _yield_failed_steps_sentences(study)
     worst = min(study.results_by_cost, key=lambda c: c.share_within_radius)
     if not is_alone:
@@ -120,14 +120,15 @@ def _yield_unfinished_sentences(study: Study) -> Iterator[str]:
         )
 
 
-def _yield_disturbance_sentences(study: Study) -> Iterator[str]:
-    """Yield a sentence on other work that disturbed the step times; none on a quiet machine."""
-    complaints = study.disturbance.complaints() if study.disturbance else []
-    if complaints:
-        yield (
-            f"{study.name}: other work disturbed the machine: {join_with_and(complaints)}. Effects "
-            "on step times may be those of the machine."
-        )
+def yield_disturbance_sentences(studies: Sequence[Study]) -> Iterator[str]:
+    """Yield a sentence on other work that disturbed the step times of each disturbed study."""
+    for study in studies:
+        if study.disturbance and study.is_disturbed:
+            yield (
+                f"{study.name}: other work disturbed the machine: "
+                f"{join_with_and(study.disturbance.complaints())}. Effects on step times may be "
+                "those of the machine and have no interval."
+            )
 
 
 def _yield_failed_steps_sentences(study: Study) -> Iterator[str]:

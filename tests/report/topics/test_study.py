@@ -15,7 +15,8 @@ from dpbench.analysis.suites.study_tables import (
     tabulate_study_points,
 )
 from dpbench.report.charts.render import compile_vega
-from dpbench.report.report import encode_csv
+from dpbench.report.documents.markdown import make_report_markdown
+from dpbench.report.report import Report, encode_csv
 from dpbench.report.study_effects_table import build_effects_table, tabulate_effects
 from dpbench.report.topics import study as topic
 
@@ -125,9 +126,33 @@ def test_a_disturbed_machine_is_said_of_a_study(records: Any, switches: int) -> 
     said = [line for line in found.lines if "other work disturbed the machine" in line]
     expected = (
         "seas: other work disturbed the machine: 10 involuntary context switches a second. "
-        "Effects on step times may be those of the machine."
+        "Effects on step times may be those of the machine and have no interval."
     )
     assert said == ([expected] if switches == 101 else [])
+    assert records.ending().get("times") == (expected if switches == 101 else None)
+    report = make_report_markdown(Report.from_results(records.results()))
+    assert (expected in report) == (switches == 101)
+
+
+@pytest.mark.parametrize("switches", [99, 101])
+def test_a_step_time_of_a_disturbed_machine_has_no_interval(records: Any, switches: int) -> None:
+    """The error keeps its own: other work changes no answer."""
+    for sea in range(1, 7):
+        for point, east in enumerate((0.0, 3.0)):
+            columns = {"replay_s": 10.0, "involuntary_switches": switches, "r_95_m": 0.5 + east}
+            time_ns = (1.0 + 0.2 * point + 0.01 * sea * point) * 1e5
+            records.sea("daqp", point, sea, {EAST: east}, raw_p50_ns=time_ns, **columns)
+            records._runs[-1]["r_95_m"] += 0.01 * sea * point
+    (study,) = find_studies(records.view())
+    whole = build_effects_table([study]).set_index("measure")
+    ends = whole[["low", "high"]].notna().all(axis=1)
+    assert ends["95 % radial error"] and ends["median step time"] == (switches == 99)
+    assert whole.loc["median step time", "effect"] == pytest.approx(23.5, abs=0.1)
+    assert whole.loc["median step time", "interval"] == ("95 %" if switches == 99 else "disturbed")
+    table = tabulate_effects(study)
+    assert table is not None
+    (text,) = (row[3] for row in table.rows)
+    assert ("(disturbed, no interval)" in text) == (switches == 101)
 
 
 def test_settings_without_an_effect_have_one_row(records: Any) -> None:
