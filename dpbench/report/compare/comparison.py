@@ -277,6 +277,7 @@ class Comparison:
             return "slower"
         disturbed = any("disturbed" in one.unjudged for one in self.shared)
         shown = "faster" if "faster" in times else "no change shown"
+        shown = shown if self.compared else f"{shown}, accuracy only"
         return f"{shown}, on a disturbed machine" if disturbed else shown
 
     def markdown(self) -> str:
@@ -389,6 +390,9 @@ def _make_summary_lines(
     verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:
         lines.append("step times: " + ", ".join(f"{n} {v}" for v, n in verdicts.most_common()))
+    windows = sum(pair.a.steps_searched_for_hardest > 0 for pair in pairs.pairs)
+    if windows:
+        lines.append(f"{plural(windows, 'window')} of hardest steps: step times not compared")
     lines += [describe_shared_factor(one) for one in shared]
     changes = Counter(answer.change for answer in figures)
     if figures:

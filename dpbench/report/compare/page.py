@@ -57,7 +57,8 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
     text = render_page(
         "compare",
         [read_page_file(f"scripts/{name}.js") for name in ("common", "compare")],
-        verdict="worse somewhere" if comparison.worse else "no regression shown",
+        verdict=("worse somewhere" if comparison.worse else "no regression shown")
+        + ("" if order else ", accuracy only"),
         lead=make_lead_sentences(comparison),
         lines=[strip_markdown(line) for line in comparison.lines],
         figures={

@@ -179,6 +179,23 @@ def test_what_the_harness_lost_is_no_regression(make: Make) -> None:
         assert any(line.startswith("lost by the harness, not compared: ") for line in found.lines)
 
 
+def test_windows_of_hardest_steps_are_compared_by_accuracy_alone(
+    make: Make, tmp_path: Path
+) -> None:
+    """Two windows alone leave no step time; as many replays of a whole sequence do."""
+    cell = {"scenario": {"name": "paper"}, "source": {"kind": "hardest", "of": 450}}
+    both: dict[str, Any] = {"configurations": ("daqp", "piqp")}
+    window = both | {"cell": json.dumps(cell)}
+    found = compare(make("a", seed=1, **window), make("b", seed=2, **window))
+    assert "2 windows of hardest steps: step times not compared" in found.lines
+    assert found.headline == "no change shown, accuracy only"
+    page = write_comparison(tmp_path / "compare.html", found).read_text(encoding="utf-8")
+    assert "no regression shown, accuracy only" in page
+    whole = compare(make("c", seed=1, **both), make("d", seed=2, **both))
+    assert not any("not compared" in line for line in whole.lines)
+    assert whole.headline == "no change shown"
+
+
 STOLEN = {"steal_s": 0.08}
 HIDDEN: dict[str, Any] = {"steal_s": np.nan, "replay_s": np.nan, "involuntary_switches": np.nan}
 
