@@ -13,7 +13,6 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from dpbench import load_scenario
 from dpbench.bench.run.exact_loop import build_problem_at_rest
 from dpbench.bench.run.formulation import BoxFormulation, QPBuilder
-from dpbench.bench.sequences.source import with_horizons
 from dpbench.mpc.condense import ControlProblem, build_affine_map, condense_mpc_matrices
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.kernels import write_condensed_hessian
@@ -143,7 +142,7 @@ def test_bare_product(benchmark: BenchmarkFixture, problem: ControlProblem) -> N
 @pytest.fixture(scope="module", params=[(30, 5), (60, 10)], ids=["30/5", "60/10"])
 def loss(request: pytest.FixtureRequest) -> Scenario:
     """A ship that loses thrusters on the way."""
-    return with_horizons(load_scenario("thrusters_loss"), *request.param)
+    return load_scenario("thrusters_loss").with_horizons(*request.param)
 
 
 @pytest.mark.benchmark(group="emit one step with thrusters")
