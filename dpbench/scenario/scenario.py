@@ -25,6 +25,7 @@ from dpbench.scenario.controllers.kinds import (
     ForceController,
     ThrusterController,
 )
+from dpbench.scenario.dotted_keys import read_validated_vessel_documents
 from dpbench.scenario.problem_files import (
     ScenarioDocuments,
     VesselDocuments,
@@ -264,14 +265,6 @@ def load_vessel(name_or_path: str | Path) -> Vessel:
     """Return a vessel by name or from a TOML file."""
     path = find_problem_path("vessels", name_or_path)
     return read_toml_as_model(path, VesselFile).build_vessel(path.stem, str(path))
-
-
-def read_validated_vessel_documents(
-    name_or_path: str | Path, *, beside: Path | None = None
-) -> VesselDocuments:
-    """Return name and plain values of a vessel file, given by name or path, once validated."""
-    path = find_problem_path("vessels", name_or_path, beside)
-    return {"vessel_name": path.stem, "vessel": read_toml_as_model(path, VesselFile).model_dump()}
 
 
 def build_vessel_from_documents(files: VesselDocuments, where: str = "vessel") -> Vessel:

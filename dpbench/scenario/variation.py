@@ -1,9 +1,5 @@
 """A scenario with other values of some keys, whether a key makes any difference, and its files.
 
-A key is named as in the files, with dots: `environment.wind.speed_mps`, `start.east_m`,
-`controller.output_weight.0` for an entry of a list; `vessel` is the ship by name, and
-`vessel.limits.rate_max_N_per_s.1` a key of its file.
-
 A scenario is written as TOML, and its ship too where dpbench has none such, into one folder.
 """
 
@@ -13,19 +9,14 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from dpbench.errors import InputError, format_allowed_names
 from dpbench.files.regular_files import write_text_atomically
+from dpbench.scenario.dotted_keys import copy_documents_with_values, read_validated_vessel_documents
 from dpbench.scenario.problem_files import ScenarioDocuments, list_shipped_problem_names
-from dpbench.scenario.scenario import (
-    Scenario,
-    build_scenario_from_documents,
-    read_validated_vessel_documents,
-)
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 from dpbench.ship.plant import SUBSTEPS
 
-VESSEL = "vessel"
 SEED = "environment.seed"  # Any whole number makes a sea of its own, and changes nothing else
 _LABELS = {"name": "", "title": "", "shows": "", "files": {}}
 
@@ -40,66 +31,6 @@ def copy_scenario_with_values(
     """
     files = copy_documents_with_values(scenario.files, values, where, beside=beside)
     return build_scenario_from_documents(files, where=where, vessel_where=f"{where}: vessel")
-
-
-def copy_documents_with_values(
-    files: ScenarioDocuments,
-    values: Mapping[str, object],
-    where: str,
-    *,
-    beside: Path | None = None,
-) -> ScenarioDocuments:
-    """Return a scenario's file contents with values of dotted keys replaced, not validated."""
-    changed: dict[str, Any] = {**files}
-    for key, value in values.items():
-        if key == VESSEL:
-            changed |= read_validated_vessel_documents(str(value), beside=beside)
-    for key, value in values.items():
-        if key != VESSEL:
-            parts = key.split(".")
-            file = "vessel" if parts[0] == VESSEL else "scenario"
-            path_in_file = parts[1:] if file == "vessel" else parts
-            changed[file] = _copy_table_with_value(
-                changed[file], path_in_file, value, f"{where}: {key}"
-            )
-    return cast(ScenarioDocuments, changed)
-
-
-def read_value_of_dotted_key(scenario: Scenario, key: str, where: str) -> object:
-    """Return the value of a dotted key in a scenario's files; InputError without such a key."""
-    if key == VESSEL:
-        return scenario.files["vessel_name"]
-    parts = key.split(".")
-    at = scenario.files["vessel" if parts[0] == VESSEL else "scenario"]
-    for part in parts[1:] if parts[0] == VESSEL else parts:
-        at = at[_find_key_or_list_index(at, part, f"{where}: {key}")]
-    return at
-
-
-def _copy_table_with_value(table: Any, parts: list[str], value: object, where: str) -> Any:
-    """Return a copy of a TOML table with one value replaced, found by the parts of its key."""
-    place = _find_key_or_list_index(table, parts[0], where)
-    changed = table.copy()
-    changed[place] = (
-        _copy_table_with_value(table[place], parts[1:], value, where) if parts[1:] else value
-    )
-    return changed
-
-
-def _find_key_or_list_index(table: Any, part: str, where: str) -> Any:
-    """Return one part of a dotted key as a key or list index; InputError if there is none such."""
-    if isinstance(table, dict):
-        if part in table:
-            return part
-        raise InputError(
-            where, "", f"no key {part!r} there", format_allowed_names(part, sorted(table))
-        )
-    if isinstance(table, list):
-        if part.isdecimal() and int(part) < len(table):
-            return int(part)
-        raise InputError(where, "", part, f"an index from 0 to {len(table) - 1}")
-    found = "nothing" if table is None else "a value"
-    raise InputError(where, "", f"{found} above {part!r}", "a key of a table of the scenario")
 
 
 def differ_in_behaviour_within_steps(one: Scenario, other: Scenario, steps: int) -> bool:

@@ -14,8 +14,8 @@ from dpbench.cli.main import main
 from dpbench.report.documents.markdown import make_report_markdown
 from dpbench.report.report import Report
 from dpbench.report.ship_text import BANNER, LOST as NOT_HELD, NOT_RUN, ShipSummary, summarise_ships
+from dpbench.scenario.dotted_keys import copy_documents_with_values
 from dpbench.scenario.scenario import load_scenario
-from dpbench.scenario.variation import copy_documents_with_values
 
 LOST = {
     "exact_left_s": 9.0,

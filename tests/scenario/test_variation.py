@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dpbench.errors import InputError
+from dpbench.scenario.dotted_keys import read_value_of_dotted_key
 from dpbench.scenario.problem_files import find_folder_of_shipped_problems
 from dpbench.scenario.scenario import (
     build_or_reuse_scenario,
@@ -15,7 +16,6 @@ from dpbench.scenario.scenario import (
 from dpbench.scenario.variation import (
     copy_scenario_with_values,
     differ_in_behaviour_within_steps,
-    read_value_of_dotted_key,
 )
 
 
@@ -81,11 +81,11 @@ def test_what_cannot_be_is_said_in_a_line(values: dict[str, object], said: str) 
 
 def test_own_values_and_what_has_none() -> None:
     base = load_scenario("weather")
-    assert read_value_of_dotted_key(base, "environment.waves.hs_m", "x") == 2.1
-    assert read_value_of_dotted_key(base, "vessel", "x") == "supply_fs99"
-    assert read_value_of_dotted_key(base, "controller.output_weight.1", "x") == 1.0
+    assert read_value_of_dotted_key(base.files, "environment.waves.hs_m", "x") == 2.1
+    assert read_value_of_dotted_key(base.files, "vessel", "x") == "supply_fs99"
+    assert read_value_of_dotted_key(base.files, "controller.output_weight.1", "x") == 1.0
     with pytest.raises(InputError, match="seeed"):
-        read_value_of_dotted_key(base, "environment.seeed", "x")
+        read_value_of_dotted_key(base.files, "environment.seeed", "x")
 
 
 @pytest.mark.parametrize(

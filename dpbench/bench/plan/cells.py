@@ -35,8 +35,9 @@ from dpbench.bench.sequences.source import hash_sequence_files, read_sequence
 from dpbench.errors import InputError
 from dpbench.qp.random_sequence import FAMILIES
 from dpbench.qp.referee.kkt import is_proven_positive_definite
+from dpbench.scenario.dotted_keys import read_validated_vessel_documents
 from dpbench.scenario.problem_files import is_shipped_sequence_name, resolve_sequence_path
-from dpbench.scenario.scenario import build_vessel_from_documents, read_validated_vessel_documents
+from dpbench.scenario.scenario import build_vessel_from_documents
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
 from dpbench.solvers.table import find_solver_record
 

@@ -35,15 +35,14 @@ from dpbench.bench.record.cell import (
 )
 from dpbench.bench.sequences.loop_sequences import select_thruster_rows
 from dpbench.errors import InputError, format_allowed_names
+from dpbench.scenario.dotted_keys import copy_documents_with_values, read_value_of_dotted_key
 from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.scenario.tables.key_types import Horizons
 from dpbench.scenario.variation import (
     SEED,
-    copy_documents_with_values,
     copy_scenario_with_values,
     differ_in_behaviour_within_steps,
-    read_value_of_dotted_key,
 )
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.own_settings import normalise_options
@@ -302,7 +301,7 @@ def _plan_loops_of_study(
     """Return planned closed loops of a study: each parameter point with each configuration."""
     base = load_scenario(table.base, beside=beside)
     keys = [*table.keys, *([table.replicates.key] if table.replicates.count > 1 else [])]
-    own = {key: read_value_of_dotted_key(base, key, where) for key in keys}
+    own = {key: read_value_of_dotted_key(base.files, key, where) for key in keys}
     points = list_study_points(table, own)
     scenarios = _ScenarioCache(base, where, beside)
     _refuse_idle_keys(table, points, scenarios)

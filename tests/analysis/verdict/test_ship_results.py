@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.verdict.ship_results import find_ship_results, tabulate_ship_results
+from dpbench.scenario.dotted_keys import copy_documents_with_values
 from dpbench.scenario.scenario import load_scenario
-from dpbench.scenario.variation import copy_documents_with_values
 
 EDGE = {"station_radius_m": 5.0, "exact_left_s": math.nan}
 
