@@ -1,8 +1,9 @@
 """The one typed description of a run, in SI: vessel, tuning, environment, reference, estimator."""
 
 import json
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -25,7 +26,10 @@ from dpbench.scenario.controllers.kinds import (
     ForceController,
     ThrusterController,
 )
-from dpbench.scenario.dotted_keys import read_validated_vessel_documents
+from dpbench.scenario.dotted_keys import (
+    copy_documents_with_values,
+    read_validated_vessel_documents,
+)
 from dpbench.scenario.problem_files import (
     ScenarioDocuments,
     VesselDocuments,
@@ -55,6 +59,8 @@ CONTROLLERS: dict[str, Callable[[ControllerSpec], Controller]] = {
 }
 """Makers of controllers by `controller.kind`; each raises InputError for a vessel or faults that do
 not fit it."""
+_FREE = ("name", "steps", "files")
+"""Fields of a scenario that may differ from what its files say."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +214,7 @@ class Scenario:
     def with_horizons(self, prediction_horizon: int, control_horizon: int) -> "Scenario":
         """Return a copy of the scenario with other horizons N_p and N_c, also in its name.
 
-        Raises InputError for impossible ones.
+        Raises InputError for impossible ones, and as `with_keys`.
 
         Examples
         --------
@@ -216,20 +222,72 @@ class Scenario:
         <Scenario paper-30-8: supply_fs99, tuning paper 30/8, 1000 steps of 0.3 s>
         """
         N_p, N_c = prediction_horizon, control_horizon
-        controller = self.files["scenario"]["controller"]
-        changed = controller | {"prediction_horizon": N_p, "control_horizon": N_c}
-        files: ScenarioDocuments = {
-            **self.files,
-            "name": f"{self.name}-{N_p}-{N_c}",
-            "scenario": self.files["scenario"] | {"controller": changed},
+        values = {"controller.prediction_horizon": N_p, "controller.control_horizon": N_c}
+        return self._copy_with_keys(
+            values, f"-{N_p}-{N_c}", f"{self.name} with horizons {N_p}/{N_c}"
+        )
+
+    def with_keys(self, values: Mapping[str, object]) -> "Scenario":
+        """Return a copy of the scenario with other values of some keys, also in its name.
+
+        values : in the units of the files, by dotted key as in a study, such as
+            `environment.wind.speed_mps`, or `environment.wind` for a whole table, as of wind where
+            the scenario has none.
+
+        Raises InputError for an unknown key or a bad value, or where parts of the scenario were
+        replaced without its files.
+
+        Examples
+        --------
+        >>> stormy = load_scenario("weather").with_keys({"environment.wind.speed_mps": 16.0})
+        >>> stormy.name, stormy.environment.wind.speed_mps
+        ('weather-environment.wind.speed_mps=16.0', 16.0)
+        """
+        values = {
+            key: value.tolist() if isinstance(value, np.generic | np.ndarray) else value
+            for key, value in values.items()
         }
-        where = f"{self.name} with horizons {N_p}/{N_c}"
-        return replace(build_scenario_from_documents(files, where=where), steps=self.steps)
+        suffix = "".join(
+            f"-{key}" if isinstance(value, Mapping | list | tuple) else f"-{key}={value}"
+            for key, value in values.items()
+        )
+        # A name goes into those of files and QPs.
+        suffix = re.sub(r"[^\w.=+-]+", "_", suffix)
+        return self._copy_with_keys(values, suffix, f"{self.name} with other keys")
+
+    def _copy_with_keys(self, values: Mapping[str, object], suffix: str, where: str) -> "Scenario":
+        """Return a copy with values of dotted keys replaced and a suffix to its name."""
+        own = build_scenario_from_documents(self.files)
+        for field in fields(self):
+            mine, filed = getattr(self, field.name), getattr(own, field.name)
+            if field.name not in _FREE and _list_values(mine) != _list_values(filed):
+                found = f"another {field.name} than that of its files, which a copy would lose"
+                raise InputError(where, "", found, "changes by `with_keys` and `with_horizons`")
+        files = copy_documents_with_values(self.files, values, where)
+        files["name"] = self.name + suffix
+        # Plain values with every key, so that the copy's keys can be changed again.
+        spec = validate_settings_as_model(files["scenario"], ScenarioFile, where)
+        files["scenario"] = spec.model_dump()
+        built = build_scenario_from_documents(files, where=where, vessel_where=f"{where}: vessel")
+        return built if self.steps == own.steps else built.truncate(self.steps)
 
     def truncate(self, steps: int) -> "Scenario":
         """Return a copy of the scenario cut to its first `steps` samples."""
         require_integer_at_least(f"scenario {self.name}: steps", steps, 1)
         return replace(self, steps=min(steps, self.steps))
+
+
+def _list_values(part: object) -> object:
+    """Return a part of a scenario as nested tuples and texts, equal where its values are."""
+    if isinstance(part, np.ndarray):
+        return part.shape, part.tobytes()
+    if is_dataclass(part):
+        named = {field.name: getattr(part, field.name) for field in fields(part)}
+        # Where a part was read from is not a value.
+        return type(part), *(_list_values(value) for key, value in named.items() if key != "where")
+    if isinstance(part, tuple | list):
+        return tuple(map(_list_values, part))
+    return repr(part)
 
 
 def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Scenario:

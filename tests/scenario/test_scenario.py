@@ -5,6 +5,8 @@ publications), not read from the files under `problems/`.
 """
 
 import json
+import pickle
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,11 +16,14 @@ from dpbench.errors import InputError
 from dpbench.scenario.own_ship import scale_inertia_and_damping
 from dpbench.scenario.problem_files import list_shipped_problem_names
 from dpbench.scenario.scenario import (
+    Scenario,
+    build_or_reuse_scenario,
     build_scenario_from_documents,
     condense,
     load_scenario,
     load_vessel,
 )
+from dpbench.scenario.variation import copy_scenario_with_values, differ_in_behaviour_within_steps
 
 FULL_LIMITS = (
     [-980e3, -417e3, -18e6],
@@ -209,3 +214,49 @@ def test_other_horizons_are_those_of_the_problem_and_the_length_stays() -> None:
     assert (scenario.problem.N_p, scenario.problem.N_c) == (30, 5)
     with pytest.raises(InputError, match=r"paper with horizons 5/8.*control_horizon"):
         scenario.with_horizons(5, 8)
+
+
+def test_another_wind_is_that_of_a_study_and_survives_other_horizons() -> None:
+    scenario = load_scenario("weather").truncate(40)
+    speed = {"environment.wind.speed_mps": np.float64(16.0)}
+    stormy = scenario.with_keys(speed)
+    study = copy_scenario_with_values(scenario, {"environment.wind.speed_mps": 16.0}, "study")
+    assert not differ_in_behaviour_within_steps(stormy, study, 40)
+    assert (stormy.name, stormy.steps) == ("weather-environment.wind.speed_mps=16.0", 40)
+    assert (
+        json.loads(json.dumps(stormy.files))["scenario"]["environment"]["wind"]["speed_mps"] == 16
+    )
+    longer = stormy.with_horizons(70, 12)
+    assert longer.environment.wind is not None and longer.environment.wind.speed_mps == 16.0
+    assert (longer.problem.N_p, longer.name) == (70, f"{stormy.name}-70-12")
+
+
+def test_a_sea_without_wind_gets_one_by_its_whole_table() -> None:
+    windy = load_scenario("paper").with_keys({"environment.wind": {"speed_mps": 9, "from_deg": 0}})
+    assert windy.name == "paper-environment.wind"
+    gusty = windy.with_keys({"environment.wind.gusts": "none", "environment.seed": np.int64(3)})
+    assert gusty.environment.wind is not None
+    assert (gusty.environment.wind.speed_mps, gusty.environment.wind.gusts) == (9.0, "none")
+    assert gusty.environment.seed == 3
+
+
+def test_an_unknown_key_is_refused_by_name() -> None:
+    with pytest.raises(InputError, match=r"environment\.wind\.sped: found no key 'sped'"):
+        load_scenario("weather").with_keys({"environment.wind.sped": 16.0})
+
+
+def test_a_scenario_that_is_no_longer_its_files_is_not_copied_from_them() -> None:
+    """The copy would have the sea of the files."""
+    calm = replace(load_scenario("weather"), environment=load_scenario("paper").environment)
+    with pytest.raises(InputError, match="another environment than that of its files"):
+        calm.with_horizons(30, 5)
+    with pytest.raises(InputError, match="another environment than that of its files"):
+        calm.with_keys({"start.east_m": 3.0})
+
+
+@pytest.mark.parametrize("name", list_shipped_problem_names("scenarios"))
+def test_every_scenario_is_what_its_files_say(name: str) -> None:
+    scenario = load_scenario(name)
+    N_p, N_c = scenario.problem.N_p + 1, scenario.problem.N_c
+    sent: Scenario = pickle.loads(pickle.dumps(build_or_reuse_scenario(scenario.files)))
+    assert sent.with_horizons(N_p, N_c).problem.N_p == N_p
