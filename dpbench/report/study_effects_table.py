@@ -68,7 +68,8 @@ def tabulate_effects(study: Study) -> Table | None:
     note = (
         "Change from the first value to the second, of runs that differ in nothing else and share "
         "the realisation; a slope is the least-squares change over the range, all points of a "
-        "realisation together. Intervals hold at 95 % for each cell alone; the units are the "
+        "realisation together. Intervals hold at 95 % for each cell alone and not for all at once: "
+        "without any effect, 1 in 20 leaves out zero. The units are the "
         "realisations, or the points where each is run once; in 10 of 10: all have one sign. "
         "Step times are of closed loops, which "
         "are measured beside each other: take a difference of a few percent from a replay, and one "

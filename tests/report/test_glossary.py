@@ -201,6 +201,10 @@ def test_the_longest_phrase_is_the_term() -> None:
     assert re.findall(r"#word-([\w-]+)", output) == ["rate-limit-step", "paired-ratio"]
 
 
+def test_an_interval_of_a_study_is_over_realisations() -> None:
+    assert "of a study over realisations" in term_meanings()["interval"]
+
+
 def test_heads_are_terms_without_their_unit() -> None:
     terms = Terms([])
     assert ">behind [cm]</a>" in terms.head("behind [cm]")

@@ -235,9 +235,10 @@ def _make_study_tables(study: Study) -> Iterator[Table]:
     ]
     title = f"{study.name}: against {study.reference_name} in the same realisation"
     note = (
-        "Intervals hold at 95 % for each row alone and are conditional on the realisations that "
-        "both finished. None is stated where fewer than half of the points have two. Shown: the "
-        f"error differs, with a family-wise error of {100 * ALPHA:g} % over all rows (Holm). The "
+        "Intervals hold at 95 % for each row alone, not for all at once, and are conditional on "
+        "the realisations that both finished. None is stated where fewer than half of the points "
+        "have two. Shown: the error differs, with a family-wise error of "
+        f"{100 * ALPHA:g} % over all rows (Holm). The "
         "reference is chosen by its settings, not by its results. At least, at most: the 95 % "
         "bound where all or none of the runs are within, 3 over the number of realisations."
     )

@@ -281,6 +281,7 @@ def test_one_sea_that_carries_a_mean_is_visible(records: Any) -> None:
     }
     table = tabulate_effects(study)
     assert table is not None
+    assert "for each cell alone and not for all at once" in table.note
     texts = {row[2]: row[4] for row in table.rows}
     assert texts["piqp"].endswith("] in 6 of 6 realisations")
     assert texts["daqp"].endswith("]") and texts["osqp"] == "0 in every realisation"
