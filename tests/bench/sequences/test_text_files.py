@@ -1,6 +1,8 @@
 """Sequences for other tools: what MATLAB, a spreadsheet and another solver's reader find there."""
 
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,6 +63,35 @@ def test_another_solver_reads_a_qps_file_and_finds_the_optimum(name: str, tmp_pa
     problem, optimum = recorded.sequence.problem(k), (recorded.optima or [])[k]
     expected = problem.objective(optimum.z)
     assert highs.getInfo().objective_function_value == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+def test_the_guide_lists_every_array_with_its_shape(tmp_path: Path) -> None:
+    guide = Path(__file__).parents[3] / "docs" / "guide" / "sequences.md"
+    rows = [line.split("|")[1:-1] for line in guide.read_text("utf-8").splitlines() if "|" in line]
+    listed: list[dict[str, tuple[int, ...] | None]] = [{}, {}, {}]
+    sizes = {"n": 9, "m": 21, "K": 3}
+    for what, *cells in rows:
+        for name in re.findall(r"`(\w+)`", what):
+            for shapes, cell in zip(listed, cells, strict=True):
+                if cell.strip() != "–":
+                    is_shape = cell.strip().startswith("(")
+                    shapes[name] = eval(cell, {}, sizes) if is_shape else None
+    for path in ("a.npz", "a.mat", "csv"):
+        kind: Any = path.removeprefix("a.")
+        export_sequence("thrusters_cascade-allocation", tmp_path / path, format=kind, steps=3)
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as arrays:
+        found = [{name: arrays[name].shape for name in arrays.files}]
+    matlab = loadmat(tmp_path / "a.mat")
+    found += [{name: array.shape for name, array in matlab.items() if not name.startswith("__")}]
+    tables = {path.stem: path for path in (tmp_path / "csv").iterdir()}
+    found += [
+        {name: np.loadtxt(path, delimiter=",", ndmin=2).shape for name, path in tables.items()}
+    ]
+    for shapes, own in zip(listed, found, strict=True):
+        assert own.keys() == shapes.keys()
+        assert {name: shape for name, shape in shapes.items() if shape} == {
+            name: shape for name, shape in own.items() if shapes[name]
+        }
 
 
 def test_a_matlab_file_needs_its_suffix(tmp_path: Path) -> None:
