@@ -29,6 +29,7 @@ from dpbench.analysis.verdict.verdict import (
     list_best_verdict_of_own_settings,
 )
 from dpbench.bench.judge.calibration import is_within_tolerance
+from dpbench.bench.judge.rules import LEAST_STRETCH
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.report.formats import (
@@ -269,13 +270,20 @@ def format_usual_time(verdict: Verdict) -> str:
     """Format a configuration's p99 step time, or its p50 if there are too few steps."""
     if verdict.p99_run is None or math.isnan(verdict.p99_ns):
         return f"p50 {format_time(verdict.p50_ns)} in the replay of {verdict.timed_on}"
-    return (
-        f"p99 {format_time(verdict.p99_ns)} in {strip_markdown(name_experiment(verdict.p99_run))}"
-    )
+    searched = verdict.p99_run.steps_searched_for_hardest
+    name = "largest" if 0 < searched < LEAST_STRETCH else "p99"
+    of = f" of {plural(searched, 'step')}, measured" if searched else ""
+    where = strip_markdown(name_experiment(verdict.p99_run))
+    return f"{name} {format_time(verdict.p99_ns)}{of} in {where}"
 
 
-def describe_paired_times(by_size: Sequence[PairedComparison]) -> str:
-    """Return in words two configurations' step time ratio at the smallest and largest QP."""
+def describe_paired_times(by_size: Sequence[PairedComparison], in_windows: int = 0) -> str:
+    """Return in words two configurations' step time ratio at the smallest and largest QP.
+
+    in_windows : steps that both solved in windows of hardest steps, which make no ratio.
+    """
+    if not by_size and in_windows:
+        return f"too few common steps for a ratio ({in_windows} of {LEAST_STEPS})"
     if not by_size:
         return "no step was replayed by both"
     if len(by_size) == 1:

@@ -114,13 +114,9 @@ def compare_paired_times(
     logs: dict[float, list[Floats]] = {}
     leaders: dict[float, dict[str, str]] = {}
     for sequence in records.sequences:
-        runs = [_find_replay_of_verdict(records, sequence, verdict) for verdict in (first, second)]
-        times = [None if run is None else records.get_step_times(run) for run in runs]
-        if runs[0] is None or times[0] is None or times[1] is None:
-            continue
-        first_ns, second_ns = match_times_by_step(times[0], times[1])
+        size, first_ns, second_ns = _find_common_times(records, sequence, first, second)
         if len(first_ns):
-            size, leader = runs[0].n, names[int(np.median(first_ns) > np.median(second_ns))]
+            leader = names[int(np.median(first_ns) > np.median(second_ns))]
             logs.setdefault(size, []).append(np.log(second_ns / first_ns))
             leaders.setdefault(size, {})[f"median on `{sequence}`"] = leader
     tail = {"p99" if math.isfinite(first.p99_ns) else "largest step": names[0]}
@@ -134,6 +130,27 @@ def compare_paired_times(
         )
         for size in sorted(logs)
     ]
+
+
+def count_common_window_steps(records: Records, first: Verdict, second: Verdict) -> int:
+    """Return how many steps two configurations both solved in windows of hardest steps."""
+    replays = records.select_runs(mode="replay")
+    windows = {run.sequence for run in replays if run.steps_searched_for_hardest}
+    return sum(len(_find_common_times(records, name, first, second)[1]) for name in windows)
+
+
+def _find_common_times(
+    records: Records, sequence: str, first: Verdict, second: Verdict
+) -> tuple[float, Floats, Floats]:
+    """Return the number of variables of a QP sequence and two configurations' times on its steps.
+
+    The times (K,) [ns] are of the steps that both replayed; K is 0 without any.
+    """
+    runs = [_find_replay_of_verdict(records, sequence, verdict) for verdict in (first, second)]
+    times = [None if run is None else records.get_step_times(run) for run in runs]
+    if runs[0] is None or times[0] is None or times[1] is None:
+        return math.nan, np.empty(0), np.empty(0)
+    return runs[0].n, *match_times_by_step(times[0], times[1])
 
 
 def find_faster_inconclusive(

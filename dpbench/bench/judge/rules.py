@@ -27,6 +27,8 @@ LEAST_PROCESSORS = 4.0
 """Processes that share a core with a busy worker, at most, itself included."""
 BEYOND = 10
 """Samples that have to lie beyond a percentile."""
+LEAST_STRETCH = 100
+"""Steps of a stretch of which a window of its hardest steps has the p99; of fewer the largest."""
 
 INFEASIBLE, UNDECIDED, UNCERTIFIED = "infeasible", "undecided", "none"
 """Certificates of steps without an optimum.

@@ -10,7 +10,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel
 
-from dpbench.bench.judge.rules import has_enough_samples_for_percentile
+from dpbench.bench.judge.rules import LEAST_STRETCH, has_enough_samples_for_percentile
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.configurations import BASELINE_LAW, choose_solvers
 from dpbench.bench.plan.plan import plan_suite
@@ -199,11 +199,16 @@ def _list_remarks(planned: Sequence[PlannedCell], choices: Sequence[str]) -> lis
         for p in planned
         if p.merged_settings
     )
-    lengths = [p.cell.steps for p in planned if p.cell.is_timed]
-    if lengths and not has_enough_samples_for_percentile(max(lengths), 99):
-        remarks.append(
-            f"{NO_P99} (the longest has {max(lengths)}): the largest step is judged in its place"
+    timed = [p.cell for p in planned if p.cell.is_timed]
+    longest = max((cell.steps for cell in timed), default=0)
+    if timed and not has_enough_samples_for_percentile(longest, 99):
+        of, hardest = max((cell.source.count_stretch_steps(0), cell.steps) for cell in timed)
+        judged = (
+            f"that of {of} steps is judged, as the hardest {hardest} of them are replayed"
+            if of >= LEAST_STRETCH
+            else "the largest step is judged in its place"
         )
+        remarks.append(f"{NO_P99} (the longest has {longest}): {judged}")
     return remarks
 
 

@@ -10,7 +10,7 @@ from dpbench.analysis.records.thinned_runs import (
     find_value_at_worst_step,
     find_worst_steps,
 )
-from dpbench.analysis.times.contrasts import compare_paired_times
+from dpbench.analysis.times.contrasts import compare_paired_times, count_common_window_steps
 from dpbench.analysis.verdict.verdict import (
     Verdict,
     Verdicts,
@@ -318,7 +318,8 @@ def _describe_verdict(verdict: Verdict, reference: Verdict, count: int) -> str:
 def _compare_step_times(data: PageData, own: Verdict, other: Verdict) -> str:
     """Return a sentence that compares the step times of two verdicts' configurations."""
     faster, slower = sort_fastest_first([own, other])
-    wording = describe_paired_times(compare_paired_times(data.records, faster, slower))
+    pair = data.records, faster, slower
+    wording = describe_paired_times(compare_paired_times(*pair), count_common_window_steps(*pair))
     names = f"`{slower.configuration.label}` against `{faster.configuration.label}`"
     return f"{names}: {wording}."
 

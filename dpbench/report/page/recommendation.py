@@ -6,7 +6,11 @@ from dataclasses import dataclass
 from math import isfinite, isnan
 from typing import Any
 
-from dpbench.analysis.times.contrasts import compare_paired_times, find_faster_inconclusive
+from dpbench.analysis.times.contrasts import (
+    compare_paired_times,
+    count_common_window_steps,
+    find_faster_inconclusive,
+)
 from dpbench.analysis.times.machine import find_shortest_wait_ns
 from dpbench.analysis.verdict.time_findings import (
     SlowStep,
@@ -209,7 +213,10 @@ def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
         yield "faster", f"{label} is faster, and is not the answer: {found.because}."
     yield from _yield_inconclusive_notes(data, found)
     if found.runner_up is not None:
-        beside = describe_paired_times(compare_paired_times(data.records, chosen, found.runner_up))
+        pair = data.records, chosen, found.runner_up
+        beside = describe_paired_times(
+            compare_paired_times(*pair), count_common_window_steps(*pair)
+        )
         label, time = found.runner_up.configuration.label, format_usual_time(found.runner_up)
         yield "next", f"Next: {label}, {time}, {beside}."
     for verdict in filter(None, (chosen, found.runner_up)):

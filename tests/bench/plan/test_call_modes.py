@@ -44,6 +44,24 @@ def test_a_chosen_call_mode_replaces_those_of_every_table(suite: str) -> None:
     assert plan.remarks[0] == "quadprog does not run: it has no native warm"
 
 
+@pytest.mark.parametrize(
+    ("steps", "hardest", "judged"),
+    [
+        (5, 0, "(the longest has 5): the largest step is judged in its place"),
+        (99, 4, "(the longest has 4): the largest step is judged in its place"),
+        (450, 4, "(the longest has 4): that of 450 steps is judged, as the hardest 4 of them are"),
+    ],
+)
+def test_a_remark_says_what_is_judged_in_place_of_a_p99(
+    suite: str, steps: int, hardest: int, judged: str
+) -> None:
+    """A window of hardest steps has the p99 of what they are chosen from."""
+    replays = f"steps = {steps}\nhardest = {hardest}\npolicies"
+    Path(suite).write_text(SUITE.replace("steps = 5\npolicies", replays))
+    (remark,) = RunRequest(suite).make_plan().remarks
+    assert remark.startswith("no replay has steps enough for a p99 ") and judged in remark
+
+
 def test_a_policy_alone_keeps_the_routes_of_the_suite(suite: str) -> None:
     cells = [
         p.cell for p in RunRequest(suite, solvers=["osqp"], policies=["warm"]).make_plan().cells

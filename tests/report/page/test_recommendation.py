@@ -122,6 +122,28 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
     assert (columns["max_wait"], columns["longest_wait"]) == ([waits[0]], [waits[1]])
 
 
+@pytest.mark.parametrize(
+    ("of", "time"),
+    [
+        (450, "p99 {} of 450 steps, measured in the hardest steps of paper"),
+        (60, "largest {} of 60 steps, measured in the hardest steps of paper"),
+    ],
+)
+def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int, time: str) -> None:
+    """A stretch of fewer than 100 steps has none beyond its p99, which is then the largest."""
+    source = {"kind": "hardest", "name": "paper hardest 15", "of": of}
+    cell = json.dumps({"scenario": records.scenario("paper").files, "source": source})
+    for solver, median_us in (("daqp", 20.0), ("quadprog", 30.0)):
+        records.loop(solver)
+        records.replay(
+            solver, "paper hardest 15", steps=15, spread=0.0, median_us=median_us, cell=cell
+        )
+    ending = records.ending()
+    assert time.format("20.0 µs") in ending["answer"]
+    following = time.format("30.0 µs")
+    assert f"{following}, too few common steps for a ratio (15 of 500)." in ending["next"]
+
+
 @pytest.mark.slow
 def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
     for i in range(150):
