@@ -100,11 +100,14 @@ class ReplayBenchmark:
             info[name] = int(row[name])
         info["error_move_max"] = float(row["error_move_max"])
         info["true_share"] = float(np.nan_to_num(row["true_share"]))
-        iterations = run.steps.loc[run.steps["repeat"] == 1, "iterations"]
+        first, second = (run.steps.loc[run.steps["repeat"] == r] for r in (1, 2))
+        info["active_share"] = float((first["n_active"] > 0).mean())
         # Where rounds differ, the clock has a part in them.
-        if iterations.notna().all() and row["iterations_identical_share"] == 1.0:
-            info["exact"] = {"iterations": int(iterations.sum())}
-            info["exact"]["error_move_max"] = info["error_move_max"]
+        exact = info["exact"] = {}
+        if first["iterations"].notna().all() and row["iterations_identical_share"] == 1.0:
+            exact["iterations"] = int(first["iterations"].sum())
+        if np.array_equal(first["error_move"], second["error_move"]):
+            exact["error_move_max"] = info["error_move_max"]
 
 
 def _open_solver(solver: Workspace | str | Path, options: dict[str, Any]) -> Workspace:
