@@ -10,6 +10,8 @@ from difflib import get_close_matches
 from numbers import Integral
 from os import PathLike
 
+_MOST = 80  # Characters of what was found in a message
+
 
 class DpbenchError(Exception):
     """Base class of all errors raised by dpbench.
@@ -48,10 +50,23 @@ class InputError(DpbenchError, ValueError):
         return type(self), (self.where, self.key, self.found, self.allowed)
 
 
+def shorten_found(value: object) -> str:
+    """Return what was found as one short line.
+
+    Examples
+    --------
+    >>> shorten_found("dapq"), len(shorten_found(list(range(99))))
+    ("'dapq'", 81)
+    """
+    text = " ".join(repr(value).split())
+    return text if len(text) <= _MOST else f"{text[:_MOST]}…"
+
+
 def require_integer_at_least(argument: str, value: int, least: int) -> None:
     """Raise InputError for a number below `least`, TypeError for one that is not whole."""
     if not isinstance(value, Integral):
-        raise TypeError(f"{argument}: found {value!r}; allowed: a whole number, {least} or more")
+        found = shorten_found(value)
+        raise TypeError(f"{argument}: found {found}; allowed: a whole number, {least} or more")
     if value < least:
         raise InputError(argument, "", value, f"a whole number, {least} or more")
 
@@ -59,7 +74,7 @@ def require_integer_at_least(argument: str, value: int, least: int) -> None:
 def require_name_or_file(argument: str, value: object, file: str) -> None:
     """Raise TypeError for an argument that is neither a name nor a path."""
     if not isinstance(value, str | PathLike):
-        raise TypeError(f"{argument}: found {value!r}; allowed: a name or {file}")
+        raise TypeError(f"{argument}: found {shorten_found(value)}; allowed: a name or {file}")
 
 
 def require_lists_of_names(**given: object) -> None:
@@ -70,8 +85,9 @@ def require_lists_of_names(**given: object) -> None:
             for name in value:
                 require_name_or_file(option, name, "a file in the list")
         elif not (value is None or is_list):
-            allowed = f"a list of names, such as [{value!r}]"
-            raise TypeError(f"{option}: found {value!r}; allowed: {allowed}")
+            found = shorten_found(value)
+            allowed = f"a list of names, such as [{found}]"
+            raise TypeError(f"{option}: found {found}; allowed: {allowed}")
 
 
 class SituationError(InputError):

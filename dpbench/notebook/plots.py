@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 import numpy as np
 import pandas as pd
 
-from dpbench.errors import InputError
+from dpbench.errors import InputError, shorten_found
 from dpbench.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ def _import_matplotlib_charts() -> ModuleType:
 def _require_run(run: object, makers: str) -> None:
     """Raise TypeError for what is no run; `makers` names the functions that return one."""
     if not hasattr(run, "scenario"):
-        raise TypeError(f"plot: found {run!r}; allowed: runs of {makers}")
+        raise TypeError(f"plot: found {shorten_found(run)}; allowed: runs of {makers}")
 
 
 def _draw_steps_together(runs: tuple[JudgedRun, ...], limit: float, backend: Backend) -> Any:

@@ -33,7 +33,7 @@ from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver, list_failure_descriptions
 from dpbench.bench.sequences.sequence_file import as_sequence
 from dpbench.display import make_html_field_table
-from dpbench.errors import InputError, require_integer_at_least
+from dpbench.errors import InputError, require_integer_at_least, shorten_found
 from dpbench.mpc.condense import UnitSystem
 from dpbench.notebook.plots import RunPlots
 from dpbench.qp.program import QPSequence
@@ -313,7 +313,7 @@ def _open_workspace_if_named(given: object) -> Workspace:
     if isinstance(given, Workspace):
         return given
     allowed = "a Workspace of open_workspace, or the name of a solver"
-    raise TypeError(f"workspace: found {given!r}; allowed: {allowed}")
+    raise TypeError(f"workspace: found {shorten_found(given)}; allowed: {allowed}")
 
 
 def _make_cell(workspace: Workspace, **fields: Any) -> Cell:

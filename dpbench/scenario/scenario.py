@@ -16,6 +16,7 @@ from dpbench.errors import (
     UnknownNameError,
     require_integer_at_least,
     require_name_or_file,
+    shorten_found,
 )
 from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.condensed_qp import CondensedQP
@@ -417,7 +418,8 @@ def resolve_to_scenario(given: object) -> Scenario:
         return load_scenario(given)
     if isinstance(given, Scenario):
         return given
-    raise TypeError(f"scenario: found {given!r}; allowed: a Scenario, a name or a TOML file")
+    found, allowed = shorten_found(given), "a Scenario, a name or a TOML file"
+    raise TypeError(f"scenario: found {found}; allowed: {allowed}")
 
 
 def condense(scenario: Scenario | str | Path, *, units: UnitSystem = "scaled") -> CondensedQP:

@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Mapping
 from functools import partial
 
-from dpbench.errors import PolicyError
+from dpbench.errors import PolicyError, shorten_found
 from dpbench.solvers.contract import (
     POLICIES,
     Options,
@@ -57,10 +57,10 @@ def open_workspace(
     <Workspace of osqp (native, warm)>
     """
     if not isinstance(solver, str):
-        raise TypeError(f"solver: found {solver!r}; allowed: the name of a solver")
+        raise TypeError(f"solver: found {shorten_found(solver)}; allowed: the name of a solver")
     if not isinstance(settings, (str, Mapping)):
         allowed = "a name such as 'high', or a mapping of options"
-        raise TypeError(f"settings: found {settings!r}; allowed: {allowed}")
+        raise TypeError(f"settings: found {shorten_found(settings)}; allowed: {allowed}")
     row = find_solver_record(solver)
     route = row.default_route if route is None else route
     _require_route_and_policy(row, route, policy)

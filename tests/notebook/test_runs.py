@@ -100,6 +100,10 @@ def test_names_are_taken_where_objects_are(loop: Run, replayed: Run) -> None:
         run_campaign("smoke", scenarios=[load_scenario("paper")])
     with pytest.raises(TypeError, match=r"scenario: found \{\}; allowed: a name or a TOML file"):
         load_scenario({})
+    with pytest.raises(TypeError, match=r"^scenario: found \{'name': .{,200}…; allowed: a name"):
+        load_scenario(load_scenario("paper").files)  # type: ignore[arg-type] # what is tested
+    with pytest.raises(TypeError, match=r"^scenario: found \{'name': .{,200}…; allowed: a Scen"):
+        run_closed_loop(load_scenario("paper").files, "daqp")  # type: ignore[arg-type] # the same
     with pytest.raises(TypeError, match="sequence: found 3; allowed: a name or"):
         load_sequence(3)
     with pytest.raises(TypeError, match="solver: found 3; allowed: the name of a solver"):

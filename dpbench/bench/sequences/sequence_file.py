@@ -50,7 +50,7 @@ from dpbench.bench.record.npz import (
     read_stored_text,
     write_npz,
 )
-from dpbench.errors import InputError, require_name_or_file
+from dpbench.errors import InputError, require_name_or_file, shorten_found
 from dpbench.files.regular_files import open_regular_file, parse_json
 from dpbench.qp.program import (
     CONSTANT,
@@ -195,7 +195,8 @@ def as_sequence(given: object) -> QPSequence:
         return load_sequence(given)
     if isinstance(given, QPSequence):
         return given
-    raise TypeError(f"sequence: found {given!r}; allowed: a QPSequence, a name or a .npz file")
+    found, allowed = shorten_found(given), "a QPSequence, a name or a .npz file"
+    raise TypeError(f"sequence: found {found}; allowed: {allowed}")
 
 
 def load_recorded(path: str | Path) -> Recorded:
