@@ -135,7 +135,8 @@ class Report:
         headline, verdicts = self.recommendation, self.data.verdicts
         if headline.sentence and not (lead and lead.id == "loops"):
             rows.append(("solver" if lead else "answer", headline.sentence))
-        rows += [note for note in headline.notes if note[0] in TERMINAL_NOTES]
+        noted = [(about, text) for about, text in headline.notes if about in TERMINAL_NOTES]
+        rows += [(about, text.removeprefix("Next: ")) for about, text in noted]
         beside = (topic for topic in self.topics if topic.id in BESIDE and not topic.leads)
         rows += [(topic.id, topic.lines[0]) for topic in beside]
         if self.data.counts.sequences:

@@ -301,6 +301,7 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     notes = dict(answer.notes)
     assert "is not the answer: written in Python" in notes["faster"]
     assert notes["next"].startswith("Next: scs (qpsolvers fresh), p99 ")
+    assert records.ending()["next"].startswith("scs (qpsolvers fresh), p99 ")
     licence = "Licence: MIT; language: C, library-free; C code: yes, it writes its workspace as C."
     assert notes["aboard"] == licence
 
