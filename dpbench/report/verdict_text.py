@@ -190,7 +190,9 @@ def _describe_best_of_grid(points: Sequence[Verdict]) -> str:
         numbers = (as_float(_format_options_by_name(verdict)[option]) for verdict in points)
         tried = {number for number in numbers if math.isfinite(number)}
         at = as_float(value)
-        if len(tried) >= LEAST_POINTS and at in (min(tried), max(tried)):
+        # No option takes a value below zero: a zero is the least that is allowed.
+        ends = {min(tried), max(tried)} if len(tried) >= LEAST_POINTS else set()
+        if at in ends and not at == min(tried) <= 0.0:
             edges.append(option)
     edge = f", at the edge of the grid in {join_with_and(edges)}: widen it" if edges else ""
     solver = best.configuration.solver

@@ -6,10 +6,10 @@ The options that are searched are each a coordinate of a unit cube.
 import math
 import tomllib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 from scipy.stats import qmc
@@ -33,6 +33,7 @@ FIRST_RADIUS = 0.25
 """First distance of new points from the best, as a share of each range; halved where nothing is
 gained."""
 
+LimitedEnds = Literal["", "low", "high", "both"]
 _Score = TypeVar("_Score")
 
 
@@ -40,13 +41,13 @@ _Score = TypeVar("_Score")
 class OptionRange:
     """The least and the largest value of an option; whole numbers where both are.
 
-    is_limited : whether the solver takes no value much beyond the ends.
+    limited : the ends beyond which the method takes no value, or none much beyond.
     """
 
     name: str
     low: float
     high: float
-    is_limited: bool = False
+    limited: LimitedEnds = ""
 
     @property
     def is_logarithmic(self) -> bool:
@@ -78,15 +79,17 @@ class OptionRange:
     def describe_edge(self, value: float) -> str:
         """Return a remark on a value at its range's edge, with a wider range; "" elsewhere."""
         share, width = self.share_of(value), self.high - self.low
-        if self.is_limited or _EDGE < share < 1.0 - _EDGE:
+        end = "high" if share > 0.5 else "low"
+        if _EDGE < share < 1.0 - _EDGE or self.limited in (end, "both"):
             return ""
         low, high = self.low, self.high
-        if share > 0.5:
+        if end == "high":
             high = _round_to_digits(high * _WIDER) if self.is_logarithmic else high + width
         elif self.is_logarithmic and not self.is_whole:
             low = _round_to_digits(low / _WIDER)
         else:
             low = max(low - width, min(low, int(self.is_whole)))
+            low = low if self.is_whole else _round_to_digits(low)
         if (low, high) == (self.low, self.high):
             return ""
         wider = format_options_as_toml({self.name: [low, round(high) if self.is_whole else high]})
@@ -164,7 +167,9 @@ def make_space(
     for option, texts in (("--range", ranges), ("--widen", widened)):
         for text in texts:
             given = parse_options_of_choice(f"{solver}[{text}]")
-            found |= {name: _parse_range(option, name, ends) for name, ends in given.items()}
+            for name, ends in given.items():
+                limited = found[name].limited if name in found else ""
+                found[name] = replace(_parse_range(option, name, ends), limited=limited)
     fixed = {name: value for name, value in (own or {}).items() if name not in found}
     return SearchSpace(tuple(found.values()), fixed)
 

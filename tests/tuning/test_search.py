@@ -160,6 +160,8 @@ def test_a_wider_range_keeps_the_other_stated_ones() -> None:
     assert [own.name for own in wider.ranges] == [own.name for own in stated.ranges]
     changed = set(wider.ranges) - set(stated.ranges)
     assert changed == {OptionRange("rho", 1e-3, 1e4)}
+    (alpha,) = set(make_space("osqp", widened=["alpha=[0.1,1.9]"]).ranges) - set(stated.ranges)
+    assert alpha.describe_edge(1.9) == "" != alpha.describe_edge(0.1)
     assert make_space("quadprog", widened=["x=[1,2]"]).ranges == (OptionRange("x", 1, 2),)
     with pytest.raises(InputError, match=r"--widen: rho: found \[2, 1\]"):
         make_space("osqp", widened=["rho=[2,1]"])
@@ -193,7 +195,10 @@ def test_the_share_of_a_value_gives_the_value(ends: tuple[float, float], share: 
         (OptionRange("rho", 1e-3, 1e2), 1.0, ""),
         (OptionRange("a", 1.0, 2.0), 2.0, "[1.0, 3.0]"),
         (OptionRange("a", 1.0, 2.0), 1.0, "[0.0, 2.0]"),
-        (OptionRange("a", 1.0, 2.0, is_limited=True), 2.0, ""),
+        (OptionRange("a", 1.0, 2.0, "both"), 2.0, ""),
+        (OptionRange("a", 1.0, 2.0, "high"), 2.0, ""),
+        (OptionRange("a", 1.0, 1.9, "high"), 1.0, "[0.1, 1.9]"),
+        (OptionRange("a", 1.0, 1.9, "low"), 1.0, ""),
         (OptionRange("k", 1, 50), 50, "[1, 5000]"),
         (OptionRange("k", 1, 50), 1, ""),
         (OptionRange("k", 20, 50), 20, "[1, 50]"),

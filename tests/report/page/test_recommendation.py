@@ -175,6 +175,15 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
     assert best in text and "| osqp | native warm, rho=1.6 | fail |" in text
 
 
+def test_a_grid_that_is_best_at_zero_cannot_be_widened(records: Any) -> None:
+    for eps, error in ((0.0, 0.22), (1e-3, 0.33), (1e-2, 0.55)):
+        options = {"settings": f"eps_rel={eps}", "options": json.dumps({"eps_rel": eps})}
+        records.loop("osqp", error=error, failed=2, **options)
+        records.replay("osqp", **options)
+    rows = Report.from_results(records.results()).summary_rows()
+    assert ("options", "Best of 3 settings of osqp: eps_rel=0.0.") in rows
+
+
 def test_own_settings_are_judged_by_the_call_modes_that_ran_most(records: Any) -> None:
     """A call mode without a closed loop hides none that fails; each one that fails has a reason."""
     own = {"settings": "mine", "options": '{"rho": 1.6}', "route": "native"}
