@@ -56,6 +56,8 @@ MOST_BYTES = 8000
 """Largest size of the report [B]: one or two screens."""
 MOST_ROWS = 24
 """Configurations up to which the report lists all of them, not only the best of each solver."""
+MOST_STUDY_ROWS = 8
+"""Rows of each table of a study in the report."""
 HEAD = (
     *("solver", "call mode", "verdict", "p50", "p99", "p99 of timings", "worst p99"),
     *("hardest step", "speed margin", "largest error", "failed answers"),
@@ -90,11 +92,13 @@ def make_report_markdown(report: Report) -> str:
             escape_markdown_paragraph,
             [*describe_best_of_grids(list_best_verdict_of_own_settings(data.verdicts)), *after],
         ),
+        *_yield_study_tables(topics),
         "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
         "`runs.parquet`, `steps.parquet`.",
     ]
     text = "\n\n".join(part for part in parts if part) + "\n"
-    return truncate_text(text, MOST_BYTES, "tables/verdicts.csv")
+    elsewhere = "tables/verdicts.csv" if data.verdicts.of else "tables/study_*.csv"
+    return truncate_text(text, MOST_BYTES, elsewhere)
 
 
 def _make_counts_tables(topics: Sequence[Topic]) -> list[str]:
@@ -111,6 +115,19 @@ def _make_counts_tables(topics: Sequence[Topic]) -> list[str]:
         if topic.id == "embedded"
         for table in topic.tables
     ]
+
+
+def _yield_study_tables(topics: Sequence[Topic]) -> Iterator[str]:
+    """Yield the tables of studies that have intervals: title, first rows, note."""
+    tables = [table for topic in topics if topic.id == "study" for table in topic.tables]
+    for table in tables:
+        if table.note:
+            yield f"{escape_markdown(table.title)}:"
+            rows = table.rows[:MOST_STUDY_ROWS]
+            yield make_markdown_table(table.heads, rows, table.text_columns)
+            more = len(table.rows) - len(rows)
+            yield f"{more} more rows: `tables/study_*.csv`." if more else ""
+            yield escape_markdown_paragraph(table.note)
 
 
 def _list_verdicts(verdicts: Verdicts) -> list[Verdict]:
