@@ -38,6 +38,7 @@ from dpbench.mpc.condense import UnitSystem
 from dpbench.notebook.plots import RunPlots
 from dpbench.qp.program import QPSequence
 from dpbench.report.formats import (
+    NOTED_WAIT,
     format_count,
     format_error,
     format_seconds,
@@ -107,6 +108,7 @@ class Run:
             f"{f'{unverified} reported solved but not verified, ' if unverified else ''}"
             f"error_move ≤ {format_error(row['error_move_max'])}, p50 {time}{note and f' ({note})'}"
             f"{f', {REMEMBERED}' if self.remembers else ''}"
+            f"{f'; {self._machine_text}' if self._machine_text else ''}"
             f"{f'; {self._ship.warning}' if self._ship.warning else ''}>"
         )
 
@@ -125,6 +127,7 @@ class Run:
             f"median step time{note and f', {note}'}": time,
         }
         fields |= {"times": REMEMBERED} if self.remembers else {}
+        fields |= {"machine": self._machine_text} if self._machine_text else {}
         return make_html_field_table(
             f"{self.label}: {self._sequence_text}", fields | self._describe_control()
         )
@@ -150,6 +153,24 @@ class Run:
             return format_time(self.summary["raw_p50_ns"]), ""
         p50_ns = self.summary["algo_p50_ns"]
         return format_time(p50_ns), "minimum over rounds" if p50_ns > 0.0 else "too few steps"
+
+    @property
+    def _machine_text(self) -> str:
+        """Words on what disturbed a replay's times; "" for nothing, and of a closed loop."""
+        row = self.summary
+        if self.scenario is not None or not row["algo_p50_ns"] > 0.0:
+            return ""
+        # Context switches are too few in such a short time for a rate of them.
+        disturbed, parts = row["disturbed_rounds"], []
+        if disturbed > 0:
+            rounds = row["rounds"] + disturbed - row["counting_disturbed"]
+            of_all = f"{format_count(disturbed)} of {plural(rounds, 'round')}"
+            parts.append(f"the machine was disturbed in {of_all}")
+        counting = self.steps[self.steps["counts"]]
+        waited = counting["waited_ns"].sum() / max(counting["total_ns"].sum(), 1)
+        if waited >= NOTED_WAIT:
+            parts.append(f"{format_share(waited)} of the times are waits for the core")
+        return "; ".join(parts)
 
     @property
     def _sequence_text(self) -> str:

@@ -343,3 +343,17 @@ def test_a_replay_from_memory_is_named_as_such(figures: dict[str, float], rememb
     assert shown.remembers is remembers
     assert ("remembered answers" in repr(shown)) is remembers
     assert ("remembered answers" in shown._repr_html_()) is remembers
+
+
+def test_a_replay_names_what_disturbed_it() -> None:
+    run = replay("paper-30-5", open_workspace("daqp", route="native"), repeats=2)
+    quiet = {"rounds": 2, "disturbed_rounds": 0, "counting_disturbed": 0}
+    still = run.steps.assign(waited_ns=0)
+    calm = replace(run, steps=still, summary=pd.Series(run.summary.to_dict() | quiet))
+    assert "machine" not in repr(calm) and "waits" not in repr(calm)
+    assert ">machine<" not in calm._repr_html_()
+    busy = replace(calm, summary=pd.Series(calm.summary.to_dict() | {"disturbed_rounds": 3}))
+    assert "the machine was disturbed in 3 of 5 rounds" in repr(busy)
+    assert ">machine<" in busy._repr_html_()
+    waiting = replace(calm, steps=still.assign(waited_ns=still["total_ns"] // 4))
+    assert "25.0 % of the times are waits for the core" in repr(waiting)
