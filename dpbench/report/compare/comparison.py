@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from dpbench.analysis.compare.evidence import Assessment
 from dpbench.analysis.compare.pairs import (
     ORDER,
     FigureChange,
@@ -51,7 +52,7 @@ from dpbench.report.formats import (
 from dpbench.report.ship_text import summarise_ships
 from dpbench.report.verdict_text import describe_disturbance
 
-TIMES = ("slower", "faster", "no difference shown", "equivalent")
+TIMES = ("slower", "faster", "no difference shown", "equivalent", "not judged")
 """Verdicts on a step time: the two claims, then the weaker ones."""
 
 
@@ -127,8 +128,8 @@ def make_times_table(
             "A p50 [µs]": format_microseconds(timing.median_ns[0]),
             "B p50 [µs]": format_microseconds(timing.median_ns[1]),
             "B/A": f"{found.raw:.3f}",
-            "machine": f"{found.machine:.3f}",
-            "B/A less machine": f"{found.ratio.value:.3f}",
+            "machine": _format_known_factor(found.machine, found),
+            "B/A less machine": _format_known_factor(found.ratio.value, found),
             "interval": format_interval(found.ratio.low, found.ratio.high),
             "steps × rounds": f"{format_count(timing.steps)} × {format_count(timing.rounds)}",
             "verdict": found.verdict,
@@ -136,6 +137,11 @@ def make_times_table(
         for timing, found in ((row.timing, row.assessment) for row in rows)
     ]
     return Table.from_rows(cells, "Step times, replays", note=note, text_columns=2)
+
+
+def _format_known_factor(factor: float, found: Assessment) -> str:
+    """Format a factor that depends on the machine's; a dash where nothing tells that one."""
+    return MISSING if found.verdict == "not judged" else f"{factor:.3f}"
 
 
 def describe_shared_factor(shared: SharedFactor) -> str:
@@ -277,7 +283,7 @@ class Comparison:
             return "slower"
         disturbed = any("disturbed" in one.unjudged for one in self.shared)
         shown = "faster" if "faster" in times else "no change shown"
-        shown = shown if self.compared else f"{shown}, accuracy only"
+        shown = shown if times - {"not judged"} else f"{shown}, accuracy only"
         return f"{shown}, on a disturbed machine" if disturbed else shown
 
     def markdown(self) -> str:

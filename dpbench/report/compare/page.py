@@ -58,7 +58,7 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
         "compare",
         [read_page_file(f"scripts/{name}.js") for name in ("common", "compare")],
         verdict=("worse somewhere" if comparison.worse else "no regression shown")
-        + ("" if order else ", accuracy only"),
+        + ("" if {c.assessment.verdict for c in order} - {"not judged"} else ", accuracy only"),
         lead=make_lead_sentences(comparison),
         lines=[strip_markdown(line) for line in comparison.lines],
         figures={
@@ -162,6 +162,11 @@ def describe_verdict(one: ComparedTimes) -> str:
     """Return a sentence with the verdict on a configuration's step time ratio, and its interval."""
     assessment, timing = one.assessment, one.timing
     interval = format_interval(assessment.ratio.low, assessment.ratio.high)
+    if assessment.verdict == "not judged":
+        return (
+            f"B takes {assessment.raw:.3f} times as long as A ({plural(timing.steps, 'step')}, "
+            f"{plural(timing.rounds, 'round')}); the machine's factor is unknown: not judged."
+        )
     return (
         f"B takes {assessment.ratio.value:.3f} times as long as A, the machine's factor "
         f"{assessment.machine:.3f} taken out (interval {interval}, {plural(timing.steps, 'step')}, "
@@ -187,11 +192,16 @@ def _describe_slower(comparison: Comparison) -> str:
     )
 
 
-VERDICTS = ("slower", "faster", "equivalent", "no difference shown")
+VERDICTS = ("slower", "faster", "equivalent", "no difference shown", "not judged")
 _COLOUR = style.colour(
-    "verdict", VERDICTS, (style.FAIL, style.PASS, style.SOFT, style.NOT_RUN), columns=2
+    "verdict",
+    VERDICTS,
+    (style.FAIL, style.PASS, style.SOFT, style.NOT_RUN, style.NOT_RUN),
+    columns=2,
 )
-_SHAPES = style.names_scale(VERDICTS, ("triangle-right", "triangle-left", "circle", "square"))
+_SHAPES = style.names_scale(
+    VERDICTS, ("triangle-right", "triangle-left", "circle", "square", "cross")
+)
 _SHAPE = alt.Shape("verdict:N", scale=_SHAPES, title=None)
 _TIPS = [
     style.tooltip("name:N", "configuration"),

@@ -17,7 +17,11 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
 from dpbench.cli.main import main
 from dpbench.report.compare.comparison import _merge_verdicts
-from dpbench.report.compare.page import make_lead_sentences, write_comparison
+from dpbench.report.compare.page import (
+    describe_verdict,
+    make_lead_sentences,
+    write_comparison,
+)
 from dpbench.report.ship_text import BANNER
 from tests.report.conftest import run_row
 from tests.result_folder import StepsInMemory, write_results
@@ -239,8 +243,13 @@ def test_a_disturbed_kernel_stands_for_no_machine(make: Make) -> None:
     both = ("daqp", "piqp")
     a = make("a", seed=1, configurations=both, **STOLEN)
     found = compare(a, make("b", seed=2, configurations=both, machine=1.5, **STOLEN))
-    assert set(found.times["verdict"]) == {"no difference shown"}
-    assert found.times["machine"].tolist() == [1.0, 1.0]
+    assert set(found.times["verdict"]) == {"not judged"}
+    (table,) = (table for table in found.tables if "machine" in table.heads)
+    at = [table.heads.index(head) for head in ("machine", "B/A less machine", "interval")]
+    assert [[row[i] for i in at] for row in table.rows] == [["–"] * 3] * 2
+    assert "step times: 2 not judged" in found.lines
+    assert found.headline == "no change shown, accuracy only, on a disturbed machine"
+    assert "machine's factor is unknown: not judged." in describe_verdict(found.compared[0])
     assert not found.worse
     a = make("c", seed=1, configurations=both)
     quiet = compare(a, make("d", seed=2, configurations=both, machine=1.5))
