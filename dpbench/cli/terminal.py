@@ -56,9 +56,10 @@ def wrap_paragraph(text: str, *, first: str = "", others: str = "") -> str:
 
 
 def print_wrapped(lines: Iterable[str]) -> None:
-    """Print lines of text, wrapped at 80 columns with a hanging indent of two."""
+    """Print lines of text, all but commands wrapped at 80 columns with a hanging indent of two."""
     for line in lines:
-        print(line if len(line) <= WIDTH else wrap_paragraph(line, others="  "))
+        is_whole = len(line) <= WIDTH or line.startswith("dpbench run ")
+        print(line if is_whole else wrap_paragraph(line, others="  "))
 
 
 def format_heading_and_paragraphs(head: str, paragraphs: Iterable[str]) -> str:

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
@@ -247,6 +249,13 @@ def _compute_time_ratio(run: RunRecord, default: RunRecord) -> float:
     ours, theirs = name_step_times_ns(run), name_step_times_ns(default)
     name = next(name for name in ours if name in theirs)
     return ours[name] / theirs[name]
+
+
+def find_step_of_largest_error(folder: Path, run: RunRecord) -> int:
+    """Return the index k of a run's step of largest error of the first move, in any round."""
+    steps = load_results(folder).steps
+    own = steps[steps["run_id"] == run.run_id]
+    return int(own["k"].to_numpy()[np.nanargmax(own["error_move"].to_numpy())])
 
 
 def group_runs_by_settings(

@@ -4,8 +4,11 @@ The search sees the training sequences alone. In the end the best settings and t
 timed anew side by side, on these and on the test sequences.
 """
 
+import hashlib
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import count
 from pathlib import Path
 
@@ -20,6 +23,7 @@ from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.tuning.campaigns import (
     TunedSolver,
     count_steps_of_settings,
+    find_step_of_largest_error,
     group_runs_by_settings,
     measure_settings,
     name_step_times_ns,
@@ -29,6 +33,8 @@ from dpbench.tuning.campaigns import (
 from dpbench.tuning.request import BEST, TRIALS, SearchRequest, make_request
 from dpbench.tuning.search import Score, SettingsSearch, Trial, split_into_batches
 
+FINAL = "final"
+"""Result folder, of the search's, of the best settings beside the presets."""
 NEAR = 0.5
 """Share of the limit of error beyond which accurate settings may fail on other steps."""
 
@@ -140,7 +146,7 @@ class Tuning:
         lines = [f"{found} {self.trials} settings of {self._call}: {self.best.name}", *edges]
         lines.append("no other call mode was measured: --route, --policy")
         lines += [*self.request.searched, *self._measured, *self._cautions, *self._not_done]
-        runs = f"; runs: {self.request.folder / 'final'}" if self.roles else ""
+        runs = f"; runs: {self.request.folder / FINAL}" if self.roles else ""
         return [*lines, f"settings: {self.path}{runs}"]
 
     @property
@@ -158,9 +164,9 @@ class Tuning:
             for role in self.roles
         ]
 
-    @property
-    def _cautions(self) -> list[str]:
-        """A caution on best settings near the limit of error, or tried on some steps only."""
+    @cached_property
+    def _largest_error(self) -> str:
+        """The error of best settings near its limit, or tried on some steps only; "" otherwise."""
         limit = self.solver.requirements.error_move
         every = {one.name: one.every for one in (*self.request.training, *self.request.test)}
         runs = [
@@ -171,17 +177,32 @@ class Tuning:
             and (run.error_move_max > NEAR * limit or every.get(run.sequence, 1) > 1)
         ]
         if not runs:
-            return []
+            return ""
         worst = max(runs, key=lambda run: run.error_move_max)
         steps = worst.steps_done * every.get(worst.sequence, 1)
+        k = find_step_of_largest_error(self.request.folder / FINAL, worst)
+        return (
+            f"largest error {100 * worst.error_move_max / limit:.2g} % of the limit, at step {k} "
+            f"of {worst.sequence} ({worst.steps_done:.0f} of {steps:.0f} steps measured)"
+        )
+
+    @property
+    def _cautions(self) -> list[str]:
+        """The largest error where it calls for caution, and the command that checks closed loops.
+
+        The command has a result folder for these settings alone, as `run` refuses one of others.
+        """
+        if not self._largest_error:
+            return []
         mode = f"--route {self.solver.route} --policy {self.solver.policy}"
         if self.solver.solver_module is not None:
             mode += f" --solver-module {self.solver.solver_module}"
         choice = f"{self.solver.name}[{format_options_as_toml(self.best.options)}]"
+        own = hashlib.sha256(f"{choice} {mode}".encode()).hexdigest()[:8]
+        out = shlex.quote(str(self.request.folder / f"loops-{own}"))
         return [
-            f"error is {100 * worst.error_move_max / limit:.2g} % of the limit on "
-            f"{worst.steps_done:.0f} of {steps:.0f} steps of {worst.sequence}: check it in closed "
-            f"loops: dpbench run standard --solver '{choice}' {mode}"
+            f"{self._largest_error}: check these settings in closed loops:",
+            f"dpbench run standard --solver '{choice}' {mode} --out {out}",
         ]
 
     @property
@@ -202,6 +223,7 @@ class Tuning:
             "`dpbench tune-solver`.",
             *self.request.searched,
             *self._measured,
+            *filter(None, [self._largest_error]),
             *self._not_done,
         ]
         options = format_options_as_toml(self.best.options).replace(",", ", ").replace("=", " = ")
@@ -359,7 +381,7 @@ def _measure_roles(
         request.solver,
         [*request.training, *request.test],
         named,
-        request.folder / "final",
+        request.folder / FINAL,
         progress,
         presets,
         wait_s=wait_s,

@@ -1,5 +1,7 @@
 """`dpbench tune-solver` from its arguments to the settings it writes."""
 
+import re
+import shlex
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -123,6 +125,7 @@ def test_finished_batches_are_progress(
 ) -> None:
     """A search whose campaigns have nothing to do any more ends at 100 %."""
     monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=0))
+    monkeypatch.setattr(tune, "find_step_of_largest_error", lambda *_: 0)
     bar = _CountingProgress()
     words = {"training": ["calm-30-5"], "test": ["move-30-5"], "trials": 11}
     tune_solver(solver, out=tmp_path, progress=bar, **words)  # type: ignore[arg-type] # mixed values
@@ -132,9 +135,21 @@ def test_finished_batches_are_progress(
 @pytest.mark.parametrize(
     ("words", "error", "share"),
     [
-        ("--train calm-30-5 --test move-30-5", 0.0077, "77 % of the limit on 75 of 300 steps"),
-        ("--train calm-30-5 --test move-30-5", 1e-4, "1 % of the limit on 75 of 300 steps"),
-        ("--train calm --test move --steps 75", 0.0051, "51 % of the limit on 75 of 75 steps"),
+        (
+            "--train calm-30-5 --test move-30-5",
+            0.0077,
+            "77 % of the limit, at step 7 of calm-30-5[:300:4] (75 of 300 steps",
+        ),
+        (
+            "--train calm-30-5 --test move-30-5",
+            1e-4,
+            "1 % of the limit, at step 7 of calm-30-5[:300:4] (75 of 300 steps",
+        ),
+        (
+            "--train calm --test move --steps 75",
+            0.0051,
+            "51 % of the limit, at step 7 of calm (75 of 75 steps",
+        ),
         ("--train calm --test move --steps 75", 0.005, ""),
     ],
 )
@@ -143,11 +158,19 @@ def test_settings_near_the_limit_are_to_be_checked(
 ) -> None:
     """Half of the limit of 0.01 and a sequence of all steps need no caution."""
     monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=0, error=error))
+    monkeypatch.setattr(tune, "find_step_of_largest_error", lambda *_: 7)
     command = ["tune-solver", "osqp", *words.split(), "--trials", "11", "--out", str(tmp_path)]
     assert main(command) == 0
-    shown = " ".join(capsys.readouterr().out.split())
-    assert (f"error is {share}" in shown) if share else ("% of the limit" not in shown)
-    assert ("dpbench run standard --solver 'osqp[" in shown) is bool(share)
+    said = capsys.readouterr().out
+    for shown in (" ".join(said.split()), (tmp_path / "tuned.toml").read_text()):
+        assert (
+            (f"largest error {share} meas" in shown) if share else ("% of the limit" not in shown)
+        )
+    proposed = [shlex.split(line) for line in said.splitlines() if line.startswith("dpbench run")]
+    assert len(proposed) == bool(share)
+    for words_of_command in proposed:
+        assert words_of_command[-2] == "--out"
+        assert Path(words_of_command[-1]).parent == tmp_path
 
 
 def test_a_search_interrupted_in_its_first_batch_has_no_best(
@@ -214,7 +237,12 @@ def test_settings_are_found_measured_and_written(
     assert f"max_iter={options['max_iter']}" in said
     assert "training sequences (calm-60-10[:300:8]): accurate; " in " ".join(said.split())
     assert "test sequences (move-60-10[:300:8]): " in " ".join(said.split())
-    runs = load_results(Path("out/final")).runs
+    final = load_results(Path("out/final"))
+    runs = final.runs
+    steps = final.steps.merge(runs[runs["settings"] == "best"][["run_id", "sequence"]])
+    (named,) = re.findall(r"% of the limit, at step (\d+) of (\S+) \(", " ".join(said.split()))
+    errors = steps[steps["sequence"] == named[1]].groupby("k")["error_move"].max()
+    assert errors[int(named[0])] == errors.max() > errors.median()
     assert set(runs["sequence"]) == {"calm-60-10[:300:8]", "move-60-10[:300:8]"}
     assert set(runs["settings"]) == {"default", "high", "best"} and len(runs) == 6
     searched = [load_results(folder).runs for folder in sorted(Path("out").glob("batch-??"))]
