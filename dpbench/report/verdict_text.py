@@ -47,6 +47,7 @@ from dpbench.report.formats import (
 )
 from dpbench.report.words import read_words
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
+from dpbench.solvers.settings import list_tolerances_left_at_default
 
 LEAST_POINTS = 3
 """Settings with the same options that count as a grid."""
@@ -152,8 +153,18 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) ->
     return (
         f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
         f"{plural(verdict.failed_steps, 'failed answer')}, p99 {format_time(verdict.p99_ns)}{why}."
-        f"{_describe_failing_modes(verdict, modes)}"
+        f"{_describe_tolerances_left(verdict)}{_describe_failing_modes(verdict, modes)}"
     )
+
+
+def _describe_tolerances_left(verdict: Verdict) -> str:
+    """Return a sentence on tolerances that settings with too large an error do not set; or ""."""
+    solver = verdict.configuration.solver
+    is_inaccurate = any(finding.kind == "inaccurate" for finding in verdict.causes)
+    if not is_inaccurate or find_solver_record_or_none(solver) is None:
+        return ""
+    left = list_tolerances_left_at_default(solver, _format_options_by_name(verdict))
+    return f" Left at {solver}'s default: {join_with_and(left)}." if left else ""
 
 
 def _describe_failing_modes(verdict: Verdict, modes: Sequence[Verdict]) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 from dpbench.errors import SettingsError, format_allowed_names
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_public_settings_attributes
-from dpbench.solvers.contract import DEFAULT, LEVELS, MID, TOLERANCES, Options, Settings
+from dpbench.solvers.contract import DEFAULT, HIGH, LEVELS, MID, TOLERANCES, Options, Settings
 from dpbench.solvers.table import find_solver_record
 
 
@@ -63,6 +63,18 @@ def parse_tolerance_preset_name(name: str) -> float | None:
     except ValueError:
         return None
     return tolerance if 0.0 < tolerance < 1.0 else None
+
+
+def list_tolerances_left_at_default(solver: str, options: Options) -> list[str]:
+    """Return the tolerances that options leave at the library's default though they set others.
+
+    Tolerances are what the solver's level `high` sets to that tolerance or to zero.
+    """
+    levels = find_solver_record(solver).levels
+    high = levels.get(HIGH, {}).items()
+    known = [k for k, value in high if type(value) is float and value in (0.0, TOLERANCES[HIGH])]
+    left = [name for name in known if name not in options]
+    return left if len(left) < len(known) else []
 
 
 def has_preset_or_tolerance(solver: str, name: str) -> bool:

@@ -175,6 +175,25 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
     assert best in text and "| osqp | native warm, rho=1.6 | fail |" in text
 
 
+@pytest.mark.parametrize(
+    ("own", "error", "left"),
+    [
+        ({"rho": 1.6, "eps_abs": 1e-5}, 0.33, " Left at osqp's default: eps_rel."),
+        ({"eps_abs": 1e-5, "eps_rel": 1e-5}, 0.33, ""),
+        ({"rho": 1.6}, 0.33, ""),
+        ({"eps_abs": 1e-5}, 1e-9, ""),
+    ],
+)
+def test_a_tolerance_that_inaccurate_settings_leave_is_named(
+    own: dict[str, float], error: float, left: str, records: Any
+) -> None:
+    options = {"settings": "mine", "options": json.dumps(own)}
+    records.loop("osqp", error=error, **options)
+    records.replay("osqp", error=error, **options)
+    line = records.ending()["options"]
+    assert ("Left at" in line) is bool(left) and left in line
+
+
 def test_a_grid_that_is_best_at_zero_cannot_be_widened(records: Any) -> None:
     for eps, error in ((0.0, 0.22), (1e-3, 0.33), (1e-2, 0.55)):
         options = {"settings": f"eps_rel={eps}", "options": json.dumps({"eps_rel": eps})}
