@@ -334,6 +334,14 @@ _WORDS: dict[str, str] = read_words(__file__)["findings"]
 _ENDINGS: dict[str, str] = read_words(__file__)["endings"]
 
 
+def _describe_ending(status: str, run: RunRecord) -> str:
+    """Return in words what ended failed steps of a run; of inaccurate answers, its iterations."""
+    ending = _ENDINGS.get(status, f"status {status}")
+    if status == "INACCURATE" and not isnan(run.iterations_max):
+        return f"{ending} after at most {format_count(run.iterations_max)} iterations"
+    return ending
+
+
 def describe_finding(finding: Finding) -> str:
     """Return one reason for a verdict, as a late or wrong step, as a clause."""
     words = {"value": finding.value, "steps": plural(finding.steps, "step")}
@@ -353,7 +361,7 @@ def describe_finding(finding: Finding) -> str:
         experiments=_name_experiments(finding.runs),
         detail=explain_outcome(first),
         number=format_count(finding.steps),
-        ending=_ENDINGS.get(finding.status, f"status {finding.status}"),
+        ending=_describe_ending(finding.status, first),
         outcome=first.outcome,
         planned=format_count(first.steps_planned),
         done=plural(first.steps_done, "step"),

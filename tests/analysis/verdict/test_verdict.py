@@ -8,10 +8,11 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.times.contrasts import compare_paired_times
-from dpbench.analysis.verdict.requirements import MISSED, Requirements
+from dpbench.analysis.verdict.requirements import MISSED, Finding, Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers, sort_fastest_first
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.verdict_text import (
+    describe_finding,
     describe_findings,
     describe_paired_times,
     describe_requirements,
@@ -72,6 +73,18 @@ def test_causes_in_words(
     verdict = _verdict(records, "daqp")
     assert verdict.state in MISSED
     assert clause in _why(verdict)
+
+
+@pytest.mark.parametrize(
+    ("most", "after"), [(4000, " after at most 4\u202f000 iterations"), (math.nan, "")]
+)
+def test_an_inaccurate_answer_is_named_with_the_most_iterations(
+    most: float, after: str, records: Any
+) -> None:
+    records.replay("osqp", iterations_max=most)
+    finding = Finding("failed", tuple(records.view().runs), 8.0, 2, status="INACCURATE")
+    ended = f"ended by an answer that the solver calls inaccurate{after}"
+    assert describe_finding(finding).endswith(ended)
 
 
 @pytest.mark.parametrize(
