@@ -46,6 +46,8 @@ MOST_USE = 1e8
 """Use for a load of all thrust beyond which the solvers' 1e-10 decides, and not the thrusters."""
 SPAN = 1e-9
 """Share of a load that may lie outside the span of the thrusters' forces: rounding."""
+RANK = 1e-13
+"""Share of the largest singular value below which another is rounding, and no direction."""
 TANGENTS = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
 """Directions of the first tangents of a circle [rad]."""
 OUTSIDE = 1e-10
@@ -144,7 +146,7 @@ class Utilisation:
 def _is_in_span(balance: Matrix, wanted: Vector) -> bool:
     """Return whether a force (3,) lies in the span of the thrusters' forces, balance (3, e)."""
     U, size, _ = np.linalg.svd(balance, full_matrices=False)
-    basis = U[:, size > SPAN * size[0]]
+    basis = U[:, size > RANK * size[0]]
     outside = wanted - basis @ (basis.T @ wanted)
     return bool(np.linalg.norm(outside) <= SPAN * np.linalg.norm(wanted))
 

@@ -155,6 +155,19 @@ def test_a_small_load_is_as_exact_as_a_large_one() -> None:
         assert use.least_use(-size * load, *posed) == np.inf
 
 
+def test_two_tunnels_a_millimetre_apart_make_a_moment() -> None:
+    """The second gives 1000 N for 1 N·m, of which the first takes back 999 N; it has 10 N."""
+    trio = (
+        Thruster("main", "main", -36.0, 0.0, 4e5, 8.0),
+        Thruster("dry", "tunnel", 0.0, 0.0, 1e4, 8.0),
+        Thruster("next", "tunnel", 1e-3, 0.0, 2.5e4, 8.0),
+    )
+    shares = np.array([1.0, 1e-3, 1.0])
+    load = np.array([0.0, -1.0, -1.0])
+    use = Utilisation(ThrusterSet(trio)).least_use(load, shares, (Piece(),) * 3, frozenset())
+    assert use == pytest.approx(99.9, rel=1e-6)
+
+
 def test_a_tunnel_in_the_bow_alone_is_held_straight_by_the_mains() -> None:
     """A tunnel 18 m ahead; mains 4 m off, with 100 kN astern each, balance a moment of 800 kN·m."""
     mains = [Thruster(f"main {y}", "main", -30.0, y, 200e3, 10.0, astern=0.5) for y in (-4.0, 4.0)]
