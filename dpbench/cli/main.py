@@ -233,16 +233,25 @@ def _gather_shards(arguments: argparse.Namespace) -> int:
 
 def _rewrite_report(arguments: argparse.Namespace) -> int:
     """Write the report of a result folder anew (`dpbench report`); return the exit code."""
+    from dpbench.bench.record.cell_store import count_batches_not_in_tables
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
 
     if arguments.against and arguments.solver is None:
         raise SituationError("--against", "name the solver to compare with these by --for SOLVER")
+    later = count_batches_not_in_tables(Path(arguments.dir))
+    interrupted = f"a later run was interrupted (batches of it in no table: {later})"
+    if later and arguments.statement:
+        raise SituationError(
+            "--statement", f"{interrupted}; finish it by the same `dpbench run` in {arguments.dir}"
+        )
     page, ending = write_report_with_summary(
         arguments.dir, **_collect_options(arguments, "dir", *HOW_TO_END)
     )
     if arguments.statement:
         ending = [*ending, ("statement", arguments.statement)]
+    if later:
+        ending = [("caution", f"{interrupted}: this report is of the run before"), *ending]
     return print_ending(page, ending, arguments)
 
 

@@ -57,6 +57,23 @@ def test_linked_files_are_replaced(records: Any, tmp_path: Path, link: Any) -> N
     assert "<html" in (out / "report.html").read_text("utf-8")
 
 
+def test_batches_of_an_interrupted_run_are_named(
+    records: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A report of the tables before it says so; a statement, which is signed, is refused."""
+    out, statement = _folder(records, tmp_path / "out"), tmp_path / "statement.svg"
+    (out / "cells").mkdir()
+    (out / "cells" / "part-00001-0a1b2c3d.parquet").write_bytes(b"")
+    assert main(["report", str(out)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "a later run was interrupted (batches of it in no table: 1)" in said
+    assert main(["report", str(out), "--statement", str(statement)]) == 2
+    assert "a later run was interrupted" in capsys.readouterr().err and not statement.exists()
+    (out / "cells" / "part-00001-0a1b2c3d.parquet").unlink()
+    assert main(["report", str(out), "--statement", str(statement)]) == 0
+    assert "run was interrupted" not in capsys.readouterr().out
+
+
 def test_files_of_others_beside_figures_and_tables_stay(records: Any, tmp_path: Path) -> None:
     out = _folder(records, tmp_path / "out")
     for name in ("figures/mine.svg", "tables/mine.csv"):

@@ -451,6 +451,12 @@ def read_finished_outcomes(out: Path) -> dict[str, str]:
     return _read_outcomes(PublicTables(out), parts)
 
 
+def count_batches_not_in_tables(out: Path) -> int:
+    """Return how many batches of a run that was interrupted are in `cells` and in no table."""
+    folder = out / "cells"
+    return len(_number_part_files(folder)) if folder.is_dir() and not folder.is_symlink() else 0
+
+
 def _number_part_files(folder: Path) -> dict[Path, int]:
     """Return the files of finished batches in a folder with their numbers, in this order."""
     numbers = {
