@@ -91,6 +91,8 @@ class RunRequest:
             if self.routes or self.policies:
                 solvers = choose_solvers(document, self.solvers)
                 remarks = check_call_modes(document, solvers, "routes" in keys)
+            if self.scenarios:
+                remarks += list_tables_left_out(document)
             cells = plan_suite(
                 document, solvers=self.solvers, scenarios=self.scenarios, beside=path.parent
             )
@@ -182,6 +184,13 @@ Model = TypeVar("Model", bound=BaseModel)
 def _copy_table_with(model: Model, **update: object) -> Model:
     """Return a copy of a table of a suite with some of its keys changed."""
     return model.model_copy(update=update)
+
+
+def list_tables_left_out(suite: SuiteFile) -> list[str]:
+    """Return a remark on the suite's tables of no scenario, which a choice of these leaves out."""
+    of_none = ("study", "recorded", "random", "capability")
+    tables = [f"[[{name}]]" for name in of_none if getattr(suite, name)]
+    return [f"left out by the choice of scenarios: {', '.join(tables)}"] if tables else []
 
 
 def _list_remarks(planned: Sequence[PlannedCell], choices: Sequence[str]) -> list[str]:

@@ -89,3 +89,10 @@ def test_a_call_mode_that_does_not_exist_is_refused(
 ) -> None:
     with pytest.raises(PolicyError, match=message):
         RunRequest(suite, **chosen).make_plan()  # type: ignore[arg-type] # mypy cannot type ** of one type
+
+
+def test_a_choice_of_scenarios_names_what_it_leaves_out() -> None:
+    chosen = RunRequest("thrusters", solvers=["daqp"], scenarios=["thrusters_move"]).make_plan()
+    assert "left out by the choice of scenarios: [[capability]]" in chosen.remarks
+    everything = RunRequest("thrusters", solvers=["daqp"]).make_plan()
+    assert not [remark for remark in everything.remarks if "left out" in remark]
