@@ -49,9 +49,8 @@ bench: setup ## run the standard suite (five to twelve minutes) and write its re
 full: setup ## run everything at full length with twenty replays (hours)
 	$(BIN)/dpbench run full
 
-# Tests of worker processes wait for a third of their time, which a third worker uses.
 test: setup ## run the tests: on both cores, then those that need a quiet machine
-	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not alone"
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m "not alone"
 	$(BIN)/python -m pytest -m alone $(ALONE)
 
 test-fast: setup ## run the quick tests, in about a minute

@@ -120,9 +120,7 @@ def pytest_configure(config: pytest.Config) -> None:
     worker = os.environ.get("PYTEST_XDIST_WORKER", "")
     if worker:
         cores = sorted(os.sched_getaffinity(0))
-        number = int(worker.removeprefix("gw"))
-        # One more than there are cores takes the time that the others wait, on whichever core.
-        os.sched_setaffinity(0, {cores[number]} if number < len(cores) else cores)
+        os.sched_setaffinity(0, {cores[int(worker.removeprefix("gw")) % len(cores)]})
         # Who times replays waits for whoever else runs cells on the machine, known by this folder.
         place = Path(tempfile.gettempdir()) / f"dpbench-tests-{os.getuid()}-{worker}"
         place.mkdir(exist_ok=True)
