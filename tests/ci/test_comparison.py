@@ -131,6 +131,7 @@ def test_without_a_quiet_run_there_is_no_ratio(count: int) -> None:
     assert (row.verdict, row.cells["ratio"]) == ("disturbed", "–")
 
 
+@pytest.mark.slow
 def test_the_interval_of_pairs_covers_what_runs_scatter() -> None:
     """Unchanged code whose runs scatter by 30 %: the truth is in nearly every interval."""
     rng, covered, wide = np.random.default_rng(5), 0, []

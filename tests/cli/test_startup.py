@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from dpbench.scenario.problem_files import find_problem_path
 
 HEAVY = {"pandas", "numba", "scipy.optimize", "scipy.sparse", "osqp"}
@@ -30,6 +32,7 @@ def _loaded(*commands: list[str]) -> list[tuple[str, set[str]]]:
     return [(printed, HEAVY & set(modules)) for printed, modules in answers]
 
 
+@pytest.mark.slow
 def test_a_quick_command_loads_nothing_heavy() -> None:
     shown = {
         "--help": "worst-case",
@@ -45,6 +48,7 @@ def test_a_quick_command_loads_nothing_heavy() -> None:
         assert not heavy, command
 
 
+@pytest.mark.slow
 def test_a_mistake_in_a_file_is_answered_before_anything_heavy(tmp_path: Path) -> None:
     commands = []
     for kind, name in (("scenarios", "turn"), ("vessels", "osv")):

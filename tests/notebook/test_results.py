@@ -179,6 +179,7 @@ def test_a_folder_without_steps_has_the_tables_of_its_report(
         stored.tables["study"]
 
 
+@pytest.mark.slow
 def test_the_reference_results_can_be_loaded() -> None:
     reference = load_results(Path(__file__).parents[2] / "results" / "reference")
     with pytest.raises(ResultsError, match=r"steps\.parquet: found no such file"):

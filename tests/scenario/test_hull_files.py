@@ -155,6 +155,7 @@ def test_a_file_that_kills_scipy_is_one_line(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_reader_that_is_killed_or_does_not_end_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

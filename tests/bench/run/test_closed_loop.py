@@ -237,6 +237,7 @@ def test_the_time_limit_keeps_the_steps(scenario: Scenario) -> None:
     assert 1 <= int(log.done[0]) < 40
 
 
+@pytest.mark.slow
 def test_waits_for_the_core_end_no_run(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     def slow(k: int, step: QPStep) -> Solution:
         time.sleep(0.01)

@@ -104,6 +104,7 @@ def test_threads_are_counted() -> None:
     assert running >= 1 and allowed >= 1
 
 
+@pytest.mark.slow
 def test_a_later_replay_of_a_process_counts_its_own_memory() -> None:
     log = RawLog.in_memory(make_replay_layout(1, 2, 1, 1))
     memory = footprint.MemoryWatch()

@@ -31,6 +31,7 @@ def one_core() -> Any:
     os.sched_setaffinity(0, before)
 
 
+@pytest.mark.slow
 def test_a_shared_core_is_waited_for(one_core: None) -> None:
     """Beside an endless loop, 100 ms of work wait for some 100 ms, and for no more than passed."""
     other = subprocess.Popen(
@@ -103,6 +104,7 @@ def test_hidden_waits_leave_the_limit_to_the_clock(monkeypatch: pytest.MonkeyPat
     assert limit.is_exceeded(1101)
 
 
+@pytest.mark.slow
 def test_the_waits_of_a_process_are_read_from_outside(one_core: None) -> None:
     """Two endless loops on one core wait for each other about half of the time."""
     loop = [sys.executable, "-c", "while True: pass"]

@@ -211,6 +211,7 @@ STEP = SHIP.largest_force_changes_per_sample(0.3)
 LIMIT = scenario().controller.make_increment_limiter()
 
 
+@pytest.mark.slow
 @settings(derandomize=True, max_examples=200)
 @given(
     st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7),

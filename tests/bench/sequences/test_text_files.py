@@ -47,6 +47,7 @@ def test_csv_tables_have_the_arrays_to_the_last_digit(tmp_path: Path) -> None:
     np.testing.assert_array_equal(l, problem.l)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper-30-5", "thruster_loss_soft-30-5", "thrusters_move-30-5"])
 def test_another_solver_reads_a_qps_file_and_finds_the_optimum(name: str, tmp_path: Path) -> None:
     """HiGHS has a reader of its own. Soft limits have slacks without an upper bound."""

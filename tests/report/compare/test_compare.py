@@ -183,6 +183,7 @@ def test_what_the_harness_lost_is_no_regression(make: Make) -> None:
         assert any(line.startswith("lost by the harness, not compared: ") for line in found.lines)
 
 
+@pytest.mark.slow
 def test_windows_of_hardest_steps_are_compared_by_accuracy_alone(
     make: Make, tmp_path: Path
 ) -> None:

@@ -219,6 +219,7 @@ def test_own_settings_are_judged_by_the_call_modes_that_ran_most(records: Any) -
     assert " native reuse fails: its first move is up to 0.33 of a rate-limit step off" in line
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solvers", [1, 12])
 def test_a_few_configurations_are_all_listed(records: Any, solvers: int) -> None:
     """The best of each solver where there are more than 24, and the count of the others."""

@@ -33,6 +33,7 @@ def _pair(records: Any, scenario: str = "paper", **law: Any) -> None:
     records.loop("unconstrained_clipped", scenario, formulation="none", **(baseline_law | law))
 
 
+@pytest.mark.slow
 def test_claims_of_the_paper_case(records: Any) -> None:
     _pair(records)
     _pair(records, "paper_tight", tail_m=9.0, settle_0p1m_s=np.inf)

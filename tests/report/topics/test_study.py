@@ -216,12 +216,14 @@ def test_failed_steps_of_runs_are_said(records: Any) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_mean_without_an_interval_has_no_ends(records: Any) -> None:
     found = _fill(records, points=1, seas=2)
     assert _drawn(found.figures[-1], "low_cm") in ([], [None])
     assert "(no interval)" in found.tables[0].rows[1][4]
 
 
+@pytest.mark.slow
 def test_each_factor_has_a_slope_in_table_figure_and_file(records: Any) -> None:
     """The 20 points are drawn from ranges; the error of one solver is the same at all of them."""
     found = _fill(records, points=20, seas=6)
@@ -242,6 +244,7 @@ def test_each_factor_has_a_slope_in_table_figure_and_file(records: Any) -> None:
     assert set(whole["measure"]) >= {"median step time", "95 % radial error"}
 
 
+@pytest.mark.slow
 def test_one_sea_that_carries_a_mean_is_visible(records: Any) -> None:
     """From 0 to 3 m the error falls by 1 cm in five seas of daqp and grows by 65 cm in the sixth.
 
@@ -287,6 +290,7 @@ def test_one_sea_that_carries_a_mean_is_visible(records: Any) -> None:
     assert texts["daqp"].endswith("]") and texts["osqp"] == "0 in every realisation"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("levels", [3, 7])
 def test_the_markdown_has_what_is_behind_and_the_first_effects(records: Any, levels: int) -> None:
     """Two configurations with an effect of each level after the first; osqp is 2 to 3 cm behind.
@@ -310,6 +314,7 @@ def test_the_markdown_has_what_is_behind_and_the_first_effects(records: Any, lev
     assert "its points" not in text
 
 
+@pytest.mark.slow
 def test_points_left_out_are_named(records: Any) -> None:
     """The exact loop leaves its station at point 0 of two, in one sea."""
     for point in (0, 1):
