@@ -82,7 +82,7 @@ def measure_tree(tree: Path, arguments: Sequence[str]) -> Measured:
         reason = f"pytest ended with exit code {code}: {' | '.join(lines[-SHOWN_LINES:])}"
         reason += _find_remedy(tree, output)
         # 0 and 1: every test was run to its end.
-        with suppress(InputError):
+        with suppress(InputError):  # `reason` is reported in place of an unreadable file
             if code <= 1:
                 return Measured(load_run(path))
     return Measured(BenchmarkRun(), reason)

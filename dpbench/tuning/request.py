@@ -325,7 +325,7 @@ def _repeat_finished_batches(
         return score_settings(settings, runs, request.solver.requirements)
 
     search = SettingsSearch(request.space, evaluate, request.seed)
-    with suppress(_NotFinishedError):
+    with suppress(_NotFinishedError):  # the forecast is made of the trials before it
         search.run(request.trials, request.start)
     return search, finished_s, wall_s
 
