@@ -261,7 +261,7 @@ def fetch_sources(name: str, version: str, sha256: str) -> Path:
     SituationError with the reason where it cannot be fetched or has another hash.
     """
     store = cache_folder("sources")
-    folder, archive = store / f"{name}-{version}", store / f"{name}-{version}.tar.gz"
+    archive, folder = store / f"{name}-{version}.tar.gz", store / f"{name}-{version}-{sha256[:16]}"
     if folder.is_dir():
         return folder
     if not archive.is_file():

@@ -1,5 +1,8 @@
 """Faults of a recipe, a setting or a source, each in one line."""
 
+import hashlib
+import io
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -59,6 +62,23 @@ def test_a_recipe_whose_sources_are_in_a_folder_of_the_user(tmp_path: Path) -> N
     assert (given.missing, given.source) == ("", tmp_path / "own")
     with pytest.raises(UnknownNameError, match=r"--source: found other; allowed: "):
         select_recipes([], [], {"other": tmp_path})
+
+
+def test_unpacked_sources_do_not_serve_another_hash(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recipe, "cache_folder", lambda name: tmp_path)
+    archive = tmp_path / "solver-1.0.tar.gz"
+    with tarfile.open(archive, "w:gz") as files:
+        member = tarfile.TarInfo("solver-1.0/main.c")
+        member.size = 4
+        files.addfile(member, io.BytesIO(b"int;"))
+    pinned = hashlib.sha256(archive.read_bytes()).hexdigest()
+    for _ in "12":
+        folder = fetch_sources("solver", "1.0", pinned)
+        assert (folder / "main.c").read_text() == "int;"
+    with pytest.raises(SituationError, match=r"solver-1.0.tar.gz: its hash is .*, not 0000"):
+        fetch_sources("solver", "1.0", 64 * "0")
 
 
 @pytest.mark.slow
