@@ -18,6 +18,10 @@ FAILED = "dpbench_failed"
 """Key of a JSON file: the reason of each benchmark that failed, by name."""
 IMPORTED = "dpbench_imported"
 """Key of a JSON file: the files of imported modules, of site-packages only top-level ones."""
+SELECTION = "dpbench_selection"
+"""Key of a JSON file: which tests the session was given."""
+COLLECTED = "dpbench_collected"
+"""Key of a JSON file: the number of benchmarks among the tests."""
 WRONG_ANSWERS = "wrong answers"
 """Beginning of the reason where a replay does not meet its requirements."""
 ALLOWED = "a JSON file of pytest-benchmark, written by --benchmark-json"
@@ -82,15 +86,46 @@ def _estimate_error(
 
 
 @dataclass(frozen=True)
+class Selection:
+    """Tests of a pytest session: node ids of its arguments, and of tests deselected as by -k."""
+
+    given: tuple[str, ...] = (".",)
+    deselected: frozenset[str] = frozenset()
+
+    @classmethod
+    def from_json_entry(cls, entry: Mapping[str, Iterable[str]]) -> "Selection":
+        """Return the selection in a JSON file; KeyError or TypeError if it is none."""
+        return cls(tuple(map(str, entry["given"])), frozenset(map(str, entry["deselected"])))
+
+    @property
+    def json_entry(self) -> dict[str, list[str]]:
+        """The selection as stored in a JSON file."""
+        return {"given": [*self.given], "deselected": sorted(self.deselected)}
+
+    def leaves_out(self, name: str) -> bool:
+        """Return True if a test was deselected, or is in none of the files that were given."""
+        file, _, own = name.partition("::")
+        for argument in self.given:
+            place, _, test = argument.partition("::")
+            is_named = not test or f"{own}[".startswith((f"{test}[", f"{test}::"))
+            if is_named and Path(file).is_relative_to(place):
+                return name in self.deselected
+        return True
+
+
+@dataclass(frozen=True)
 class BenchmarkRun:
     """The benchmarks of one run of pytest by name, and the reasons of those that failed.
 
     imported : files of the modules that `list_imported_files` found.
+    collected : number of benchmarks among the tests; None if unknown.
     """
 
     benchmarks: dict[str, Benchmark] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     imported: tuple[str, ...] = ()
+    selection: Selection = Selection()
+    collected: int | None = None
 
     @classmethod
     def from_json_entries(
@@ -144,6 +179,8 @@ def load_run(path: Path) -> BenchmarkRun:
         stored = json.loads(path.read_text(encoding="utf-8"))
         run = BenchmarkRun.from_json_entries(stored["benchmarks"], stored.get(FAILED, {}))
         run = replace(run, imported=tuple(map(str, stored.get(IMPORTED, ()))))
+        if SELECTION in stored:
+            run = replace(run, selection=Selection.from_json_entry(stored[SELECTION]))
     except OSError as error:
         raise InputError(str(path), "", error.strerror or "unreadable", ALLOWED) from error
     except (ValueError, TypeError, AttributeError) as error:

@@ -10,7 +10,7 @@ grow.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -186,11 +186,10 @@ def compare_runs(
     *,
     margin: float = MARGIN,
     allow_gone: bool = False,
-    left_out: Collection[str] = (),
 ) -> RunComparison:
     """Return a comparison of two revisions' runs, from (base, head) pairs taken by turns.
 
-    left_out : benchmarks that the head was not to run.
+    A benchmark that the head was not to run is not gone.
     """
     times = _assess_times(pairs, margin)
     was = {name for base, _ in pairs for name in base.names}
@@ -203,7 +202,8 @@ def compare_runs(
             verdict = WRONG_ANSWERS if failed[name].startswith(WRONG_ANSWERS) else NOT_TIMED
             rows.append(Row(name, verdict, remarks=(failed[name],)))
         elif name not in now:
-            rows.append(Row(name, NOT_RUN if name in left_out else GONE))
+            is_left_out = all(head.selection.leaves_out(name) for _, head in pairs)
+            rows.append(Row(name, NOT_RUN if is_left_out else GONE))
         elif name in times:
             rows.append(_judge_benchmark(name, pairs, *times[name]))
         else:

@@ -1,13 +1,22 @@
-"""Additions of a pytest session to its JSON file: failed benchmarks and imported files."""
+"""Additions of a pytest session to its JSON file: failed benchmarks, files, selected tests."""
 
 import json
-from collections.abc import Generator
+import os
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from dpbench.ci.benchmarks import FAILED, IMPORTED, find_source_files, list_imported_files
+from dpbench.ci.benchmarks import (
+    COLLECTED,
+    FAILED,
+    IMPORTED,
+    SELECTION,
+    Selection,
+    find_source_files,
+    list_imported_files,
+)
 
 
 class FailedBenchmarks:
@@ -15,7 +24,28 @@ class FailedBenchmarks:
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
+        self._deselected: set[str] = set()
+        self._collected = 0
         self.reasons: dict[str, str] = {}
+
+    def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
+        """Note what -k, -m and other options leave out."""
+        self._deselected.update(item.nodeid for item in items)
+
+    def pytest_collection_finish(self, session: pytest.Session) -> None:
+        """Count the benchmarks of a session."""
+        self._collected = sum(map(_is_benchmark, session.items))
+
+    @property
+    def selection(self) -> Selection:
+        """Tests that the session was given; an argument that is no path may name a package."""
+        given, root = [], self._config.rootpath
+        for argument in self._config.args:
+            place, colons, test = argument.partition("::")
+            path = (self._config.invocation_params.dir / place).resolve()
+            is_path = path.exists()
+            given.append(f"{os.path.relpath(path, root) if is_path else '.'}{colons}{test}")
+        return Selection(tuple(given), frozenset(self._deselected))
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(
@@ -23,16 +53,15 @@ class FailedBenchmarks:
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         """Store why a benchmark fails or cannot be set up; return pytest's report unchanged."""
         report = yield
-        is_benchmark = "benchmark" in getattr(item, "fixturenames", ())
-        if report.failed and is_benchmark and call.excinfo is not None:
+        if report.failed and _is_benchmark(item) and call.excinfo is not None:
             lines = str(call.excinfo.value).splitlines() or [call.excinfo.typename]
             self.reasons.setdefault(item.nodeid, lines[0])
         return report
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_benchmark_update_json(self, output_json: dict[str, Any]) -> None:
-        """Add failed benchmarks and imported files to the given JSON document, in place."""
-        output_json |= self._collect_failures_and_files()
+        """Add what this plug-in notes to the given JSON document, in place."""
+        output_json |= self._make_notes()
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self) -> None:
@@ -45,12 +74,18 @@ class FailedBenchmarks:
             return
         # Older releases of pytest-benchmark have opened the file.
         path = Path(getattr(target, "name", "")) if hasattr(target, "write") else Path(target)
-        content = json.dumps({"benchmarks": []} | self._collect_failures_and_files())
+        content = json.dumps({"benchmarks": []} | self._make_notes())
         path.write_text(content, encoding="utf-8")
 
-    def _collect_failures_and_files(self) -> dict[str, Any]:
-        """Return failed benchmarks and imported files, as stored in the benchmarks' JSON file."""
+    def _make_notes(self) -> dict[str, Any]:
+        """Return failed benchmarks, imported files and selected tests for the JSON file."""
         files = list_imported_files()
         if self._config.option.collectonly:
             files += find_source_files(self._config.rootpath / "src")
-        return {FAILED: self.reasons, IMPORTED: files}
+        notes = {FAILED: self.reasons, IMPORTED: files, COLLECTED: self._collected}
+        return notes | {SELECTION: self.selection.json_entry}
+
+
+def _is_benchmark(item: pytest.Item) -> bool:
+    """Return True if a test uses pytest-benchmark, as every test with `dpbench_replay` does."""
+    return "benchmark" in getattr(item, "fixturenames", ())

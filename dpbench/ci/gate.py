@@ -14,7 +14,7 @@ import argparse
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -33,13 +33,14 @@ from dpbench.ci.comparison import (
     describe_end,
     find_exact_changes,
 )
+from dpbench.ci.failures import FailedBenchmarks
 from dpbench.errors import InputError
 
 
 class SessionComparison:
     """Plug-in that compares a session's benchmarks with a stored run and fails on a regression."""
 
-    def __init__(self, config: pytest.Config, failed: Mapping[str, str]) -> None:
+    def __init__(self, config: pytest.Config, notes: FailedBenchmarks) -> None:
         self._path = Path(config.getoption("dpbench_compare"))
         self._margin: float = config.getoption("dpbench_margin")
         if not 0.0 < self._margin < 10.0:
@@ -48,12 +49,7 @@ class SessionComparison:
             self._baseline = load_run(self._path)
         except InputError as error:
             raise pytest.UsageError(f"--dpbench-compare: {error}") from error
-        self._deselected: set[str] = set()
-        self._config, self._failed, self._text = config, failed, StringIO()
-
-    def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
-        """Note what -k, -m and other options leave out."""
-        self._deselected.update(item.nodeid for item in items)
+        self._config, self._notes, self._text = config, notes, StringIO()
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
@@ -61,30 +57,17 @@ class SessionComparison:
         # No public hook has the benchmarks of a session that writes no JSON file.
         measured = self._config._benchmarksession.benchmarks  # type: ignore[attr-defined] # a private attribute
         entries = (one.as_dict() for one in measured if one and not one.has_error)
-        now = BenchmarkRun.from_json_entries(entries, self._failed)
+        now = BenchmarkRun.from_json_entries(entries, self._notes.reasons)
+        now = replace(now, selection=self._notes.selection)
         found = compare_runs(
             [(self._baseline, now)],
             margin=self._margin,
             allow_gone=self._config.getoption("dpbench_allow_gone"),
-            left_out=[name for name in self._baseline.names if self._is_left_out(name)],
         )
         lines = describe_end(found, str(self._path), "this session")
         found.print(Console(file=self._text, width=120), lines)
         if session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = found.exit_code(self._config.getoption("dpbench_disturbed_exit"))
-
-    def _is_left_out(self, name: str) -> bool:
-        """Return True if a benchmark was deselected or is of a file that pytest was not given."""
-        file, _, own = name.partition("::")
-        path = (self._config.rootpath / file).resolve()
-        for argument in self._config.args:
-            place, _, test = argument.partition("::")
-            given = (self._config.invocation_params.dir / place).resolve()
-            # What is no path may be a package, by --pyargs.
-            is_inside = path.is_relative_to(given) or not given.exists()
-            if is_inside and (not test or f"{own}[".startswith((f"{test}[", f"{test}::"))):
-                return name in self._deselected
-        return True
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Print the comparison with the stored run below pytest's table of benchmarks."""

@@ -57,7 +57,7 @@ def pytest_configure(config: pytest.Config) -> None:
             raise pytest.UsageError(f"--dpbench-compare: {NOT_UNDER_XDIST}")
         from dpbench.ci.gate import SessionComparison
 
-        comparison = SessionComparison(config, failures.reasons)
+        comparison = SessionComparison(config, failures)
         config.pluginmanager.register(comparison, "dpbench-comparison")
 
 

@@ -3,9 +3,10 @@
     python -m dpbench.ci.revisions BASE HEAD [--pairs 5] [--markdown FILE] [-- PYTEST ARGUMENTS]
 
 BASE and HEAD are working trees. pytest runs in each by turns, with `.venv/bin/python` of the tree
-where there is one. Pairs of runs that other load disturbed are repeated, each once at most. Exit 0:
-no regression shown, or a base without benchmarks; 1: a regression, wrong answers, a benchmark that
-failed or is gone; 2: bad input, or a tree whose benchmarks import files of the other; the code of
+where there is one. Pairs of runs that other load disturbed are repeated, each once at most; two
+such pairs in a row end the measurement. Exit 0: no regression shown, or a base without benchmarks;
+1: a regression, wrong answers, a benchmark that failed or is gone; 2: bad input, a tree without
+dpbench or with imports of files of the other, or no benchmark in either; the code of
 --disturbed-exit: disturbed by other load, no regression shown.
 """
 
@@ -27,7 +28,7 @@ from dpbench.bench.estimate import format_duration
 from dpbench.bench.record.machine import run_git
 from dpbench.bench.workers.interrupts import first_signal_only
 from dpbench.ci import DISTURBED_EXIT, MARGIN
-from dpbench.ci.benchmarks import IMPORTED, BenchmarkRun, is_in_site_packages, load_run
+from dpbench.ci.benchmarks import COLLECTED, IMPORTED, BenchmarkRun, is_in_site_packages, load_run
 from dpbench.ci.comparison import NOT_TIMED, Row, RunComparison, compare_runs
 from dpbench.errors import InputError, SituationError
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe
@@ -35,6 +36,10 @@ from dpbench.report.formats import plural
 
 REMEDY = 'install it in a .venv of each tree, or give pytest `pythonpath = ["src"]`'
 """Ways to have a tree measured with its own package."""
+ADVICE = (
+    "stopped after two disturbed pairs in a row: run again when no other program is at work, or on "
+    "another machine; --disturbed-exit sets the exit code of such a run"
+)
 SHOWN_LINES = 5
 """Last lines of a pytest run that has no benchmarks."""
 
@@ -52,10 +57,15 @@ class Measured:
         return not any(one.complaints for one in self.run.benchmarks.values())
 
 
+def _find_python(tree: Path) -> str:
+    """Return the path of the Python that measures a working tree."""
+    own = tree.resolve() / ".venv" / "bin" / "python"
+    return str(own) if own.exists() else sys.executable
+
+
 def _run_pytest(tree: Path, path: Path, arguments: Sequence[str]) -> tuple[int, str]:
     """Run pytest in a working tree, its JSON file to `path`; return exit code and output."""
-    own = tree.resolve() / ".venv" / "bin" / "python"
-    command = [str(own) if own.exists() else sys.executable, "-m", "pytest", "-q"]
+    command = [_find_python(tree), "-m", "pytest", "-q"]
     command += ["--rootdir=.", "--benchmark-only", f"--benchmark-json={path}", *arguments]
     done = subprocess.run(
         command, cwd=tree, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
@@ -64,13 +74,33 @@ def _run_pytest(tree: Path, path: Path, arguments: Sequence[str]) -> tuple[int, 
 
 
 def collect_imports(tree: Path, arguments: Sequence[str]) -> BenchmarkRun:
-    """Collect the tests of a working tree; return a run of none with the files they import."""
+    """Collect the tests of a working tree; return a run of none with the files they import.
+
+    SituationError where the Python of the tree has no dpbench with its extra `ci`.
+    """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "collected.json"
         _run_pytest(tree, path, ["--collect-only", *arguments])
         # A tree may have a dpbench that stores nothing here, or none.
-        stored = path.read_bytes() if path.exists() else b""
-    return BenchmarkRun(imported=tuple(json.loads(stored or "{}").get(IMPORTED, ())))
+        stored = json.loads((path.read_bytes() if path.exists() else b"") or "{}")
+    if not stored:
+        _require_dpbench(tree)
+    imported = tuple(stored.get(IMPORTED, ()))
+    return BenchmarkRun(imported=imported, collected=stored.get(COLLECTED))
+
+
+def _require_dpbench(tree: Path) -> None:
+    """Raise SituationError where the Python of a working tree has no dpbench for its tests."""
+    python = _find_python(tree)
+    command = [python, "-c", "import pytest, pytest_benchmark, dpbench.ci.plugin"]
+    done = subprocess.run(command, cwd=tree, capture_output=True, check=False)
+    if done.returncode:
+        last = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
+        raise SituationError(
+            str(tree),
+            f"{python} has no dpbench with its extra ci ({''.join(last)[:120]}): install "
+            "'dpbench[ci]' there",
+        )
 
 
 def measure_tree(tree: Path, arguments: Sequence[str]) -> Measured:
@@ -135,6 +165,9 @@ def measure_by_turns(
     files that its tests import show that.
     """
     collected = [collect_imports(tree, arguments) for tree in trees]
+    if not any(run.collected is None or run.collected for run in collected):
+        found = "no test with dpbench_replay or another benchmark in either tree"
+        raise InputError(" and ".join(map(str, trees)), "", found, "a working tree with benchmarks")
     require_imports_of_own_files(trees, (collected[0], collected[1]))
     pairs: list[tuple[Measured, Measured]] = []
     spent_s: list[float] = []
@@ -157,9 +190,17 @@ def measure_by_turns(
         if not base.run.benchmarks or not head.run.benchmarks or head.run.failed:
             break
         if not (base.is_quiet and head.is_quiet):
-            again = "repeated" if len(pairs) < 2 * count else "no repeat left"
+            is_last = len(pairs) == 2 * count
+            again = "no repeat left" if is_last or is_stopped_by_load(pairs) else "repeated"
             print(f"{pair} disturbed: {again}", file=sys.stderr)
+        if is_stopped_by_load(pairs):
+            break
     return pairs
+
+
+def is_stopped_by_load(pairs: Sequence[tuple[Measured, Measured]]) -> bool:
+    """Return whether other load disturbed the last two pairs of runs, so that no other follows."""
+    return len(pairs) > 1 and not _count_undisturbed_pairs(pairs[-2:])
 
 
 def _count_undisturbed_pairs(pairs: Sequence[tuple[Measured, Measured]]) -> int:
@@ -187,7 +228,7 @@ def compare_trees(
     base, head = pairs[-1]
     scope = found.describe_scope(*map(_name_tree, ("base", "head"), trees))
     by_turns = f"{plural(len(pairs), 'pair')} of runs by turns, {disturbed} of them disturbed"
-    lines = [f"{scope}; {by_turns}"]
+    lines = [f"{scope}; {by_turns}", *[ADVICE] * is_stopped_by_load(pairs)]
     if base.reason:
         lines.append(f"base: {base.reason}")
     if head.reason:

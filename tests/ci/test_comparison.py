@@ -1,11 +1,12 @@
 """Verdicts on runs of two revisions: disturbances, pairs of runs, answers, failures."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dpbench.ci.benchmarks import BenchmarkRun
+from dpbench.ci.benchmarks import BenchmarkRun, Selection
 from dpbench.ci.comparison import compare_runs, describe_end
 from dpbench.ci.machine_state import MachineState
 
@@ -159,12 +160,35 @@ def test_the_document_begins_with_the_verdict() -> None:
 def test_what_was_compared_is_counted() -> None:
     """Benchmarks of both, and how many each has; what the head was not to run is not gone."""
     base, head = run_of(entry("t"), entry("u"), entry("v")), run_of(entry("t"), new="TypeError")
-    found = compare_runs([(base, head)], left_out=["u", "v"])
+    found = compare_runs([(base, _without(head, "u", "v"))])
     assert found.describe_scope("base", "now") == "1 benchmark compared: base has 3, now has 2"
     assert found.headline.endswith(": 1 failed, not timed, 1 no change shown, 2 not run")
-    found = compare_runs([(base, run_of(entry("t")))], left_out=["u", "v"])
+    found = compare_runs([(base, _without(run_of(entry("t")), "u", "v"))])
     assert not found.worse and found.verdict == "no change shown"
-    assert compare_runs([(base, run_of(entry("t")))], left_out=["u"]).worse
+    assert compare_runs([(base, _without(run_of(entry("t")), "u"))]).worse
+
+
+def _without(run: BenchmarkRun, *names: str) -> BenchmarkRun:
+    """A run whose session deselected some tests."""
+    return replace(run, selection=Selection(deselected=frozenset(names)))
+
+
+@pytest.mark.parametrize(
+    ("given", "name", "is_left_out"),
+    [
+        (".", "tests/test_a.py::test_x[1]", False),
+        ("tests", "tests/test_a.py::test_x[1]", False),
+        ("tests/test_a.py", "tests/test_a.py::test_x", False),
+        ("tests/test_a.py", "tests/test_b.py::test_x", True),
+        ("tests/test_a.py::test_x", "tests/test_a.py::test_x[1]", False),
+        ("tests/test_a.py::test_x", "tests/test_a.py::test_xy", True),
+        ("tests/test_a.py::Case", "tests/test_a.py::Case::test_x", False),
+    ],
+)
+def test_a_selection_is_of_files_and_node_ids(given: str, name: str, is_left_out: bool) -> None:
+    """As pytest reads its arguments: a folder, a file, a class or a test with its parameters."""
+    assert Selection((given,)).leaves_out(name) is is_left_out
+    assert Selection((given,), frozenset([name])).leaves_out(name)
 
 
 @pytest.mark.parametrize(

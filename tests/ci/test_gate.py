@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from dpbench.ci import gate
+from dpbench.ci.benchmarks import SELECTION
 
 Write = Callable[..., Path]
 DESCRIBED = cache(gate.describe_machine)
@@ -127,6 +128,16 @@ def test_a_run_without_a_benchmark_of_the_baseline_fails(
     assert "gone (a benchmark of the base is missing or skipped): 10 gone, 10 new" in out
     arguments = [str(renamed), str(tmp_path / "baseline"), "--retries", "0", "--allow-gone"]
     assert gate.main(arguments) == 0
+
+
+def test_a_benchmark_that_the_session_left_out_is_not_gone(write: Write, tmp_path: Path) -> None:
+    """A file of `pytest -k` names the deselected tests; the gate compares the rest."""
+    part = write("later", count=9)
+    stored = json.loads(part.read_text("utf-8"))
+    assert judged(tmp_path, write("before"), part) == [0, 1]
+    stored[SELECTION] = {"given": ["test_x.py"], "deselected": ["test_x.py::test[9]"]}
+    part.write_text(json.dumps(stored), encoding="utf-8")
+    assert judged(tmp_path, part) == [0]
 
 
 def test_renewing_the_baseline(write: Write, tmp_path: Path) -> None:

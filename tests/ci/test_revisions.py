@@ -13,7 +13,13 @@ import pytest
 
 from dpbench.ci import plugin, revisions
 from dpbench.ci.benchmarks import BenchmarkRun, list_imported_files
-from dpbench.ci.revisions import Measured, main, measure_by_turns, require_imports_of_own_files
+from dpbench.ci.revisions import (
+    ADVICE,
+    Measured,
+    main,
+    measure_by_turns,
+    require_imports_of_own_files,
+)
 from dpbench.errors import InputError
 
 pytest.importorskip("pytest_benchmark", reason="is of the extra ci")
@@ -52,21 +58,24 @@ def trees(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "base", tmp_path / "head"
 
 
-def test_turns_alternate_and_disturbed_pairs_are_repeated(
+def test_turns_alternate_and_one_disturbed_pair_is_repeated(
     monkeypatch: pytest.MonkeyPatch,
     trees: tuple[Path, Path],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Three undisturbed pairs are wanted; with load that stays, twice as many are the most."""
-    order = stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=3)
-    assert len(measure_by_turns(trees, 3, [])) == 5
+    """Three undisturbed pairs are wanted; load that stays ends the measurement after two."""
+    order = stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=2)
+    assert len(measure_by_turns(trees, 3, [])) == 4
     assert order[:4] == ["base", "head", "head", "base"]
     lines = capsys.readouterr().err.splitlines()
     assert lines[2] == "pair 1 of 3 disturbed: repeated"
     assert lines[3].startswith("pair 1 of 3 (attempt 2 of at most 6), head: 0 s, about ")
-    assert len(lines) == 12
+    assert len(lines) == 9
     stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
-    assert len(measure_by_turns(trees, 3, [])) == 6
+    assert main([*map(str, trees), "--pairs", "3"]) == 0
+    found = capsys.readouterr()
+    assert found.err.splitlines()[-1] == "pair 1 of 3 disturbed: no repeat left"
+    assert "2 pairs of runs by turns, 2 of them disturbed\n" + ADVICE in found.out
 
 
 @pytest.mark.parametrize(
@@ -102,6 +111,28 @@ def test_a_missing_tree_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixtu
     """One line names it."""
     assert main([str(tmp_path / "none"), str(tmp_path)]) == 2
     assert "none: found no folder" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_tree_without_dpbench_or_benchmarks_is_refused_before_the_first_run(
+    trees: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line each: an environment of its own without dpbench, and no test that uses it."""
+    monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
+    monkeypatch.setattr(revisions, "measure_tree", lambda *_: pytest.fail("a run was started"))
+    loaded = ["-p", "no:xdist", "-p", "no:dpbench", "-p", plugin.__name__]
+    for tree in trees:
+        (tree / "test_it.py").write_text("def test_it(): pass\n", encoding="utf-8")
+    assert main([*map(str, trees), "--", *loaded]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "no test with dpbench_replay or another benchmark in either tree" in line
+    own = trees[0] / ".venv" / "bin" / "python"
+    own.parent.mkdir(parents=True)
+    own.write_text(f'#!/bin/sh\nexec {sys.executable} -S -E "$@"\n', encoding="utf-8")
+    own.chmod(0o755)
+    assert main([*map(str, trees), "--", *loaded]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"revisions: {trees[0]}: {own} has no dpbench with its extra ci (")
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from dpbench.ci.revisions import _build_parser
 from tests.docs.markdown_blocks import DOCS, blocks_of
 
 yaml: Any = pytest.importorskip("yaml", reason="is of the group docs")
@@ -61,3 +62,16 @@ def test_the_action_gives_every_input_to_its_scripts(action: dict[str, Any]) -> 
     """No input is without effect, and no script reads one that does not exist."""
     read = re.findall(r"\$\{\{ inputs\.([\w-]+) \}\}", ACTION.read_text(encoding="utf-8"))
     assert sorted(read) == sorted(action["inputs"])
+
+
+def test_every_option_of_revisions_is_an_input_and_the_guide_lists_all(
+    action: dict[str, Any],
+) -> None:
+    """With the default of the option; the comment is the action's own file."""
+    own = {one.dest.replace("_", "-"): one.default for one in _build_parser()._actions}
+    options = own.keys() - {"help", "base", "head", "markdown"}
+    assert options <= action["inputs"].keys()
+    defaults = {name: yaml.safe_load(action["inputs"][name]["default"]) for name in options}
+    assert defaults == {name: own[name] for name in options}
+    rows = re.findall(r"^\| `([\w-]+)` \|", (DOCS / "guide" / "ci.md").read_text("utf-8"), re.M)
+    assert sorted(rows) == sorted(action["inputs"])
