@@ -46,6 +46,7 @@ from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import Table, escape_markdown, strip_markdown
 from dpbench.report.open_losses import find_open_losses
+from dpbench.report.own_settings_text import describe_own_settings
 from dpbench.report.page.data import PageData
 from dpbench.report.page.live import draw_section_charts, select_static_charts
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
@@ -56,7 +57,6 @@ from dpbench.report.topics.study import yield_disturbance_sentences
 from dpbench.report.verdict_text import (
     describe_calibration,
     describe_disturbance,
-    describe_own_settings,
     describe_which_solvers_pass,
 )
 from dpbench.report.words import read_words, render_document

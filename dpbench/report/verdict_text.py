@@ -9,24 +9,21 @@ from math import isnan
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import RunSteps
-from dpbench.analysis.statistics import LEAST_STEPS
+from dpbench.analysis.statistics import LEAST_STEPS, Interval
 from dpbench.analysis.times.contrasts import PairedComparison
 from dpbench.analysis.times.machine import (
     find_largest_by_name,
     select_timed_replays,
     sum_disturbances,
 )
-from dpbench.analysis.verdict.requirements import STATES, Finding, Requirements, State
+from dpbench.analysis.verdict.requirements import Finding, Requirements, State
 from dpbench.analysis.verdict.verdict import (
-    MOST_OWN,
     SolverChoice,
     Verdict,
     Verdicts,
     explain_outcome,
     find_solver_record_or_none,
-    group_own_settings,
     list_best_verdict_of_each_solver,
-    list_best_verdict_of_own_settings,
 )
 from dpbench.bench.judge.calibration import is_within_tolerance
 from dpbench.bench.judge.rules import LEAST_STRETCH
@@ -34,7 +31,6 @@ from dpbench.bench.record.disturbance import Disturbance
 from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.report.formats import (
     MISSING,
-    as_float,
     describe_wait,
     format_count,
     format_error,
@@ -46,11 +42,7 @@ from dpbench.report.formats import (
     strip_markdown,
 )
 from dpbench.report.words import read_words
-from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
-from dpbench.solvers.settings import list_tolerances_left_at_default
 
-LEAST_POINTS = 3
-"""Settings with the same options that count as a grid."""
 MOST_NAMED = 3
 """Configurations that are named with their number of runs; of the others their number is."""
 NOBODY = "No solver was run, so there is nothing to judge."
@@ -119,102 +111,6 @@ def describe_main_reason(verdict: Verdict) -> str:
         return verdict.refusal
     first, *_ = verdict.causes or verdict.findings_that_bar_pass
     return strip_markdown(describe_finding(replace(first, runs=first.runs[:1])))
-
-
-def describe_own_settings(verdicts: Verdicts) -> list[str]:
-    """Return lines on the verdict on each settings of one's own, and the best of each grid."""
-    own = list_best_verdict_of_own_settings(verdicts)
-    modes = group_own_settings(verdicts).values()
-    shown = zip(own[:MOST_OWN], modes, strict=False)
-    lines = [_describe_verdict_on_settings(verdict, alike) for verdict, alike in shown]
-    others = len(own) - MOST_OWN
-    more = [f"{others} more settings: tables/verdicts.csv."] if others > 0 else []
-    return [*lines, *more, *describe_best_of_grids(own)]
-
-
-def _name_own_settings(verdict: Verdict) -> str:
-    """Return the name of a solver with one's own settings, as `osqp[rho=1.6]` or `osqp mine`."""
-    c = verdict.configuration
-    return f"{c.solver} {c.settings}" if c.options_text else f"{c.solver}[{c.settings}]"
-
-
-def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) -> str:
-    """Return verdict, error, failed steps and p99 of a solver at settings of one's own as text.
-
-    modes : verdicts on all call modes of these settings, of which the verdict is the best.
-    """
-    c = verdict.configuration
-    best = f", best of {len(modes)} call modes" if len(modes) > 1 else ""
-    name = f"{_name_own_settings(verdict)} ({c.route} {c.policy}{best})"
-    if verdict.refusal:
-        return f"{name}: {verdict.state}: {verdict.refusal}."
-    findings = verdict.causes or verdict.findings_that_bar_pass
-    why = f": {strip_markdown(describe_finding(findings[0]))}" if findings else ""
-    return (
-        f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
-        f"{plural(verdict.failed_steps, 'failed answer')}, p99 {format_time(verdict.p99_ns)}{why}."
-        f"{_describe_tolerances_left(verdict)}{_describe_failing_modes(verdict, modes)}"
-    )
-
-
-def _describe_tolerances_left(verdict: Verdict) -> str:
-    """Return a sentence on tolerances that settings with too large an error do not set; or ""."""
-    solver = verdict.configuration.solver
-    is_inaccurate = any(finding.kind == "inaccurate" for finding in verdict.causes)
-    if not is_inaccurate or find_solver_record_or_none(solver) is None:
-        return ""
-    left = list_tolerances_left_at_default(solver, _format_options_by_name(verdict))
-    return f" Left at {solver}'s default: {join_with_and(left)}." if left else ""
-
-
-def _describe_failing_modes(verdict: Verdict, modes: Sequence[Verdict]) -> str:
-    """Return in words the other call modes of the same settings that fail, with the reasons."""
-    return "".join(
-        f" {v.configuration.route} {v.configuration.policy} fails: "
-        f"{strip_markdown(describe_finding(v.causes[0]))}."
-        for v in modes
-        if v.state == "fail" and v is not verdict
-    )
-
-
-def describe_best_of_grids(own: Sequence[Verdict]) -> list[str]:
-    """Return lines on the best of three or more settings of a solver that set the same options.
-
-    Also the options of which it has the least or largest value that was tried.
-    """
-    grids = group_by_key(own, lambda v: (v.configuration.solver, tuple(_format_options_by_name(v))))
-    return [
-        _describe_best_of_grid(points) for points in grids.values() if len(points) >= LEAST_POINTS
-    ]
-
-
-def _format_options_by_name(verdict: Verdict) -> dict[str, str]:
-    """Return the options of a verdict's configuration as text, by name."""
-    return format_each_option_as_toml(decode_options_from_json(verdict.configuration.options))
-
-
-def _describe_best_of_grid(points: Sequence[Verdict]) -> str:
-    """Return a line on the best of a solver's settings, and whether it is at the grid's edge."""
-    best = min(points, key=_make_sort_key_in_grid)
-    edges = []
-    for option, value in _format_options_by_name(best).items():
-        numbers = (as_float(_format_options_by_name(verdict)[option]) for verdict in points)
-        tried = {number for number in numbers if math.isfinite(number)}
-        at = as_float(value)
-        # No option takes a value below zero: a zero is the least that is allowed.
-        ends = {min(tried), max(tried)} if len(tried) >= LEAST_POINTS else set()
-        if at in ends and not at == min(tried) <= 0.0:
-            edges.append(option)
-    edge = f", at the edge of the grid in {join_with_and(edges)}: widen it" if edges else ""
-    solver = best.configuration.solver
-    return f"Best of {len(points)} settings of {solver}: {best.configuration.settings}{edge}."
-
-
-def _make_sort_key_in_grid(verdict: Verdict) -> tuple[int, float]:
-    """Return a sort key: from pass to fail, then by time where it passes, else by error."""
-    in_time = verdict.state in ("pass", "borderline", "late")
-    figure = verdict.p99_ns if in_time else verdict.error_move
-    return STATES.index(verdict.state), figure if math.isfinite(figure) else math.inf
 
 
 def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
@@ -287,7 +183,28 @@ def format_usual_time(verdict: Verdict) -> str:
     name = "largest" if 0 < searched < LEAST_STRETCH else "p99"
     of = f" of {plural(searched, 'step')}, measured" if searched else ""
     where = strip_markdown(name_experiment(verdict.p99_run))
-    return f"{name} {format_time(verdict.p99_ns)}{of} in {where}"
+    note = describe_p99_interval(verdict)
+    between, after = ("", note) if searched else (note, "")
+    return f"{name} {format_time(verdict.p99_ns)}{between}{of} in {where}{after}"
+
+
+def describe_p99_interval(verdict: Verdict) -> str:
+    """Return the interval of a configuration's p99 in brackets, or why there is none; or ""."""
+    if verdict.p99_run is None or math.isnan(verdict.p99_ns):
+        return ""
+    if searched := verdict.p99_run.steps_searched_for_hardest:
+        is_p99 = searched >= LEAST_STRETCH
+        return " (no interval, as only the hardest steps were timed)" if is_p99 else ""
+    return format_p99_interval(verdict.p99_interval)
+
+
+def format_p99_interval(interval: Interval) -> str:
+    """Return the 95 % interval of a p99 step time [ns] in brackets; "" where there is none."""
+    if not interval.low > 0.0:
+        return ""
+    if not math.isfinite(interval.high):
+        return f" (95 %: above {format_time(interval.low)})"
+    return f" (95 %: {format_time(interval.low)} to {format_time(interval.high)})"
 
 
 def describe_paired_times(by_size: Sequence[PairedComparison], in_windows: int = 0) -> str:

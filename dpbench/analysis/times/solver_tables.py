@@ -61,6 +61,8 @@ def tabulate_verdicts(matrix: RunMatrix) -> pd.DataFrame:
                 "replay_p99_us": v.replay_p99_ns / 1e3,
                 "raw_p99_us": v.raw_p99_ns / 1e3,
                 "p99_us": v.p99_ns / 1e3,
+                "p99_low_us": v.p99_interval.low / 1e3,
+                "p99_high_us": v.p99_interval.high / 1e3,
                 "max_us": v.algo_max_ns / 1e3,
                 "raw_max_us": v.raw_max_ns / 1e3,
                 "timed_on": v.timed_on,

@@ -17,6 +17,7 @@ import numpy as np
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import RunSteps, StepTimes
+from dpbench.analysis.statistics import UNKNOWN, Interval, estimate_percentile_interval
 from dpbench.analysis.verdict.lateness import (
     LateTimings,
     Uncertainty,
@@ -161,6 +162,7 @@ def judge_replay_times(
     return findings, {
         "p50_ns": worst.algo.p50_ns,
         "p99_ns": p99.algo.p99_ns,
+        "p99_interval": _estimate_p99_interval_ns(records, p99.run),
         "p99_run": p99.run,
         "timed_on": worst.run.sequence,
         "rounds_ns": worst.rounds_ns,
@@ -170,6 +172,14 @@ def judge_replay_times(
         "max_run": hardest.run,
         "raw_max_ns": max(one.raw_max_ns for one in figures),
     }
+
+
+def _estimate_p99_interval_ns(records: Records, run: RunRecord) -> Interval:
+    """Return a replay's p99 step time with its 95 % interval [ns]; UNKNOWN of a window."""
+    times = records.get_step_times(run)
+    if times is None or run.steps_searched_for_hardest:
+        return UNKNOWN
+    return estimate_percentile_interval(times.algo_ns, 99)
 
 
 def compute_p99_ns(run: RunRecord, algo_ns: Floats) -> float:

@@ -23,6 +23,7 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
+from dpbench.analysis.statistics import UNKNOWN, Interval
 from dpbench.analysis.verdict import time_findings
 from dpbench.analysis.verdict.requirements import (
     DOUBTS,
@@ -53,7 +54,8 @@ class Verdict:
     loops, replays, windows : how many of its runs were judged; is_beside_study : whether its folder
         has a study, whose loops are judged apart.
     steps : the steps with a judged answer; error_move : their largest error of the first move.
-    p99_ns : largest p99 of the algorithmic step time, in the replay or window `p99_run`.
+    p99_ns : largest p99 of the algorithmic step time, in the replay or window `p99_run`, with
+        `p99_interval` [ns]; unknown in a window, whose other steps were not timed.
     p50_ns : on the sequence `timed_on`, of those replayed whole the one of the worst p99, or of the
         worst p50 where none supports a p99.
     rounds_ns, replay_p99_ns, raw_p99_ns : there, median of the fastest and of the slowest round,
@@ -78,6 +80,7 @@ class Verdict:
     failed_steps: int = 0
     p50_ns: float = math.nan
     p99_ns: float = math.nan
+    p99_interval: Interval = UNKNOWN
     p99_run: RunRecord | None = None
     timed_on: str = ""
     rounds_ns: tuple[float, float] = (math.nan, math.nan)

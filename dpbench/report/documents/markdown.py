@@ -36,6 +36,7 @@ from dpbench.report.formats import (
     one_line,
     strip_markdown,
 )
+from dpbench.report.own_settings_text import describe_best_of_grids
 from dpbench.report.page.data import PageData
 from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
@@ -43,12 +44,12 @@ from dpbench.report.ship_text import ShipSummary
 from dpbench.report.topics.study import yield_disturbance_sentences
 from dpbench.report.verdict_text import (
     describe_answer,
-    describe_best_of_grids,
     describe_findings,
     describe_hardest_wait,
     describe_paired_times,
     describe_requirements,
     describe_which_solvers_pass,
+    format_p99_interval,
     name_experiment,
 )
 
@@ -186,6 +187,8 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
     hardest = {v.configuration.label: _where(v.max_run) for v in timed}
     if len({*usual.values()}) > 1:
         yield f"p50 and p99 are of {_most_and_others(usual)}."
+    if any(v.p99_run is not None and v.p99_run.steps_searched_for_hardest for v in timed):
+        yield "A p99 of hardest steps has no interval, as the other steps were not timed."
     for name, found in (("worst p99", worst), ("hardest step", hardest)):
         if any(found[label] != usual[label] for label in found):
             yield f"The {name} is in {_most_and_others(found)}."
@@ -227,7 +230,7 @@ def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[
             format_time(verdict.p50_ns),
             format_time(verdict.replay_p99_ns),
             format_time(verdict.raw_p99_ns),
-            format_time(verdict.p99_ns),
+            format_time(verdict.p99_ns) + format_p99_interval(verdict.p99_interval),
             format_time(verdict.algo_max_ns) + describe_hardest_wait(data.records, verdict.max_run),
             MISSING
             if margin is None

@@ -52,6 +52,7 @@ from dpbench.report.verdict_text import (
     describe_disturbance,
     describe_hardest_wait,
     describe_judged_runs,
+    describe_p99_interval,
     describe_requirements,
     describe_selection,
     describe_stopped_runs,
@@ -223,6 +224,7 @@ def _fill_statement(
         unmet=describe_unmet(ships, known),
         compared=[
             f"{solver} {versions[solver]} {v.state}, p99 {format_time(v.p99_ns)}"
+            + describe_p99_interval(v)
             + (f" ({Recommendation.why(v)})" if v.state == "inconclusive" else "")
             for v in list_best_verdict_of_each_solver(data.verdicts)
             for solver in [v.configuration.solver]

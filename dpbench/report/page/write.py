@@ -39,7 +39,11 @@ from dpbench.report.page.recommendation import Recommendation, format_python_cal
 from dpbench.report.page.section import Topic
 from dpbench.report.page.terms import GlossaryEntry, Terms, describe_experiments
 from dpbench.report.page.vendored import list_vendored_scripts, read_script
-from dpbench.report.verdict_text import describe_hardest_wait, describe_longest_wait
+from dpbench.report.verdict_text import (
+    describe_hardest_wait,
+    describe_longest_wait,
+    describe_p99_interval,
+)
 from dpbench.report.words import topics as glossary
 
 
@@ -100,7 +104,7 @@ def _describe_configuration(
         "replay_p99": None if v is None else convert_to_json_number(v.replay_p99_ns),
         "raw_p99": None if v is None else convert_to_json_number(v.raw_p99_ns),
         "p50_in": "" if v is None else v.timed_on,
-        "p99_in": "" if v is None else v.sequence_of_largest_p99,
+        "p99_in": "" if v is None else v.sequence_of_largest_p99 + describe_p99_interval(v),
         "error": None if v is None else convert_to_json_number(v.error_move),
         "failed": None if v is None else v.failed_steps,
         "timed_experiment_index": None if v is None else data.find_timed_experiment_index(v),

@@ -9,7 +9,11 @@ import numpy as np
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import RunSteps
-from dpbench.analysis.statistics import Interval, estimate_paired_time_ratio
+from dpbench.analysis.statistics import (
+    Interval,
+    estimate_paired_time_ratio,
+    estimate_percentile_interval,
+)
 from dpbench.analysis.times.contrasts import (
     compare_routes,
     count_wins_of_formulations,
@@ -22,7 +26,7 @@ from dpbench.analysis.verdict.requirements import (
     is_right_on_every_step,
     is_right_to_the_end,
 )
-from dpbench.bench.judge.rules import median_of_known, percentile_or_nan
+from dpbench.bench.judge.rules import median_of_known
 from dpbench.bench.record.cell import sort_key_of_settings
 from dpbench.report.formats import (
     MISSING,
@@ -35,7 +39,7 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.page.section import Topic
-from dpbench.report.verdict_text import describe_answer
+from dpbench.report.verdict_text import describe_answer, format_p99_interval
 
 
 def build_routes_topic(records: Records) -> Topic | None:
@@ -144,7 +148,8 @@ def build_race_topic(records: Records) -> Topic | None:
         options = run.configuration.call_text
         wording.append(f"{_format_ratio(ratio)} in {run.sequence} ({options})")
         p50 = [format_time(median_of_known(times.algo_ns)) for times in both]
-        p99 = [format_time(percentile_or_nan(times.algo_ns, 99)) for times in both]
+        tails = [estimate_percentile_interval(times.algo_ns, 99) for times in both]
+        p99 = [f"{format_time(tail.value)}{format_p99_interval(tail)}" for tail in tails]
         rows.append((run.sequence, options, *p50, *p99, _format_ratio(ratio)))
     times = [f"{solver} {time}" for time in ("p50", "p99") for solver in (first, second)]
     head = ("sequence", "call mode", *times, "ratio (95 %)")

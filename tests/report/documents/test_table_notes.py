@@ -48,6 +48,7 @@ def test_the_replays_of_worst_p99_and_hardest_step_are_named() -> None:
     )
     turn = "the hardest steps of turn, but for scs (native warm) (move)"
     assert notes == [
+        "A p99 of hardest steps has no interval, as the other steps were not timed.",
         f"The worst p99 is in {turn}.",
         f"The hardest step is in {turn} and piqp (native warm) (the hardest steps of rough).",
     ]

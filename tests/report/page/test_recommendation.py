@@ -4,9 +4,11 @@ import json
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.times.solver_tables import tabulate_verdicts
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import (
     choose_solver,
@@ -125,7 +127,11 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
 @pytest.mark.parametrize(
     ("of", "time"),
     [
-        (450, "p99 {} of 450 steps, measured in the hardest steps of paper"),
+        (
+            450,
+            "p99 {} of 450 steps, measured in the hardest steps of paper (no interval, as only the "
+            "hardest steps were timed)",
+        ),
         (60, "largest {} of 60 steps, measured in the hardest steps of paper"),
     ],
 )
@@ -333,6 +339,25 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     assert records.ending()["next"].startswith("scs (qpsolvers fresh), p99 ")
     licence = "Licence: MIT; language: C, library-free; C code: yes, it writes its workspace as C."
     assert notes["aboard"] == licence
+
+
+def test_the_p99_of_a_replay_has_its_interval(records: Any) -> None:
+    """The interval is that of order statistics of the replay's step times; it holds the p99."""
+    for solver, median_us in (("daqp", 20.0), ("scs", 90.0)):
+        records.loop(solver)
+        records.replay(solver, steps=2000, median_us=median_us)
+    view = records.view()
+    (verdict,) = judge_solvers(view, Requirements()).of["daqp"]
+    ordered = np.sort(view.get_step_times(verdict.p99_run).algo_ns)
+    low, high = verdict.p99_interval.low, verdict.p99_interval.high
+    assert {low, high} < {*ordered} and low < verdict.p99_ns < high
+    interval = (
+        f"p99 {format_time(verdict.p99_ns)} (95 %: {format_time(low)} to {format_time(high)})"
+    )
+    answer = _answer(records)
+    assert interval in answer.sentence and " (95 %: " in dict(answer.notes)["next"]
+    row = tabulate_verdicts(_facts(records)).iloc[0]
+    assert (row["p99_low_us"], row["p99_high_us"]) == (low / 1e3, high / 1e3)
 
 
 def test_code_in_python_alone_is_no_recommendation(records: Any) -> None:

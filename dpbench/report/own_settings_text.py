@@ -1,0 +1,126 @@
+"""Verdicts on settings of one's own in plain words, and the best of each grid of them."""
+
+import math
+from collections.abc import Sequence
+
+from dpbench.analysis.records.run_record import group_by_key
+from dpbench.analysis.verdict.requirements import STATES
+from dpbench.analysis.verdict.verdict import (
+    MOST_OWN,
+    Verdict,
+    Verdicts,
+    find_solver_record_or_none,
+    group_own_settings,
+    list_best_verdict_of_own_settings,
+)
+from dpbench.report.formats import (
+    as_float,
+    format_error,
+    format_time,
+    join_with_and,
+    plural,
+    strip_markdown,
+)
+from dpbench.report.verdict_text import describe_finding, describe_p99_interval
+from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
+from dpbench.solvers.settings import list_tolerances_left_at_default
+
+LEAST_POINTS = 3
+"""Settings with the same options that count as a grid."""
+
+
+def describe_own_settings(verdicts: Verdicts) -> list[str]:
+    """Return lines on the verdict on each settings of one's own, and the best of each grid."""
+    own = list_best_verdict_of_own_settings(verdicts)
+    modes = group_own_settings(verdicts).values()
+    shown = zip(own[:MOST_OWN], modes, strict=False)
+    lines = [_describe_verdict_on_settings(verdict, alike) for verdict, alike in shown]
+    others = len(own) - MOST_OWN
+    more = [f"{others} more settings: tables/verdicts.csv."] if others > 0 else []
+    return [*lines, *more, *describe_best_of_grids(own)]
+
+
+def _name_own_settings(verdict: Verdict) -> str:
+    """Return the name of a solver with one's own settings, as `osqp[rho=1.6]` or `osqp mine`."""
+    c = verdict.configuration
+    return f"{c.solver} {c.settings}" if c.options_text else f"{c.solver}[{c.settings}]"
+
+
+def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) -> str:
+    """Return verdict, error, failed steps and p99 of a solver at settings of one's own as text.
+
+    modes : verdicts on all call modes of these settings, of which the verdict is the best.
+    """
+    c = verdict.configuration
+    best = f", best of {len(modes)} call modes" if len(modes) > 1 else ""
+    name = f"{_name_own_settings(verdict)} ({c.route} {c.policy}{best})"
+    if verdict.refusal:
+        return f"{name}: {verdict.state}: {verdict.refusal}."
+    findings = verdict.causes or verdict.findings_that_bar_pass
+    why = f": {strip_markdown(describe_finding(findings[0]))}" if findings else ""
+    return (
+        f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
+        f"{plural(verdict.failed_steps, 'failed answer')}, p99 {format_time(verdict.p99_ns)}"
+        f"{describe_p99_interval(verdict)}{why}."
+        f"{_describe_tolerances_left(verdict)}{_describe_failing_modes(verdict, modes)}"
+    )
+
+
+def _describe_tolerances_left(verdict: Verdict) -> str:
+    """Return a sentence on tolerances that settings with too large an error do not set; or ""."""
+    solver = verdict.configuration.solver
+    is_inaccurate = any(finding.kind == "inaccurate" for finding in verdict.causes)
+    if not is_inaccurate or find_solver_record_or_none(solver) is None:
+        return ""
+    left = list_tolerances_left_at_default(solver, _format_options_by_name(verdict))
+    return f" Left at {solver}'s default: {join_with_and(left)}." if left else ""
+
+
+def _describe_failing_modes(verdict: Verdict, modes: Sequence[Verdict]) -> str:
+    """Return in words the other call modes of the same settings that fail, with the reasons."""
+    return "".join(
+        f" {v.configuration.route} {v.configuration.policy} fails: "
+        f"{strip_markdown(describe_finding(v.causes[0]))}."
+        for v in modes
+        if v.state == "fail" and v is not verdict
+    )
+
+
+def describe_best_of_grids(own: Sequence[Verdict]) -> list[str]:
+    """Return lines on the best of three or more settings of a solver that set the same options.
+
+    Also the options of which it has the least or largest value that was tried.
+    """
+    grids = group_by_key(own, lambda v: (v.configuration.solver, tuple(_format_options_by_name(v))))
+    return [
+        _describe_best_of_grid(points) for points in grids.values() if len(points) >= LEAST_POINTS
+    ]
+
+
+def _format_options_by_name(verdict: Verdict) -> dict[str, str]:
+    """Return the options of a verdict's configuration as text, by name."""
+    return format_each_option_as_toml(decode_options_from_json(verdict.configuration.options))
+
+
+def _describe_best_of_grid(points: Sequence[Verdict]) -> str:
+    """Return a line on the best of a solver's settings, and whether it is at the grid's edge."""
+    best = min(points, key=_make_sort_key_in_grid)
+    edges = []
+    for option, value in _format_options_by_name(best).items():
+        numbers = (as_float(_format_options_by_name(verdict)[option]) for verdict in points)
+        tried = {number for number in numbers if math.isfinite(number)}
+        at = as_float(value)
+        # No option takes a value below zero: a zero is the least that is allowed.
+        ends = {min(tried), max(tried)} if len(tried) >= LEAST_POINTS else set()
+        if at in ends and not at == min(tried) <= 0.0:
+            edges.append(option)
+    edge = f", at the edge of the grid in {join_with_and(edges)}: widen it" if edges else ""
+    solver = best.configuration.solver
+    return f"Best of {len(points)} settings of {solver}: {best.configuration.settings}{edge}."
+
+
+def _make_sort_key_in_grid(verdict: Verdict) -> tuple[int, float]:
+    """Return a sort key: from pass to fail, then by time where it passes, else by error."""
+    in_time = verdict.state in ("pass", "borderline", "late")
+    figure = verdict.p99_ns if in_time else verdict.error_move
+    return STATES.index(verdict.state), figure if math.isfinite(figure) else math.inf
