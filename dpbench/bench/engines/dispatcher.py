@@ -61,8 +61,9 @@ class Dispatcher:
     def yield_results_of_jobs(self, jobs: Sequence[CellJob]) -> Iterator[Result]:
         """Do all runs on the engine; yield exactly one result per run."""
         self._uses = Counter(job.source_key for job in jobs)
+        # Of all kinds: a source that serves loops is as long as later replays need it.
+        self._of_key = group_by_source(jobs)
         for kind, alike in _yield_kinds_and_jobs(jobs):
-            self._of_key = group_by_source(alike)
             self._left = Counter(job.source_key for job in alike)
             self._waiting.extend(split_into_batches(kind, alike, self._engine.slots))
             for batch, results in self._yield_completed_batches():
