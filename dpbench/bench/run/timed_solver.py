@@ -158,7 +158,7 @@ class TimedSolver:
 
     @property
     def pending_wait_ns(self) -> int:
-        """Time waited for the core since the end of the last answer [ns]; 0 if unknown."""
+        """Time waited for the core since the step began [ns]; 0 if unknown."""
         return self._run_delay.pending_ns
 
     @property
@@ -192,6 +192,8 @@ class TimedSolver:
         t1 = t2 = t3 = t0 = -1
         setup_every_step, (n, m) = workspace.setup_every_step, self.size
         qp = self._restore_overwritten_problem().at(step) if setup_every_step else self._given
+        # Waits before the step end here, so that none is booked on it.
+        self._run_delay.read_wait_since_last_call_ns()
         try:
             t0 = clock()
             if setup_every_step:
@@ -216,7 +218,6 @@ class TimedSolver:
             t1, t2, t3 = (now if t < 0 else t for t in (t1, t2, t3))
             detail = f"{type(error).__name__}: {error}"
             solution = Solution.without_point(n, m, Status.ERROR, detail)
-        # Behind the clock. A wait before t0 counts too, which makes no step look slower.
         self.waited_ns = min(self._run_delay.read_wait_since_last_call_ns(), t3 - t0)
         prepared = t1 - t0
         handed_over = (prepared, -1) if setup_every_step else (-1, prepared)

@@ -19,6 +19,7 @@ from dpbench.bench.run.formulation import BoxFormulation
 from dpbench.bench.run.slow_computer import return_zero_usage
 from dpbench.bench.run.timed_solver import (
     HANG_DETAIL,
+    RunDelay,
     TimedSolver,
     raise_at_step_limit,
 )
@@ -78,6 +79,28 @@ def test_what_runs_python_is_interrupted_and_set_up_anew(catches: bool) -> None:
         solver.reset()
         assert workspace.setups == 2
         assert solver.answer(STEP).status is Status.SOLVED
+
+
+@pytest.mark.parametrize("every_step", [False, True])
+def test_only_waits_within_a_step_are_booked_on_it(
+    every_step: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 50 ms of waits before a step nothing, of 70 ns within it all."""
+    total_ns = [1000]
+
+    class Waiting(Spinning):
+        def solve(self) -> None:
+            total_ns[0] += 70
+
+    monkeypatch.setattr(RunDelay, "read_total_ns", lambda self: total_ns[0])
+    workspace = Waiting(catches=False)
+    workspace.setup_every_step = every_step
+    solver = timed(workspace)
+    solver.prepare()
+    for _ in range(3):
+        total_ns[0] += 50_000_000
+        solver.answer(STEP)
+        assert solver.waited_ns == 70
 
 
 def test_an_alarm_outside_of_a_step_is_none() -> None:
