@@ -152,7 +152,7 @@ def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, i
         finished = finished[finished.index.isin(read) | (finished["steps_done"] == 0)]
         rows = add_loop_ratios(wanted.make_rows(finished)[list(RUN_COLUMNS)])
         runs = convert_to_run_columns(rows.assign(**make_study_value_columns(rows)))
-        store.public.write(runs_from_frame(runs), steps)
+        store.public.write(runs_from_frame(runs), steps, store.last_part)
     finally:
         steps.close()
         steps.path.unlink(missing_ok=True)

@@ -233,13 +233,13 @@ def _gather_shards(arguments: argparse.Namespace) -> int:
 
 def _rewrite_report(arguments: argparse.Namespace) -> int:
     """Write the report of a result folder anew (`dpbench report`); return the exit code."""
-    from dpbench.bench.record.cell_store import count_batches_not_in_tables
+    from dpbench.bench.record.cell_store import count_batches_newer_than_tables
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
 
     if arguments.against and arguments.solver is None:
         raise SituationError("--against", "name the solver to compare with these by --for SOLVER")
-    later = count_batches_not_in_tables(Path(arguments.dir))
+    later = count_batches_newer_than_tables(Path(arguments.dir))
     interrupted = f"a later run was interrupted (batches of it in no table: {later})"
     if later and arguments.statement:
         raise SituationError(

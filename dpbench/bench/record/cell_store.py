@@ -62,6 +62,8 @@ CHECKED_ROWS = 512
 _FINISHED = sorted(set(OUTCOMES) - {"lost", "invalid"})
 _CHECKSUM_KEY = "steps_crc32"
 """Key in the metadata of `runs.parquet` that holds the checksum of the file of its steps."""
+_LAST_PART_KEY = "last_part"
+"""Key there that holds the number of the last part before it was written; later ones are newer."""
 _PART = re.compile(r"part-(?P<number>\d{5}|[1-9]\d{5,8})-(?P<crc32>[0-9a-f]{8})\.parquet")
 _UNFINISHED_FILE = re.compile(
     r"(?:part-|exact-|design-)[\w-]+(?:\.\w+)*\.part|exact-\w+(?:\.part)+\.npz"
@@ -177,17 +179,31 @@ class PublicTables(Source):
 
     def is_undamaged(self) -> bool:
         """Return whether `steps.parquet` has the checksum noted in `runs.parquet`."""
-        try:
-            metadata = pq.read_metadata(self.runs).metadata or {}
-        except DAMAGE:
-            return False
-        return metadata.get(_CHECKSUM_KEY.encode()) == b"%08x" % _compute_crc32_of_file(self.steps)
+        found = self._read_metadata().get(_CHECKSUM_KEY.encode())
+        return found == b"%08x" % _compute_crc32_of_file(self.steps)
 
-    def write(self, rows: pa.Table, steps: "StepFile") -> None:
-        """Move a finished file of steps to `steps.parquet`, then write `runs.parquet`."""
+    def read_last_part_number(self) -> int:
+        """Return the number of the last part that is no newer than these tables; 0 if unknown."""
+        found = self._read_metadata().get(_LAST_PART_KEY.encode(), b"")
+        # Of a foreign folder it may have any length; names of parts have nine digits at most.
+        return int(found) if found.isdigit() and len(found) < 10 else 0
+
+    def _read_metadata(self) -> dict[bytes, bytes]:
+        """Return the metadata of `runs.parquet`; none where it is damaged or missing."""
+        try:
+            return pq.read_metadata(self.runs).metadata or {}
+        except DAMAGE:
+            return {}
+
+    def write(self, rows: pa.Table, steps: "StepFile", last_part: int) -> None:
+        """Move a finished file of steps to `steps.parquet`, then write `runs.parquet`.
+
+        last_part : number of the last part that is written so far.
+        """
         steps.close()
         rename_durably(steps.path, self.steps)
-        write_runs(self.runs, rows, {_CHECKSUM_KEY: f"{steps.crc32:08x}"})
+        noted = {_CHECKSUM_KEY: f"{steps.crc32:08x}", _LAST_PART_KEY: str(last_part)}
+        write_runs(self.runs, rows, noted)
 
     def remove(self) -> None:
         """Delete `runs.parquet` and `steps.parquet`."""
@@ -339,7 +355,8 @@ class StepFile:
 class CellStore:
     """The finished runs of a result folder: its result tables, and files of newer batches.
 
-    `folder` holds the part files; `finished` has the outcome of each finished cell, by run_id.
+    `folder` holds the part files, `last_part` is the number of the latest; `finished` has the
+    outcome of each finished cell, by run_id.
     """
 
     def __init__(self, out: Path) -> None:
@@ -350,7 +367,7 @@ class CellStore:
         self._delete_unfinished_files()
         numbers = _number_part_files(self.folder)
         self.parts = [Part(path) for path in numbers]
-        self._next = max(numbers.values(), default=0) + 1
+        self.last_part = max(self.public.read_last_part_number(), *numbers.values(), 0)
         self._before: set[Source] = {self.public, *self.parts}
         self._latest = b""
         self.finished = _read_outcomes(self.public, self.parts)
@@ -383,10 +400,10 @@ class CellStore:
         """Write the file of a batch's finished runs, once; OSError where there is no room."""
         if part.data == self._latest:
             return
-        name = f"part-{self._next:05d}-{zlib.crc32(part.data):08x}.parquet"
+        name = f"part-{self.last_part + 1:05d}-{zlib.crc32(part.data):08x}.parquet"
         write_bytes_atomically(self.folder / name, part.data)
         self.parts.append(Part(self.folder / name))
-        self._next, self._latest = self._next + 1, part.data
+        self.last_part, self._latest = self.last_part + 1, part.data
         self.finished |= part.outcomes
 
     def write_rows_and_steps(self, rows: pa.Table, steps: pa.Table) -> None:
@@ -451,10 +468,13 @@ def read_finished_outcomes(out: Path) -> dict[str, str]:
     return _read_outcomes(PublicTables(out), parts)
 
 
-def count_batches_not_in_tables(out: Path) -> int:
-    """Return how many batches of a run that was interrupted are in `cells` and in no table."""
+def count_batches_newer_than_tables(out: Path) -> int:
+    """Return how many batches in `cells` a run has left that was interrupted after the tables."""
     folder = out / "cells"
-    return len(_number_part_files(folder)) if folder.is_dir() and not folder.is_symlink() else 0
+    if not folder.is_dir() or folder.is_symlink():
+        return 0
+    last = PublicTables(out).read_last_part_number()
+    return sum(number > last for number in _number_part_files(folder).values())
 
 
 def _number_part_files(folder: Path) -> dict[Path, int]:

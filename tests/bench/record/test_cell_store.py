@@ -16,7 +16,11 @@ import pytest
 from dpbench.bench.judge.rows import make_step_rows
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.record import cell_store
-from dpbench.bench.record.cell_store import CellStore, StepFile
+from dpbench.bench.record.cell_store import (
+    CellStore,
+    StepFile,
+    count_batches_newer_than_tables,
+)
 from dpbench.bench.record.recorded_steps import read_steps, scan_steps
 from dpbench.bench.record.schema import (
     MISSING_INT,
@@ -88,7 +92,8 @@ def write_public(out: Path, *names: str) -> None:
     steps = StepFile(out / "steps.part")
     for seed, name in enumerate(names):
         steps.add(join_steps_of_runs({name: make_step_record_batch(steps_of(seed))}))
-    store.public.write(build_runs_table(rows_to_columns([row_of(name) for name in names])), steps)
+    rows = build_runs_table(rows_to_columns([row_of(name) for name in names]))
+    store.public.write(rows, steps, store.last_part)
 
 
 def tables_of(store: CellStore) -> list[pa.Table]:
@@ -230,7 +235,7 @@ def test_joining_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, copied_r
         assert group.may_copy == (copied_rows == 1)
         if not file.copy_group_if_possible(group):
             file.add(group.read_table())
-    store.public.write(rows, file)
+    store.public.write(rows, file, store.last_part)
     assert file.rows == 21
     groups = pq.ParquetFile(tmp_path / "steps.parquet", page_checksum_verification=True)
     assert groups.num_row_groups == (3 if copied_rows == 1 else 1)
@@ -326,6 +331,33 @@ def test_own_files_are_not_remarked_on(tmp_path: Path) -> None:
     assert not list(tmp_path.rglob("*.part"))
 
 
+def tabulate_only(name: str, store: CellStore) -> None:
+    job = SimpleNamespace(run_id=name, cell=SimpleNamespace(settings="default"))
+    job.planned = SimpleNamespace(alias_settings=[])
+    tabulate(cast(Any, [job]), store)
+
+
+def test_only_batches_after_the_tables_are_of_a_later_run(tmp_path: Path) -> None:
+    """What an interrupted larger run left before the tables were written is no later run."""
+    assert count_batches_newer_than_tables(tmp_path) == 0
+    store = filled(tmp_path, "a", "b")
+    assert count_batches_newer_than_tables(tmp_path) == 2
+    tabulate_only("a", store)
+    assert names_in(CellStore(tmp_path)) == ["a", "b"] and len(CellStore(tmp_path).parts) == 1
+    assert count_batches_newer_than_tables(tmp_path) == 0
+    CellStore(tmp_path).write_part_file(part("c"))
+    assert count_batches_newer_than_tables(tmp_path) == 1
+    tabulate_only("c", CellStore(tmp_path))
+    assert count_batches_newer_than_tables(tmp_path) == 0
+
+
+def test_numbers_of_parts_go_on_where_all_are_in_the_tables(tmp_path: Path) -> None:
+    tabulate_only("a", filled(tmp_path, "a"))
+    assert not CellStore(tmp_path).parts
+    CellStore(tmp_path).write_part_file(part("b"))
+    assert count_batches_newer_than_tables(tmp_path) == 1
+
+
 def test_tables_are_synced_before_parts_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     events: list[tuple[str, str]] = []
     store, fsync, replace, unlink = filled(tmp_path, "a"), os.fsync, Path.replace, Path.unlink
@@ -347,9 +379,7 @@ def test_tables_are_synced_before_parts_go(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(Path, "replace", watched_replace)
     monkeypatch.setattr(Path, "unlink", watched_unlink)
     (name,) = (path.name for path in (tmp_path / "cells").iterdir())
-    job = SimpleNamespace(run_id="a", cell=SimpleNamespace(settings="default"))
-    job.planned = SimpleNamespace(alias_settings=[])
-    tabulate(cast(Any, [job]), store)
+    tabulate_only("a", store)
     assert events == [
         ("sync", "steps.parquet.part"),
         ("name", "steps.parquet"),
