@@ -338,7 +338,7 @@ def tabulate_only(name: str, store: CellStore) -> None:
 
 
 def test_only_batches_after_the_tables_are_of_a_later_run(tmp_path: Path) -> None:
-    """What an interrupted larger run left before the tables were written is no later run."""
+    """Parts of an interrupted larger run that are older than the tables are no later run."""
     assert count_batches_newer_than_tables(tmp_path) == 0
     store = filled(tmp_path, "a", "b")
     assert count_batches_newer_than_tables(tmp_path) == 2

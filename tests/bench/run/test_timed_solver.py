@@ -85,7 +85,7 @@ def test_what_runs_python_is_interrupted_and_set_up_anew(catches: bool) -> None:
 def test_only_waits_within_a_step_are_booked_on_it(
     every_step: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of 50 ms of waits before a step nothing, of 70 ns within it all."""
+    """A step has the 70 ns of waits within it and none of the 50 ms before it."""
     total_ns = [1000]
 
     class Waiting(Spinning):
