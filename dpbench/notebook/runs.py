@@ -107,8 +107,8 @@ class Run:
             f"{format_share(row['true_share'])} verified, "
             f"{f'{unverified} reported solved but not verified, ' if unverified else ''}"
             f"error_move ≤ {format_error(row['error_move_max'])}, p50 {time}{note and f' ({note})'}"
-            f"{f', {REMEMBERED}' if self.remembers else ''}"
             f"{f'; {self._machine_text}' if self._machine_text else ''}"
+            f"{f'; {REMEMBERED}' if self.remembers else ''}"
             f"{f'; {self._ship.warning}' if self._ship.warning else ''}>"
         )
 
@@ -126,8 +126,9 @@ class Run:
             "largest error of the first move": format_error(row["error_move_max"]),
             f"median step time{note and f', {note}'}": time,
         }
-        fields |= {"times": REMEMBERED} if self.remembers else {}
+        # The machine first: it may be the reason for what the times look like.
         fields |= {"machine": self._machine_text} if self._machine_text else {}
+        fields |= {"times": REMEMBERED} if self.remembers else {}
         return make_html_field_table(
             f"{self.label}: {self._sequence_text}", fields | self._describe_control()
         )

@@ -21,7 +21,11 @@ from dpbench.report.formats import (
     plural,
     strip_markdown,
 )
-from dpbench.report.verdict_text import describe_finding, describe_p99_interval
+from dpbench.report.verdict_text import (
+    describe_finding,
+    describe_first_finding,
+    describe_p99_interval,
+)
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
 from dpbench.solvers.settings import list_tolerances_left_at_default
 
@@ -57,7 +61,7 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) ->
     if verdict.refusal:
         return f"{name}: {verdict.state}: {verdict.refusal}."
     findings = verdict.causes or verdict.findings_that_bar_pass
-    why = f": {strip_markdown(describe_finding(findings[0]))}" if findings else ""
+    why = f": {describe_first_finding(findings)}" if findings else ""
     return (
         f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
         f"{plural(verdict.failed_steps, 'failed answer')}, p99 {format_time(verdict.p99_ns)}"

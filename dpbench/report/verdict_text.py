@@ -16,7 +16,12 @@ from dpbench.analysis.times.machine import (
     select_timed_replays,
     sum_disturbances,
 )
-from dpbench.analysis.verdict.requirements import Finding, Requirements, State
+from dpbench.analysis.verdict.requirements import (
+    PERHAPS_BY_MACHINE,
+    Finding,
+    Requirements,
+    State,
+)
 from dpbench.analysis.verdict.verdict import (
     SolverChoice,
     Verdict,
@@ -106,11 +111,22 @@ def _count_others(count: int, verbs: str) -> list[str]:
 
 
 def describe_main_reason(verdict: Verdict) -> str:
-    """Return the first reason why a configuration does not pass, in the run where it is worst."""
+    """Return the first reason why a configuration does not pass, in the run where it is worst.
+
+    Where a disturbed machine may be that reason, the machine's state and one reason of each kind.
+    """
     if verdict.refusal:
         return verdict.refusal
-    first, *_ = verdict.causes or verdict.findings_that_bar_pass
-    return strip_markdown(describe_finding(replace(first, runs=first.runs[:1])))
+    of_kind: dict[str, Finding] = {}
+    for finding in verdict.causes or verdict.findings_that_bar_pass:
+        of_kind.setdefault(finding.kind, replace(finding, runs=finding.runs[:1]))
+    return describe_first_finding([*of_kind.values()])
+
+
+def describe_first_finding(findings: Sequence[Finding]) -> str:
+    """Return the first reason for a verdict, or all where a disturbed machine may be the first."""
+    shown = findings if _describe_machine_state(findings[:1]) else findings[:1]
+    return strip_markdown(describe_findings(shown))
 
 
 def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
@@ -243,8 +259,22 @@ def _describe_time_ratio(compared: PairedComparison) -> str:
 
 
 def describe_findings(findings: Sequence[Finding]) -> str:
-    """Return the reasons for a verdict as clauses joined by semicolons."""
-    return "; ".join(map(describe_finding, findings))
+    """Return the reasons for a verdict as clauses joined by semicolons.
+
+    The machine's state comes first where it may be the reason of one of them.
+    """
+    return "; ".join([*_describe_machine_state(findings), *map(describe_finding, findings)])
+
+
+def _describe_machine_state(findings: Sequence[Finding]) -> list[str]:
+    """Return a clause on disturbed rounds that may be the reason of a finding; none without any."""
+    perhaps = [f for f in findings if f.kind in PERHAPS_BY_MACHINE]
+    runs = {run.run_id: run for f in perhaps for run in f.runs if run.disturbed_rounds > 0}
+    if not runs:
+        return []
+    state, where = sum_disturbances([*runs.values()]), _name_experiments([*runs.values()])
+    of_all = f"{format_count(state.disturbed)} of {plural(state.rounds, 'round')}"
+    return [f"the machine was disturbed in {of_all} of {where}"]
 
 
 _WORDS: dict[str, str] = read_words(__file__)["findings"]

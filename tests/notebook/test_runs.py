@@ -355,5 +355,9 @@ def test_a_replay_names_what_disturbed_it() -> None:
     busy = replace(calm, summary=pd.Series(calm.summary.to_dict() | {"disturbed_rounds": 3}))
     assert "the machine was disturbed in 3 of 5 rounds" in repr(busy)
     assert ">machine<" in busy._repr_html_()
+    ratios = {"first_visit_ratio": 40.0}
+    both = replace(busy, summary=pd.Series(busy.summary.to_dict() | ratios))
+    for text in (repr(both), both._repr_html_()):
+        assert text.index("the machine was disturbed") < text.index("remembered answers")
     waiting = replace(calm, steps=still.assign(waited_ns=still["total_ns"] // 4))
     assert "25.0 % of the times are waits for the core" in repr(waiting)

@@ -115,6 +115,12 @@ LATE: tuple[Cause, ...] = get_args(LateCause)
 """Causes by which right answers came too late, or never; by all others an answer was wrong."""
 DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
 NEAR: tuple[Near, ...] = get_args(Near)
+PERHAPS_BY_MACHINE: tuple[Doubt, ...] = (
+    *("remembered", "hidden work", "p99 waits", "deadline waits", "few timings"),
+    *("few deadline timings", "late at random", "late when disturbed"),
+    *("perhaps late timings", "perhaps past the deadline"),
+)
+"""Doubts on the times of a solver that a disturbed machine may be the reason of."""
 OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
 """Outcomes of runs that the solver itself caused, and that contradict any requirements."""
 

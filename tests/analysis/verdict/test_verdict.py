@@ -10,10 +10,12 @@ import pytest
 from dpbench.analysis.times.contrasts import compare_paired_times
 from dpbench.analysis.verdict.requirements import MISSED, Finding, Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers, sort_fastest_first
+from dpbench.report.formats import strip_markdown
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.verdict_text import (
     describe_finding,
     describe_findings,
+    describe_main_reason,
     describe_paired_times,
     describe_requirements,
     describe_which_solvers_pass,
@@ -154,6 +156,22 @@ def test_crashes_in_several_experiments_are_one_clause(records: Any) -> None:
     assert describe_findings(_verdict(records, "daqp").causes) == (
         "its process ended in `paper`: exit code 3 (also in `calm` and `rough`)"
     )
+
+
+def test_on_a_disturbed_machine_its_state_comes_before_all_reasons(records: Any) -> None:
+    """The first reason alone would blame the solver for slow first visits of disturbed rounds."""
+    counts = {"disturbed_rounds": 3.0, "counting_disturbed": 1.0, "rounds": 3}
+    records.loop("daqp")
+    records.replay("daqp", concurrency=2.0, first_visit_ratio=40.0, **counts)
+    records.loop("piqp")
+    records.replay("piqp", concurrency=2.0, first_visit_ratio=40.0)
+    disturbed, calm = (_verdict(records, solver) for solver in ("daqp", "piqp"))
+    reasons = describe_findings(calm.findings_that_bar_pass)
+    assert "seen before" in reasons and "timed beside other work" in reasons
+    machine = "the machine was disturbed in 3 of 5 rounds of the replay of `paper`; "
+    assert _why(disturbed) == machine + reasons
+    assert describe_main_reason(disturbed) == strip_markdown(machine + reasons)
+    assert describe_main_reason(calm) == strip_markdown(describe_finding(calm.doubts[0]))
 
 
 def test_too_few_steps_for_a_p99(records: Any) -> None:
