@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import textwrap
 import webbrowser
 from collections.abc import Iterable
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console, RenderableType
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+)
 from rich.table import Table
 from rich.text import Text
 
@@ -142,6 +151,27 @@ def print_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Na
     return int(bool(arguments.strict and warning))
 
 
+RATE_S = 5.0
+"""Time after which the rate of finished work is known: before, one batch would set it [s]."""
+
+
+class _TimeLeftColumn(ProgressColumn):
+    """Time left at the mean rate since the start; empty before a rate is known.
+
+    Rich takes the rate between the last reports: two results of one batch are microseconds apart.
+    """
+
+    max_refresh = 0.5
+
+    def render(self, task: Task) -> Text:
+        """Return `left` and the time as hours, minutes and seconds."""
+        elapsed_s = task.elapsed or 0.0
+        if not task.total or task.completed <= 0.0 or elapsed_s < RATE_S:
+            return Text("")
+        left_s = elapsed_s * max(task.total - task.completed, 0.0) / task.completed
+        return Text(f"left {timedelta(seconds=math.ceil(left_s))}", style="progress.remaining")
+
+
 class ProgressBar:
     """A terminal progress bar with the time left; it may vanish at the end or be hidden."""
 
@@ -152,8 +182,7 @@ class ProgressBar:
             BarColumn(),
             TextColumn("{task.percentage:3.0f} %"),
             TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
+            _TimeLeftColumn(),
             transient=transient,
             disable=quiet or (transient and not _can_erase()),
         )

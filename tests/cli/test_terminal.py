@@ -10,12 +10,14 @@ from typing import Any
 
 import pytest
 from rich.console import Console
+from rich.progress import Progress
 
 from dpbench.cli import check_ship, doctor
 from dpbench.cli.main import _CALLS, main
 from dpbench.cli.terminal import (
     WIDTH,
     ProgressBar,
+    _TimeLeftColumn,
     format_heading_and_paragraphs,
     make_report_table,
     print_wrapped,
@@ -183,3 +185,27 @@ def test_progress_without_a_terminal_is_a_line_now_and_then(
                 one.advance(work, "daqp")
     lines = capsys.readouterr().err.splitlines()
     assert lines == ["dpbench: 45% after 11 s: daqp", "dpbench: 50% after 72 s: daqp"]
+
+
+@pytest.mark.parametrize(
+    ("elapsed_s", "done", "said"),
+    [
+        (4.0, 22, ""),
+        (60.0, 0, ""),
+        (22.0, 22, "left 0:01:18"),
+        (60.0, 100, "left 0:00:00"),
+        (60.0, 120, "left 0:00:00"),
+        (86_400.0, 25, "left 3 days, 0:00:00"),
+    ],
+)
+def test_the_time_left_is_that_at_the_mean_rate(elapsed_s: float, done: int, said: str) -> None:
+    """Two results of one batch, which are there at once, are no rate."""
+    now_s = [0.0]
+    bar = Progress(_TimeLeftColumn(), get_time=lambda: now_s[0])
+    task = bar.add_task("", total=100)
+    now_s[0] = elapsed_s
+    for part in (done // 2, done - done // 2):
+        bar.advance(task, part)
+        now_s[0] += 1e-6
+    now_s[0] = elapsed_s
+    assert str(_TimeLeftColumn().render(bar.tasks[0])) == said
