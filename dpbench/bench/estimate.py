@@ -59,6 +59,11 @@ JUDGE_STEP_S, SOURCE_STEP_S, USUAL_SIZE = 0.00015, 0.0003, 60
 STEP_BYTES, RUN_BYTES = 90.0, 500.0
 """Size of a step and of a run in the tables, for runs that have nothing in common
 (`docs/guide/scale.md`)."""
+LONG_CERTIFICATES = (
+    "a lower bound: some steps of an exactly solved loop with commanded thrusters need a long "
+    "certificate"
+)
+"""Remark on a forecast that takes all steps of an exactly solved loop for equally long."""
 _KIND = ["mode", *CONFIGURATION_COLUMNS]
 Kind = tuple[str, ...]
 SMALL = 30
@@ -94,7 +99,7 @@ class Estimate:
     `cells` are to run; `finished` ones have been, `refused` ones leave rows without running;
     `unmeasured` ones are in no figure of time and size. `time_s` is that on `slots` closed loops at
     a time, with `report_s` for the report and `compile_s` for kernels; `size_bytes` that of the
-    tables with finished runs.
+    tables with finished runs. `is_lower_bound`: whether exact loops may take much longer.
     """
 
     cells: int
@@ -109,6 +114,7 @@ class Estimate:
     slots: int
     rates: str
     remarks: Sequence[str] = ()
+    is_lower_bound: bool = False
 
     @property
     def lines(self) -> list[str]:
@@ -123,9 +129,11 @@ class Estimate:
             parts += f" and {format_duration(self.compile_s)} to compile kernels, once"
         return [
             f"{cells} cells to run{done}{without}: {steps} recorded steps",
-            f"about {format_duration(self.time_s)} on this machine, {self.slots} closed loops at "
-            f"a time, with {parts}; {self.size_bytes / 1e6:.1f} MB of tables{apart}",
+            f"{'at least' if self.is_lower_bound else 'about'} {format_duration(self.time_s)} on "
+            f"this machine, {self.slots} closed loops at a time, with {parts}; "
+            f"{self.size_bytes / 1e6:.1f} MB of tables{apart}",
             *([f"by {self.rates}"] if self.cells else []),
+            *([LONG_CERTIFICATES] if self.is_lower_bound else []),
             *self.remarks,
         ]
 
@@ -208,7 +216,14 @@ def estimate_time_and_size(
         ),
         slots=slots,
         rates=rates.origin,
+        is_lower_bound=any(_commands_thrusters(p.cell) for p in measured),
     )
+
+
+def _commands_thrusters(cell: Cell) -> bool:
+    """Return whether a run needs the exactly solved loop of a ship with commanded thrusters."""
+    controller = cell.scenario.get("scenario", {}).get("controller", {})
+    return bool(controller.get("kind", "forces") != "forces")
 
 
 def estimate_run_seconds(measured: Sequence[PlannedCell], slots: int, rates: Rates) -> float:

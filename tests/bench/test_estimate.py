@@ -13,6 +13,7 @@ from dpbench.bench import estimate
 from dpbench.bench.estimate import (
     COMPILE_S,
     JUDGE_STEP_S,
+    LONG_CERTIFICATES,
     REPORT_CELL_S,
     REPORT_S,
     SMALL,
@@ -116,6 +117,19 @@ def test_the_size_is_that_of_the_scenario(name: str, size: int) -> None:
     assert measure_qp_size(cell("daqp", 5, scenario=files, **allocation).cell) == SMALL
     stored = RecordedSource("x", "paper-30-5")
     assert measure_qp_size(cell("daqp", 5, mode="replay", scenario={}, source=stored).cell) == 30
+
+
+@pytest.mark.parametrize(
+    ("name", "bound"), [("paper", "about "), ("thrusters", "at least "), ("three_forces", "about ")]
+)
+def test_with_commanded_thrusters_the_time_is_a_lower_bound(name: str, bound: str) -> None:
+    """The certificates of some steps are long there; of a run that is finished none is made."""
+    cells = [cell("daqp", 5, scenario=load_scenario(name).files)]
+    lines = estimate_time_and_size(cells, 1, STATED_RATES).lines
+    assert lines[1].startswith(bound)
+    assert (LONG_CERTIFICATES in lines) is (bound == "at least ")
+    done = estimate_time_and_size(cells, 1, STATED_RATES, finished={0}).lines
+    assert done[1].startswith("about ")
 
 
 def test_what_does_not_run_takes_nothing() -> None:

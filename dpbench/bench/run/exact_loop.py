@@ -5,7 +5,7 @@ Its station keeping is what the controller does, whatever the solver.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -50,11 +50,19 @@ DRIFT = 1.0
 """Growth of a distance, in multiples of the limits, that is no part of a transfer."""
 
 
-class ExactWorkspace(Workspace):
-    """A solver whose answers are certified optima; scaled QPs only."""
+StepReport = Callable[[int, int], None]
+"""Receiver of the number of steps done, and of all."""
 
-    def __init__(self) -> None:
+
+class ExactWorkspace(Workspace):
+    """A solver whose answers are certified optima; scaled QPs only.
+
+    report : called after each step with the steps done and with `steps`.
+    """
+
+    def __init__(self, report: StepReport | None = None, steps: int = 0) -> None:
         super().__init__("exact", "native", "reuse")
+        self._report, self._steps = report, steps
         self._base: QuadraticProgram | None = None
         self._referee: Referee | None = None
         self._step: QPStep | None = None
@@ -84,6 +92,8 @@ class ExactWorkspace(Workspace):
         assert self._referee is not None and self._step is not None, "setup comes first"
         step = self._step
         self.optima.append(self._referee.certify_vectors(step.q, step.l, step.u))
+        if self._report is not None:
+            self._report(len(self.optima), self._steps)
 
     def read(self) -> Solution:
         """Return the certified optimum; no answer where infeasible or where nothing is proven."""
@@ -182,15 +192,17 @@ def _arrays_to_optima(stored: Mapping[str, NDArray[Any]], name: str) -> list[Opt
     ]
 
 
-def solve_loop_exactly(scenario: Scenario) -> ExactLoop:
+def solve_loop_exactly(scenario: Scenario, report: StepReport | None = None) -> ExactLoop:
     """Run a scenario's closed loop with the certified optimum of every step; return its record.
+
+    report : called with the steps done and the steps of the loop, after each.
 
     Where a step has no feasible point, or nothing can be proven, the loop follows its last plan.
     """
     builder = QPBuilder(scenario)
     log = RawLog.in_memory(make_loop_layout(scenario.steps, *builder.sizes))
     base = build_problem_at_rest(builder.condensed)
-    workspace, second = ExactWorkspace(), ExactWorkspace()
+    workspace, second = ExactWorkspace(report, scenario.steps), ExactWorkspace()
     clock = time.perf_counter_ns
     timed_solver = TimedSolver(workspace, BoxFormulation(base), clock)
     drawn = scenario.environment.draw_wind_and_waves_at_stages(

@@ -31,6 +31,7 @@ from dpbench.bench.record.raw_log import compute_log_bytes, make_loop_layout, ma
 from dpbench.bench.run.exact_loop import (
     ExactLoop,
     Part,
+    StepReport,
     compute_station_metrics,
     read_allocation_sizes,
     rebuild_sequence,
@@ -229,15 +230,19 @@ def log_size(cell: Cell, path: Path) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _LoopFile:
-    """File with the exactly solved loop of a scenario, from which its QPs are rebuilt."""
+    """File with the exactly solved loop of a scenario, from which its QPs are rebuilt.
+
+    report : receiver of the steps done and to do while the file is made.
+    """
 
     cell: Cell
+    report: StepReport | None
 
     def make_file(self, path: Path) -> None:
         """Solve the run's scenario exactly and write the closed loop to `path`."""
-        solve_loop_exactly(
-            build_or_reuse_scenario(self.cell.scenario).truncate(self.cell.steps_needed_in_file)
-        ).save(path)
+        scenario = build_or_reuse_scenario(self.cell.scenario)
+        steps = self.cell.steps_needed_in_file
+        solve_loop_exactly(scenario.truncate(steps), self.report).save(path)
 
     def load_replay_input(self, path: Path) -> ReplayInput:
         """Return the QPs of the replay along the loop in the file, with their optima."""
@@ -365,13 +370,16 @@ or InputError where it is damaged), and `read_n_and_m` returns n and m of the QP
 """
 
 
-def choose_source_file(cell: Cell) -> SourceFile:
-    """Return the object that makes and reads the file of a run's QPs, by the kind of these QPs."""
+def choose_source_file(cell: Cell, report: StepReport | None = None) -> SourceFile:
+    """Return the object that makes and reads the file of a run's QPs, by the kind of these QPs.
+
+    report : receiver of the steps done and to do while an exactly solved loop is made.
+    """
     match cell.source:
         case ControllerSource() | HardestSource():
-            return _LoopFile(cell)
+            return _LoopFile(cell, report)
         case ConsequenceSource() as source:
-            return _ConsequenceFile(cell, source)
+            return _ConsequenceFile(cell, report, source)
         case RandomSource() as source:
             return _RandomFile(source)
         case CapabilitySource() as source:

@@ -223,6 +223,15 @@ class FileRun:
             [FileTask(text, path, limit_s) for path, text in texts.items()], core
         )
 
+    def describe_step(self, child: Child) -> str:
+        """Return the step of an exactly solved loop that a process is at; "" if it is quick."""
+        done, steps = child.notice.step
+        if not steps:
+            return ""
+        assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
+        cell = Cell.from_json(child.items[child.notice.cell_index].description)
+        return f"step {done} of {steps}, exact loop of {cell.scenario_name}"
+
     def start_next(self, child: Child, core: int) -> Child | None:
         """Store outcomes of an ended process that made files; start and return the next, if any."""
         assert isinstance(child, _ItemProcess), "the processes of a batch are its own"

@@ -5,8 +5,9 @@ interleaved, one worker at a time.
 """
 
 import os
+import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
@@ -30,6 +31,8 @@ from dpbench.bench.workers.worker import BatchCell
 from dpbench.errors import InputError
 from dpbench.locks import EXCLUSIVE, SHARED, Holder, WaitLimit, hold_machine_lock
 
+STEP_SHOWN_S = 1.0
+"""Interval between two looks at the step of an exactly solved loop [s]."""
 POLL_S = 0.1  # The end of a process is noticed at once; this is for what takes too long
 
 
@@ -37,10 +40,15 @@ AnyTask = TypeVar("AnyTask", bound=CellRun | FileRun)
 
 
 class CorePool(Generic[AnyTask]):
-    """A queue of tasks and the cores that run them, one task per core at a time."""
+    """A queue of tasks and the cores that run them, one task per core at a time.
 
-    def __init__(self, cores: Sequence[int]) -> None:
-        self._free = list(cores)
+    watch : called with each running task and its process while they are waited for.
+    """
+
+    def __init__(
+        self, cores: Sequence[int], watch: Callable[[AnyTask, Child], None] | None = None
+    ) -> None:
+        self._free, self._watch = list(cores), watch
         self._waiting = deque[AnyTask]()
         self._running: list[tuple[AnyTask, Child, int]] = []
 
@@ -62,6 +70,8 @@ class CorePool(Generic[AnyTask]):
             for entry in list(self._running):
                 task, child, core = entry
                 if child.process.is_alive() and not child.kill_if_overdue():
+                    if self._watch is not None:
+                        self._watch(task, child)
                     continue
                 child.join()
                 self._running.remove(entry)
@@ -131,7 +141,8 @@ class CellExecutor(ExitStack):
         self._cores, self._machine_id, self._modules = cores, machine_id, modules or {}
         self._concurrency, self._waited_for = concurrency, ""
         self._holder, self._patience = Holder(work), patience
-        self._pool = CorePool[CellRun | FileRun](cores[:slots])
+        self._pool = CorePool[CellRun | FileRun](cores[:slots], self._show_step)
+        self._shown_s = 0.0
         self._replays = deque[tuple[CellBatch, Sources]]()
         self._refused: list[tuple[Batch, list[Result]]] = []
         self._log_bytes: dict[CellRun, int] = {}
@@ -168,6 +179,15 @@ class CellExecutor(ExitStack):
         if not len(self._pool):
             self._sharing.enter_context(self._lock_machine(SHARED))
         self._pool.add(run)
+
+    def _show_step(self, task: CellRun | FileRun, child: Child) -> None:
+        """Show the step of an exactly solved loop that takes long, every second."""
+        now_s = time.monotonic()
+        if now_s - self._shown_s < STEP_SHOWN_S or not isinstance(task, FileRun):
+            return
+        if step := task.describe_step(child):
+            self._shown_s = now_s
+            self.progress.advance(0, step)
 
     def _submit_cells(self, batch: CellBatch, sources: Sources) -> None:
         """Queue a batch of untimed runs; runs without room for their raw logs are "lost"."""

@@ -32,7 +32,10 @@ _TEMPLATE = struct.Struct("ii")
 _PEAK = struct.Struct("d")
 _PEAK_AT = _HEAD.size + _TEMPLATE.size
 """Offset of the peak of memory [B] of a process that ended by an exception."""
-_WORDS = _PEAK_AT + _PEAK.size
+_STEP = struct.Struct("ii")
+_STEP_AT = _PEAK_AT + _PEAK.size
+"""Offset of the steps done and to do of the file that the process makes; zeros for none."""
+_WORDS = _STEP_AT + _STEP.size
 _PACKAGE = Path(__file__).parents[2]
 _BY_SOLVERS = (
     f"{_PACKAGE / 'solvers'}{os.sep}",
@@ -149,6 +152,10 @@ class SharedStatus:
         at = self.cell_index if cell_index is None else cell_index
         _HEAD.pack_into(self._page, 0, phase, at, 0)
 
+    def set_step(self, done: int, steps: int) -> None:
+        """Set how many of its steps the file that the worker makes has; zeros to show none."""
+        _STEP.pack_into(self._page, _STEP_AT, done, steps)
+
     def record_exit(self, phase: Phase, reason: str) -> None:
         """Record the phase in which the process ends, the reason, and its peak memory."""
         text = " ".join(reason.split()).encode()[: mmap.PAGESIZE - _WORDS]
@@ -165,6 +172,12 @@ class SharedStatus:
     def cell_index(self) -> int:
         """Index of the worker's current run in its batch."""
         return int(_HEAD.unpack_from(self._page)[1])
+
+    @property
+    def step(self) -> tuple[int, int]:
+        """Steps done and to do of the file that the worker makes; zeros where none are shown."""
+        done, steps = _STEP.unpack_from(self._page, _STEP_AT)
+        return int(done), int(steps)
 
     @property
     def forkserver(self) -> int:
@@ -204,6 +217,12 @@ def set_phase(phase: Phase, cell_index: int | None = None) -> None:
     """Report the phase that this process is in, and the index of its run, to the supervisor."""
     for notice in _process_status:
         notice.set_phase(phase, cell_index)
+
+
+def set_step(done: int, steps: int) -> None:
+    """Report to the supervisor how many of its steps the file has that this process makes."""
+    for notice in _process_status:
+        notice.set_step(done, steps)
 
 
 def discard_captured_output() -> None:

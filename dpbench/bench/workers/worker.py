@@ -6,6 +6,7 @@ small JSON verdict, and never prints.
 
 import gc
 import os
+import time
 import warnings
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
@@ -26,7 +27,7 @@ from dpbench.bench.record.result_folder import write_json
 from dpbench.bench.record.step_table import Row, make_batch_part, make_step_record_batch
 from dpbench.bench.run.assemble import build_closed_loop_setup, build_sequence_solver_and_log, clock
 from dpbench.bench.run.closed_loop import record_closed_loop
-from dpbench.bench.run.exact_loop import ExactLoop, parse_stored_weather
+from dpbench.bench.run.exact_loop import ExactLoop, StepReport, parse_stored_weather
 from dpbench.bench.run.footprint import (
     MEMORY_SHARE,
     MemoryWatch,
@@ -53,6 +54,7 @@ from dpbench.bench.workers.shared_status import (
     describe_truncated_output,
     discard_captured_output,
     set_phase,
+    set_step,
 )
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
@@ -66,6 +68,8 @@ from dpbench.solvers.table import (
     load_plugin_solver_from_file,
 )
 
+QUICK_S = 3.0
+"""Time from which the steps of an exactly solved loop are shown while it is made [s]."""
 Hang = tuple[int, int]  # Round, 0 in a closed loop, and step in which a process hung
 
 
@@ -403,7 +407,7 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
     cell, part = Cell.from_json(text), path.with_suffix(".part.npz")
     try:
         if not is_readable(cell, path):
-            choose_source_file(cell).make_file(part)
+            choose_source_file(cell, _make_step_report()).make_file(part)
             part.replace(path)
     except (CertificateError, InputError) as error:
         write_outcome(folder / f"{name}.json", Outcome("invalid", str(error)))
@@ -411,6 +415,18 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
     finally:
         part.unlink(missing_ok=True)
     write_outcome(folder / f"{name}.json", Outcome("finished", ""))
+
+
+def _make_step_report() -> StepReport:
+    """Return a function that reports the steps of a file to the supervisor where it takes long."""
+    set_step(0, 0)
+    shown_from_s = time.monotonic() + QUICK_S
+
+    def report(done: int, steps: int) -> None:
+        if time.monotonic() >= shown_from_s:
+            set_step(done, steps)
+
+    return report
 
 
 def evaluate_batch(cells: Sequence[BatchCell], folder: Path, core: int) -> None:
