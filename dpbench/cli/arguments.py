@@ -171,6 +171,9 @@ def _add_report_arguments(report: Command) -> None:
     option("--for", "S", beside, dest="solver")
     repeated("--against", "S", "with --for: beside this one (osqp and daqp); repeatable")
     option("--send", "FOLDER", "make a folder for results/community, to be sent to us")
+    named = "instead: name the tables of the folder, with what each has"
+    report.add_argument("--tables", action="store_true", help=named)
+    option("--latex", "TABLE", "instead: print one of them as a LaTeX tabular (booktabs)")
     _add_ending_arguments(report)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Group, RenderableType
 
 from dpbench.cli.terminal import format_heading_and_paragraphs, make_small_table, make_unstyled_text
-from dpbench.report.formats import MISSING
+from dpbench.report.formats import MISSING, plural
 
 SEQUENCES_ARE = """
 Each is the exactly solved loop of the scenario it is named after, at the
@@ -118,3 +118,21 @@ def _describe_solver(name: str) -> str:
         *describe_option_presets(name).splitlines(),
     ]
     return format_heading_and_paragraphs(f"{name} {version}".rstrip(), about)
+
+
+def list_tables_of_folder(folder: Path) -> list[str]:
+    """Return a line on each table of a result folder that has rows, and on how to get it."""
+    from dpbench.notebook.results import load_results
+    from dpbench.report.report import TABLES
+
+    known = {name: len(table) for name, table in load_results(folder).tables.items() if len(table)}
+    return [
+        *(
+            f"{name} ({plural(rows, 'row')}): "
+            f"{TABLES.get(name, 'a table of the part of the page of this name.')}"
+            for name, rows in known.items()
+        ),
+        f"CSV: {folder / 'tables'}, with the columns in README.md there; "
+        f"LaTeX: dpbench report {folder} --latex NAME; "
+        f'Python: load_results("{folder}").tables["NAME"]',
+    ]

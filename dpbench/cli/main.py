@@ -233,6 +233,8 @@ def _gather_shards(arguments: argparse.Namespace) -> int:
 
 def _rewrite_report(arguments: argparse.Namespace) -> int:
     """Write the report of a result folder anew (`dpbench report`); return the exit code."""
+    if arguments.tables or arguments.latex:
+        return _print_tables(arguments)
     from dpbench.bench.record.cell_store import count_batches_newer_than_tables
     from dpbench.cli.terminal import print_ending
     from dpbench.report.write import write_report_with_summary
@@ -246,13 +248,27 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
             "--statement", f"{interrupted}; finish it by the same `dpbench run` in {arguments.dir}"
         )
     page, ending = write_report_with_summary(
-        arguments.dir, **_collect_options(arguments, "dir", *HOW_TO_END)
+        arguments.dir, **_collect_options(arguments, "dir", "tables", "latex", *HOW_TO_END)
     )
     if arguments.statement:
         ending = [*ending, ("statement", arguments.statement)]
     if later:
         ending = [("caution", f"{interrupted}: this report is of the run before"), *ending]
     return print_ending(page, ending, arguments)
+
+
+def _print_tables(arguments: argparse.Namespace) -> int:
+    """Print the names of a folder's tables, or one of them in LaTeX; return 0."""
+    from dpbench.cli.listing import list_tables_of_folder
+    from dpbench.cli.terminal import print_wrapped
+
+    if arguments.latex:
+        from dpbench.notebook.results import load_results
+
+        print(load_results(arguments.dir).to_latex(arguments.latex), end="")
+    else:
+        print_wrapped(list_tables_of_folder(Path(arguments.dir)))
+    return 0
 
 
 def _print_completion(arguments: argparse.Namespace) -> None:

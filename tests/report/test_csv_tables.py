@@ -9,12 +9,14 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.records.run_steps import extract_counting_rows, yield_merged_steps_by_run
+from dpbench.cli.main import main
 from dpbench.files.regular_files import write_file_set_into_folder
 from dpbench.report.formats import Table
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.report import TABLES, Report, build_tables
 from dpbench.report.write import write_report
+from tests.result_folder import write_results
 
 
 def _table(folder: Path, name: str) -> pd.DataFrame:
@@ -94,6 +96,25 @@ def test_what_ended_early_stands_with_its_reason(records: Any, tmp_path: Path) -
         "its process ended in paper: signal 11"
     )
     assert not (out / "tables" / "old.csv").exists()
+
+
+def test_the_command_names_every_table_and_prints_one_in_latex(
+    records: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Those that have rows, with their meaning; LaTeX by the same name, and no other."""
+    records.loop("daqp")
+    records.replay("daqp")
+    write_results(tmp_path, records.results())
+    tables = Report.from_results(records.results()).tables
+    assert main(["report", str(tmp_path), "--tables"]) == 0
+    text = capsys.readouterr().out
+    named = re.findall(r"^(\w+) \(\d+ rows?\): \S", text, flags=re.MULTILINE)
+    assert named == [name for name, table in tables.items() if len(table)]
+    assert f"dpbench report {tmp_path} --latex NAME" in " ".join(text.split())
+    assert main(["report", str(tmp_path), "--latex", "verdicts"]) == 0
+    assert capsys.readouterr().out.startswith("\\begin{tabular}")
+    assert main(["report", str(tmp_path), "--latex", "verdict"]) == 2
+    assert "found 'verdict'" in capsys.readouterr().err
 
 
 def test_tables_of_topics_are_files_too(written: Any) -> None:
