@@ -51,7 +51,7 @@ from dpbench.report.page.data import PageData
 from dpbench.report.page.live import draw_section_charts, select_static_charts
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
 from dpbench.report.page.section import Topic
-from dpbench.report.study_effects_table import build_effects_table
+from dpbench.report.study_effects_table import build_effects_table, build_interactions_table
 from dpbench.report.topics.all import build_topics
 from dpbench.report.topics.study import yield_disturbance_sentences
 from dpbench.report.verdict_text import (
@@ -63,7 +63,7 @@ from dpbench.report.words import read_words, render_document
 
 TERMINAL_NOTES = ("counted", "slower", "faster", "inconclusive", "next", "unanswered", "stopped")
 """Notes of the recommendation on a terminal."""
-BESIDE = ("embedded", "slowdown", "random", "consequence")
+BESIDE = ("settings", "embedded", "slowdown", "random", "consequence")
 """Topics with a line of their own on a terminal where they are not the answer."""
 
 
@@ -190,9 +190,10 @@ def build_tables(
         "study_behind": tabulate_differences_from_reference(data.studies),
         "study_points": tabulate_study_points(data.studies),
         "study_effects": build_effects_table(data.studies),
+        "study_interactions": build_interactions_table(data.studies),
     }
-    # Those of a study are written as numbers above.
-    for topic in (topic for topic in topics if topic.id != "study"):
+    # Those of a study and of settings are written as numbers above.
+    for topic in (topic for topic in topics if topic.id not in ("study", "settings")):
         for i, small in enumerate(topic.tables):
             name = topic.id if i == 0 else f"{topic.id}_{i + 1}"
             tables[name] = convert_to_frame(small)

@@ -1,6 +1,6 @@
 """Effects of the varied keys of a study as tables, for the page and for `tables/`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pandas as pd
@@ -12,6 +12,7 @@ from dpbench.analysis.suites.study_effects import (
     Effect,
     Measure,
     compute_study_effects,
+    compute_study_interactions,
 )
 from dpbench.report.formats import MISSING, Table, significant
 
@@ -21,6 +22,12 @@ _HEADS = {
     measure: f"{measure.name} [{measure.unit}]".replace("percentage points", "points")
     for measure in MEASURES
 }
+_Compute = Callable[[Study], Sequence[Effect]]
+_INTERVALS = (
+    "Intervals hold at 95 % for each cell alone and not for all at once: without any effect, 1 in "
+    "20 leaves out zero. The units are the realisations, or the points where each is run once; in "
+    "10 of 10: all have one sign. "
+)
 _KEYS = ("factor", "levels", "configuration")
 _WHAT = {"raw_p99_ns": "p99 step time", "raw_p50_ns": "median step time"}
 COLUMNS = (
@@ -32,6 +39,16 @@ COLUMNS = (
 
 def build_effects_table(studies: Sequence[Study]) -> pd.DataFrame:
     """Return a table of every effect of all studies with its 95 % interval, as `COLUMNS`."""
+    return _build_table(studies, compute_study_effects)
+
+
+def build_interactions_table(studies: Sequence[Study]) -> pd.DataFrame:
+    """Return a table of the interactions of every two factors of all studies."""
+    return _build_table(studies, compute_study_interactions).drop(columns=["from", "to"])
+
+
+def _build_table(studies: Sequence[Study], compute: _Compute) -> pd.DataFrame:
+    """Return a table of effects or interactions of all studies, as `COLUMNS`."""
     rows = [
         (
             *(study.name, effect.configuration, effect.factor, effect.levels_text),
@@ -46,16 +63,41 @@ def build_effects_table(studies: Sequence[Study]) -> pd.DataFrame:
             *(effect.mean_difference.pairs, effect.mean_difference.points),
         )
         for study in studies
-        for effect in compute_study_effects(study)
+        for effect in compute(study)
     ]
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
 def tabulate_effects(study: Study) -> Table | None:
     """Return a table of what each factor changes, by configuration and change; None without one."""
+    note = (
+        "Change from the first value to the second, of runs that differ in nothing else and share "
+        "the realisation; a slope is the least-squares change over the range, all points of a "
+        f"realisation together. {_INTERVALS}"
+        "Step times are of closed loops, which "
+        "are measured beside each other: take a difference of a few percent from a replay, and one "
+        "that has no interval, which is left out here."
+    )
+    title = f"{study.name}: what each factor changes"
+    return _tabulate(study, compute_study_effects, title, note, "study_effects")
+
+
+def tabulate_interactions(study: Study) -> Table | None:
+    """Return a table of how two factors change a result together; None without two factors."""
+    note = (
+        "How much more the second factor changes the measure at the last level of the first than "
+        "at the first level, in the same realisation; 0: each factor acts as if alone. Of step "
+        f"times the ratio of both ratios, less one. {_INTERVALS}"
+    )
+    title = f"{study.name}: what two factors change together"
+    return _tabulate(study, compute_study_interactions, title, note, "study_interactions")
+
+
+def _tabulate(study: Study, compute: _Compute, title: str, note: str, file: str) -> Table | None:
+    """Return a table of effects or interactions, a row per configuration and change."""
     units = "realisations" if study.seas_per_point > 1 else "points"
     rows: dict[tuple[str, str, str], dict[str, str]] = {}
-    for effect in compute_study_effects(study):
+    for effect in compute(study):
         key = (effect.factor, effect.levels_text, effect.configuration)
         row = rows.setdefault(key, dict(zip(_KEYS, key, strict=True)))
         row[make_head_of_measure(effect.measure, study)] = _format_effect(effect, units)
@@ -65,19 +107,8 @@ def tabulate_effects(study: Study) -> Table | None:
     changes = list(dict.fromkeys(key[:2] for key in rows))
     ordered = sorted(rows.items(), key=lambda item: changes.index(item[0][:2]))
     whole = [{head: row.get(head, MISSING) for head in heads} for _, row in ordered]
-    note = (
-        "Change from the first value to the second, of runs that differ in nothing else and share "
-        "the realisation; a slope is the least-squares change over the range, all points of a "
-        "realisation together. Intervals hold at 95 % for each cell alone and not for all at once: "
-        "without any effect, 1 in 20 leaves out zero. The units are the "
-        "realisations, or the points where each is run once; in 10 of 10: all have one sign. "
-        "Step times are of closed loops, which "
-        "are measured beside each other: take a difference of a few percent from a replay, and one "
-        "that has no interval, which is left out here."
-    )
     if len(whole) > MOST_ROWS:
-        note += " All rows: tables/study_effects.csv."
-    title = f"{study.name}: what each factor changes"
+        note += f" All rows: tables/{file}.csv."
     return Table.from_rows(whole, title, note=note, text_columns=3, shown=MOST_ROWS)
 
 

@@ -5,12 +5,16 @@ realisation, are paired, so the interval is that of `compute_paired_difference`.
 a range (a Sobol sequence has no two points that differ in one key) gets the least-squares slope
 over all points, one of each realisation; of points that are run once, with the error HC3
 (MacKinnon & White 1985, J. Econometrics 29, 305-325).
+
+The interaction of two factors with a few values each is how much more the second changes a measure
+at the last level of the first than at the first: a difference of differences, paired alike.
 """
 
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -28,6 +32,7 @@ from dpbench.analysis.suites.study import (
 )
 from dpbench.arrays import Floats
 
+INTERACTS = " × "
 MOST_LEVELS = 8
 """A number with more values counts as drawn from a range."""
 
@@ -148,6 +153,77 @@ def compute_study_effects(study: Study) -> tuple[Effect, ...]:
     return tuple(effects)
 
 
+@lru_cache(maxsize=4)
+def compute_study_interactions(study: Study) -> tuple[Effect, ...]:
+    """Return the interaction of every two factors with levels, configuration by configuration.
+
+    Of more than two levels the first and the last. A factor drawn from a range has none.
+    """
+    ends = {
+        factor: found
+        for factor in group_keys_that_vary_together(study.points)
+        if (found := _find_end_levels(study.points, factor)) is not None
+    }
+    corners = {pair: _list_corners(study.points, ends, *pair) for pair in combinations(ends, 2)}
+    disturbed = STEP_TIME if study.is_disturbed else None
+    return tuple(
+        Effect(
+            configuration.name,
+            INTERACTS.join(map(", ".join, pair)),
+            measure,
+            measured,
+            measure == disturbed,
+        )
+        for configuration in study.results_by_cost
+        for measure, values in _collect_values_by_measure(study, configuration.name).items()
+        for pair, sides in corners.items()
+        for measured in [_compute_interaction(values, _join_changes(ends, *pair), *sides)]
+        if measured.difference.pairs and _is_told_from_noise(measure, measured.difference)
+    )
+
+
+_Ends = Mapping[tuple[str, ...], Change]
+
+
+def _find_end_levels(points: pd.DataFrame, factor: tuple[str, ...]) -> Change | None:
+    """Return the change from the first to the last level of a factor; None if it has a range."""
+    levels = _list_levels(points[factor[0]])
+    if len(levels) < 2:
+        return None
+    labels = [
+        _format_levels(points, factor, (points[factor[0]] == level).idxmax())
+        for level in (levels[0], levels[-1])
+    ]
+    return Change(levels[0], levels[-1], " → ".join(labels))
+
+
+def _list_corners(
+    points: pd.DataFrame, ends: _Ends, first: tuple[str, ...], second: tuple[str, ...]
+) -> list[pd.Series]:
+    """Return the points of two factors' end levels, mapped to groups that differ in nothing else.
+
+    In the order first and second at their first level, second, first, and both at their last.
+    """
+    group = _name_groups(points.drop(columns=[*first, *second]))
+    of_first, of_second = (
+        [points[factor[0]] == level for level in (ends[factor].start, ends[factor].end)]
+        for factor in (first, second)
+    )
+    return [group[one & other] for one in of_first for other in of_second]
+
+
+def _join_changes(ends: _Ends, first: tuple[str, ...], second: tuple[str, ...]) -> Change:
+    """Return the changes of two factors as one."""
+    a, b = ends[first], ends[second]
+    return Change((a.start, b.start), (a.end, b.end), f"{a.shown_text}{INTERACTS}{b.shown_text}")
+
+
+def _compute_interaction(values: pd.Series, change: Change, *sides: pd.Series) -> MeasuredChange:
+    """Return how much more a measure changes with a second factor at the first one's last level."""
+    least, second, first, both = (_select_values_of_side(values, side) for side in sides)
+    return _measure_change(change, (both - first).dropna(), (second - least).dropna())
+
+
 def _is_told_from_noise(measure: Measure, difference: PairedDifference) -> bool:
     """Return whether a measure's difference has an interval, or no other program changes it."""
     return measure != STEP_TIME or math.isfinite(difference.mean_interval.low)
@@ -177,14 +253,10 @@ def _list_level_changes(
 
     A side maps its points to their groups, of points that differ in nothing else.
     """
-    first, others = points[factor[0]], points.drop(columns=list(factor))
-    levels = list(first.unique())
-    if is_numeric_dtype(first):
-        levels.sort()
-        if len(levels) > MOST_LEVELS:
-            return []
-    names = [repr(row) for row in others.to_numpy(dtype=object).tolist()]
-    group = pd.Series(names, index=points.index)
+    first, group = points[factor[0]], _name_groups(points.drop(columns=list(factor)))
+    levels = _list_levels(first)
+    if not levels:
+        return []
     least = group[first == levels[0]]
     labels = [_format_levels(points, factor, (first == level).idxmax()) for level in levels]
     pairs = [(level, group[first == level]) for level in levels[1:]]
@@ -193,6 +265,20 @@ def _list_level_changes(
         for (level, other), label in zip(pairs, labels[1:], strict=True)
         if other.isin(least).any()
     ]
+
+
+def _list_levels(values: pd.Series) -> list[Any]:
+    """Return the levels of a key, of numbers the smallest first; none if drawn from a range."""
+    levels = list(values.unique())
+    if not is_numeric_dtype(values):
+        return levels
+    return sorted(levels) if len(levels) <= MOST_LEVELS else []
+
+
+def _name_groups(others: pd.DataFrame) -> pd.Series:
+    """Return by point a text that is equal for points with the same values of some keys."""
+    names = [repr(row) for row in others.to_numpy(dtype=object).tolist()]
+    return pd.Series(names, index=others.index)
 
 
 def _format_levels(points: pd.DataFrame, factor: tuple[str, ...], at: Any, digits: int = 6) -> str:
@@ -227,6 +313,11 @@ def _compute_level_effect(
 ) -> MeasuredChange:
     """Return a measure's mean change between two levels, over pairs in the same realisation."""
     sides = _select_values_of_side(values, other), _select_values_of_side(values, least)
+    return _measure_change(change, *sides)
+
+
+def _measure_change(change: Change, *sides: pd.Series) -> MeasuredChange:
+    """Return the mean difference of two sides' values by group and realisation."""
     pairs = (sides[0] - sides[1]).dropna()
     points, seas = (pairs.index.get_level_values(level) for level in (0, 1))
     units = pairs.groupby(seas).mean() if points.duplicated().any() else pairs

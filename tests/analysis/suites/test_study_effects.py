@@ -17,7 +17,9 @@ from dpbench.analysis.suites.study_effects import (
     Effect,
     Measure,
     compute_study_effects,
+    compute_study_interactions,
 )
+from dpbench.report.study_effects_table import build_interactions_table, tabulate_interactions
 
 HORIZON, EAST, WIND = "controller.prediction_horizon", "start.east_m", "environment.wind.speed_mps"
 HEIGHT, PERIOD = "environment.waves.hs_m", "environment.waves.tp_s"
@@ -75,6 +77,52 @@ def test_the_effect_of_two_levels_is_the_paired_t_test() -> None:
     expected = stats.ttest_rel(errors[[0, 2]].mean(axis=0), errors[[1, 3]].mean(axis=0))
     assert found.estimate.value / found.estimate.error == pytest.approx(expected.statistic)
     assert (found.pairs, found.points, found.estimate.df) == (16, 2, pytest.approx(7.0))
+
+
+def test_the_interaction_of_two_factors_is_a_difference_of_differences() -> None:
+    """0.3 m are planted at the last level of both; the test is that of one sample of seas.
+
+    The middle level of the waves is left out, and both horizons count with equal weight.
+    """
+    points = [
+        {HEIGHT: h, EAST: east, HORIZON: n}
+        for n in (20, 60)
+        for h in (1.0, 2.1, 3.5)
+        for east in (0.0, 3.0)
+    ]
+    rng = np.random.default_rng(3)
+    both = np.array([x[HEIGHT] == 3.5 and x[EAST] == 3.0 for x in points])
+    errors = 0.01 * rng.normal(size=(12, 8)) + 10.0 * rng.normal(size=8) + 0.3 * both[:, None]
+    study = _study(points, errors)
+    found = {
+        (one.factor, one.levels_text): one.mean_difference
+        for one in compute_study_interactions(study)
+        if one.measure == ERROR
+    }
+    assert len(found) == 3
+    planted = found[f"{HEIGHT} × {EAST}", "1 → 3.5 × 0 → 3"]
+    corners = errors.reshape(2, 3, 2, 8)[:, ::2].mean(axis=0)
+    by_sea = corners[1, 1] - corners[1, 0] - corners[0, 1] + corners[0, 0]
+    expected = stats.ttest_1samp(by_sea, 0.0)
+    assert planted.estimate.value == pytest.approx(by_sea.mean())
+    assert planted.estimate.value / planted.estimate.error == pytest.approx(expected.statistic)
+    assert planted.mean_interval.low > 0.0 and (planted.pairs, planted.points) == (16, 2)
+    assert found[f"{EAST} × {HORIZON}", "0 → 3 × 20 → 60"].mean_interval.contains(0.0)
+    table = build_interactions_table([study])
+    assert table["effect"][table["measure"] == ERROR.name].max() == pytest.approx(
+        100.0 * by_sea.mean()
+    )
+    assert "from" not in table and f"{HEIGHT} × {EAST}" in tabulate_interactions(study).rows[0]
+
+
+def test_one_factor_or_a_range_has_no_interaction() -> None:
+    """Nor have two factors that never meet at both levels."""
+    rng = np.random.default_rng(1)
+    alone = [{EAST: east} for east in (0.0, 3.0)]
+    drawn = [{EAST: float(e), WIND: float(w)} for e, w in rng.uniform(size=(20, 2))]
+    cross = [{EAST: 0.0, HORIZON: 20}, {EAST: 3.0, HORIZON: 20}, {EAST: 0.0, HORIZON: 60}]
+    for points in (alone, drawn, cross):
+        assert compute_study_interactions(_study(points, rng.normal(size=(len(points), 8)))) == ()
 
 
 def test_keys_that_change_together_are_one_factor() -> None:

@@ -223,6 +223,17 @@ def test_a_mean_without_an_interval_has_no_ends(records: Any) -> None:
     assert "(no interval)" in found.tables[0].rows[1][4]
 
 
+def test_a_cost_below_the_exact_loops_is_explained_where_it_is_shown(records: Any) -> None:
+    """By the note of its table, and by none where every cost is above."""
+    for cost in (101.0, 98.0):
+        for sea in range(6):
+            columns = {"closed_loop_cost": cost, "exact_cost": 100.0, "r_95_m": 0.5}
+            records.sea("daqp", 0, sea + 1, {EAST: 0.0}, settings=f"{cost:g}", **columns)
+        report = Report.from_results(records.results())
+        (found,) = (part for part in report.topics if part.id == "study")
+        assert (topic.CHEAPER_THAN_EXACT in found.tables[0].note) is (cost < 100.0)
+
+
 @pytest.mark.slow
 def test_each_factor_has_a_slope_in_table_figure_and_file(records: Any) -> None:
     """The 20 points are drawn from ranges; the error of one solver is the same at all of them."""
