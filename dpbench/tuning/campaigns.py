@@ -35,12 +35,12 @@ from dpbench.scenario.problem_files import (
     resolve_sequence_path,
 )
 from dpbench.scenario.scenario import load_scenario
-from dpbench.solvers.contract import Options
+from dpbench.solvers.contract import DEFAULT, LEVELS, Options
 from dpbench.solvers.own_settings import format_options_as_toml
+from dpbench.solvers.settings import find_options_of_preset
 from dpbench.tuning.search import Score
 
 _HORIZONS = ("prediction_horizon", "control_horizon")
-DEFAULT = "default"
 FAILED = 12.0
 """Excess of a run without an answer, in decades of the error."""
 CELL_LIMIT_S = 20.0
@@ -154,6 +154,27 @@ class TunedSolver:
     policy: str
     requirements: Requirements
     solver_module: str | None = None
+
+
+def find_trial_presets(solver: str) -> dict[str, Options]:
+    """Return the options of the presets that a search tries first, by name; not of `default`."""
+    presets = {name: find_options_of_preset(name, solver) for name in LEVELS}
+    default = presets.pop(DEFAULT)
+    return {name: options for name, options in presets.items() if options != default}
+
+
+def split_off_presets(solver: str, settings: Sequence[Options]) -> tuple[list[Options], list[str]]:
+    """Return the options that are of no preset, and the presets to measure beside them."""
+    names = _name_in_results(solver, settings)
+    own = [one for one, name in zip(settings, names, strict=True) if name not in LEVELS]
+    return own, [DEFAULT, *(name for name in names if name in LEVELS)]
+
+
+def _name_in_results(solver: str, settings: Sequence[Options]) -> list[str]:
+    """Return the name of each settings in the results: that of a preset, or the options as text."""
+    presets = {format_options_as_toml(o): name for name, o in find_trial_presets(solver).items()}
+    texts = map(format_options_as_toml, settings)
+    return [presets.get(text, text) for text in texts]
 
 
 def plan_settings(
@@ -286,14 +307,12 @@ def score_runs(
 
 
 def score_settings(
-    settings: Sequence[Options],
-    runs: Mapping[str, Sequence[RunRecord]],
-    requirements: Requirements,
+    solver: TunedSolver, settings: Sequence[Options], runs: Mapping[str, Sequence[RunRecord]]
 ) -> list[Score]:
     """Return the score of each of some settings, from runs by the name of their settings."""
     return [
-        score_runs(runs.get(format_options_as_toml(own), ()), runs[DEFAULT], requirements)
-        for own in settings
+        score_runs(runs.get(name, ()), runs[DEFAULT], solver.requirements)
+        for name in _name_in_results(solver.name, settings)
     ]
 
 

@@ -26,7 +26,7 @@ from dpbench.bench.workers.child import has_compiled_kernels
 from dpbench.errors import InputError, PolicyError, ResultsError, require_integer_at_least
 from dpbench.report.formats import join_with_and
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_public_settings_attributes
-from dpbench.solvers.contract import HIGH, Options, Policy, Route
+from dpbench.solvers.contract import DEFAULT, HIGH, Options, Policy, Route
 from dpbench.solvers.own_settings import (
     expand_option_grid,
     parse_options_of_choice,
@@ -46,14 +46,15 @@ from dpbench.solvers.table import (
     require_solver_available,
 )
 from dpbench.tuning.campaigns import (
-    DEFAULT,
     TunedProblem,
     TunedSolver,
+    find_trial_presets,
     group_runs_by_settings,
     load_tuned_problem,
     plan_settings,
     refuse_training_qps_in_test,
     score_settings,
+    split_off_presets,
 )
 from dpbench.tuning.search import Score, SearchSpace, SettingsSearch, make_space, split_into_batches
 
@@ -72,13 +73,15 @@ _Adapter = NativeAdapter | QpsolversAdapter
 class SearchRequest:
     """A search for settings of a solver: where it looks, on which QPs, how long.
 
-    start : the user's settings, None without any; searched : lines on the options that are searched
-    and on limits that are not; remarks : on what makes the result doubtful.
+    start : the user's settings, None without any; first_trials : these and the presets, tried in
+    the first batch; searched : lines on the options that are searched and on limits that are not;
+    remarks : on what makes the result doubtful.
     """
 
     solver: TunedSolver
     space: SearchSpace
     start: Options | None
+    first_trials: Sequence[Options]
     training: Sequence[TunedProblem]
     test: Sequence[TunedProblem]
     trials: int
@@ -129,6 +132,9 @@ def make_request(
         raise InputError("--name", "", repr(name)[:90], allowed)
     space = make_space(solver, ranges, widened, given)
     start = space.convert_to_range_types(given) if given else None
+    # Options of one's own hold in every trial, and so do ranges in place of the stated ones.
+    known = {} if ranges else find_trial_presets(solver)
+    presets = [{**options, **space.fixed} for options in known.values()]
     native = tuned.route == "native"
     adapter = get_native_adapter(solver) if native else get_qpsolvers_adapter(solver)
     _refuse_bad_options(adapter, space, start)
@@ -139,6 +145,7 @@ def make_request(
         tuned,
         space,
         start,
+        [*([] if start is None else [start]), *presets],
         learned,
         other,
         trials,
@@ -311,7 +318,8 @@ def _repeat_finished_batches(
 
     def evaluate(settings: Sequence[Options]) -> list[Score]:
         folder = request.folder / f"batch-{next(numbers):02d}"
-        cells = plan_settings(request.solver, request.training, settings)
+        own = split_off_presets(request.solver.name, settings)
+        cells = plan_settings(request.solver, request.training, *own)
         if len(find_finished_cells(cells, folder)) < len(cells):
             raise _NotFinishedError
         try:
@@ -322,11 +330,11 @@ def _repeat_finished_batches(
         runs = group_runs_by_settings(Records(results).all_runs, request.training)
         finished_s.append(estimate_run_seconds(cells, count_slots(None), STATED_RATES))
         wall_s.append(results.suite.get("wall_s", finished_s[-1]))
-        return score_settings(settings, runs, request.solver.requirements)
+        return score_settings(request.solver, settings, runs)
 
     search = SettingsSearch(request.space, evaluate, request.seed)
     with suppress(_NotFinishedError):  # the forecast is made of the trials before it
-        search.run(request.trials, request.start)
+        search.run(request.trials, request.first_trials)
     return search, finished_s, wall_s
 
 

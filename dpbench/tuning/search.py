@@ -258,16 +258,16 @@ class TrialSearch(Generic[_Score]):
         self.trials: list[Trial[_Score]] = []
         self.drawn = 0
 
-    def run(self, trials: int, start: Options | None = None) -> None:
+    def run(self, trials: int, given: Sequence[Options] = ()) -> None:
         """Try so many options, half of them spread, others near the best; store all in `trials`.
 
-        start : options that are tried with the first batch, beside the others.
+        given : options that are tried with the first batch, beside the others.
         """
         sizes = split_into_batches(trials)
         spread = math.ceil(len(sizes) / 2)
         dimensions = len(self._space.ranges)
         sample = qmc.Sobol(dimensions, seed=self._rng)
-        first = [] if start is None else [(start, self._space.point_of(start))]
+        first = [(options, self._space.point_of(options)) for options in given]
         for size in sizes[:spread]:
             self._try_points(sample.random(BATCH)[:size], first)
         radius = FIRST_RADIUS

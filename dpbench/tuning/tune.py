@@ -20,6 +20,7 @@ from dpbench.files.regular_files import write_text_atomically
 from dpbench.report.formats import Table, format_error, format_time, join_with_and, significant
 from dpbench.solvers.contract import Options, Policy, Route
 from dpbench.solvers.own_settings import format_options_as_toml
+from dpbench.solvers.settings import find_options_of_preset
 from dpbench.tuning.campaigns import (
     TunedSolver,
     count_steps_of_settings,
@@ -29,6 +30,7 @@ from dpbench.tuning.campaigns import (
     name_step_times_ns,
     score_runs,
     score_settings,
+    split_off_presets,
 )
 from dpbench.tuning.request import BEST, TRIALS, SearchRequest, make_request
 from dpbench.tuning.search import Score, SettingsSearch, Trial, split_into_batches
@@ -188,12 +190,10 @@ class Tuning:
 
     @property
     def _cautions(self) -> list[str]:
-        """The largest error where it calls for caution, and the command that checks closed loops.
+        """The command that checks closed loops, and the largest error where it calls for caution.
 
         The command has a result folder for these settings alone, as `run` refuses one of others.
         """
-        if not self._largest_error:
-            return []
         mode = f"--route {self.solver.route} --policy {self.solver.policy}"
         if self.solver.solver_module is not None:
             mode += f" --solver-module {self.solver.solver_module}"
@@ -201,7 +201,8 @@ class Tuning:
         own = hashlib.sha256(f"{choice} {mode}".encode()).hexdigest()[:8]
         out = shlex.quote(str(self.request.folder / f"loops-{own}"))
         return [
-            f"{self._largest_error}: check these settings in closed loops:",
+            *filter(None, [self._largest_error]),
+            "check these settings in closed loops, in the call mode of their search:",
             f"dpbench run standard --solver '{choice}' {mode} --out {out}",
         ]
 
@@ -219,7 +220,7 @@ class Tuning:
         """The table `[settings.NAME]` of a suite, with what was measured in its comments."""
         solver, name = self.solver, self.request.name
         comments = [
-            f"Settings of {solver.name}, route {solver.route}, policy {solver.policy}; found by "
+            f"Settings of {solver.name} in the call mode of their search; found by "
             "`dpbench tune-solver`.",
             *self.request.searched,
             *self._measured,
@@ -228,7 +229,8 @@ class Tuning:
         ]
         options = format_options_as_toml(self.best.options).replace(",", ", ").replace("=", " = ")
         head = "".join(f"# {line}\n" for line in comments)
-        return f"{head}[settings.{name}]\n{solver.name} = {{ {options} }}\n"
+        mode = f'route = "{solver.route}"\npolicy = "{solver.policy}"\n'
+        return f"{head}[settings.{name}]\n{mode}{solver.name} = {{ {options} }}\n"
 
 
 def _format_step_time(run: RunRecord) -> str:
@@ -246,7 +248,7 @@ class _SearchProgress:
         self._training = count_steps_of_settings(request.solver, request.training)
         self._all = self._training + count_steps_of_settings(request.solver, request.test)
         in_end = len(request.presets) + len(request.name_settings({}))
-        started = request.trials + (request.start is not None) + self._batches - 1
+        started = request.trials + len(request.first_trials) + self._batches - 1
         self._remarks: set[str] = set()
         progress.start(started * self._training + in_end * self._all)
 
@@ -308,7 +310,7 @@ def tune_solver(
     widened : such texts beside the other ranges.
     route, policy : of the solver; no route is native where it has that.
     error_move : the accuracy requirement, largest error of the first move [rate-limit steps].
-    trials : settings to try, beside one's own; steps : of a scenario, 0 for all.
+    trials : settings to try, beside one's own and the presets; steps : of a scenario, 0 for all.
     name : of the settings in the TOML file that is written.
     out : folder; by default `results/tune-SOLVER`.
     wait_s : the longest wait of a batch for another campaign on this machine; None without a
@@ -343,7 +345,7 @@ def tune_solver(
     roles: tuple[TunedRole, ...] = ()
     is_interrupted = False
     try:
-        search.run(request.trials, request.start)
+        search.run(request.trials, request.first_trials)
         if search.best.score.is_right:
             roles = _measure_roles(request, search.best.options, bar, wait_s)
     except KeyboardInterrupt:
@@ -365,8 +367,9 @@ def _make_search(
     def evaluate(settings: Sequence[Options]) -> list[Score]:
         place = request.folder / f"batch-{next(numbers):02d}"
         progress.plan(len(settings) + 1)
-        runs = measure_settings(tuned, problems, settings, place, progress, wait_s=wait_s)
-        return score_settings(settings, group_runs_by_settings(runs, problems), tuned.requirements)
+        own, presets = split_off_presets(tuned.name, settings)
+        runs = measure_settings(tuned, problems, own, place, progress, presets, wait_s=wait_s)
+        return score_settings(tuned, settings, group_runs_by_settings(runs, problems))
 
     return SettingsSearch(request.space, evaluate, request.seed)
 
@@ -389,9 +392,11 @@ def _measure_roles(
     roles = []
     for title, problems in (("training", request.training), ("test", request.test)):
         found = group_runs_by_settings(runs, problems)
-        # Of two names with equal options the results have one.
+        # Of two names with equal options the results have one, a preset's before one's own.
+        of_presets = {name: find_options_of_preset(name, request.solver.name) for name in presets}
+        known = of_presets | named
         measured = {
-            format_options_as_toml(named[name]): found[name] for name in named.keys() & found
+            format_options_as_toml(known[name]): found[name] for name in known if name in found
         }
         own = {name: measured[format_options_as_toml(options)] for name, options in named.items()}
         roles.append(TunedRole(title, {name: found[name] for name in presets} | own))

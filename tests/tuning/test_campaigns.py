@@ -42,7 +42,7 @@ def _run(settings: str, sequence: str, time_ns: float, **columns: Any) -> RunRec
 def _score(*runs: RunRecord) -> Any:
     by_settings = {"default": [_run("default", "a", 100.0), _run("default", "b", 400.0)]}
     by_settings["rho=2"] = list(runs)
-    (score,) = score_settings([{"rho": 2}], by_settings, LIMIT)
+    (score,) = score_settings(SOLVER, [{"rho": 2}], by_settings)
     return score
 
 

@@ -90,7 +90,7 @@ def test_the_search_tries_the_start_first() -> None:
     """As it is given, also between the points of the ranges, and goes on near it."""
     start = {"a": 10.001, "b": 0.7}
     search = SettingsSearch(SPACE, _evaluate, seed=1)
-    search.run(2 * BATCH, start)
+    search.run(2 * BATCH, [start])
     assert search.trials[0].options == start
     assert search.best.score.ratio < 1.0001
     near = [trial.point for trial in search.trials[-BATCH:]]

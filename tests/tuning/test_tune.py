@@ -12,6 +12,7 @@ import pytest
 
 from dpbench import load_results
 from dpbench.analysis.records.run_record import RunRecord, build_run_records
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.schema import convert_to_run_columns
 from dpbench.cli.main import main
@@ -54,6 +55,7 @@ class _Campaigns:
     def __init__(self, *, interrupted_at: int, error: float = 1e-9) -> None:
         self.batches, self._error = list[int](), error
         self._interrupted_at, self._runs = interrupted_at, 0
+        self.presets = list[list[str]]()
 
     def __call__(
         self,
@@ -67,6 +69,7 @@ class _Campaigns:
         wait_s: float | None = None,
     ) -> list[RunRecord]:
         self.batches.append(len(settings))
+        self.presets.append([*presets])
         if len(self.batches) == self._interrupted_at:
             raise KeyboardInterrupt
         progress.start(0)
@@ -97,13 +100,14 @@ def test_an_interrupted_search_writes_the_best_so_far(
     assert main(["tune-solver", "osqp", *words.split(), "--out", str(tmp_path)]) == 130
     said = capsys.readouterr()
     shown, text = " ".join(said.out.split()), (tmp_path / "tuned.toml").read_text()
-    assert f"best so far, of {tried} settings of osqp (native fresh): " in shown
+    assert f"best so far, of {tried + 3} settings of osqp (native fresh): " in shown
     for written in (shown, text):
-        assert "accurate; 0.111 times the step time of default" in written
+        # The last of a first batch of default, three presets and eight settings.
+        assert "accurate; 0.0833 times the step time of default" in written
         assert f"interrupted, not done: {left}" in written
         assert "the measurement on test sequences" in written
     assert "dpbench: interrupted; finished cells are kept" in said.err
-    assert set(tomllib.loads(text)["settings"]["tuned"]) == {"osqp"}
+    assert set(tomllib.loads(text)["settings"]["tuned"]) == {"route", "policy", "osqp"}
 
 
 class _CountingProgress(Silent):
@@ -117,6 +121,35 @@ class _CountingProgress(Silent):
 
     def advance(self, work: int, what: str) -> None:
         self.finished += work
+
+
+def test_the_presets_are_in_the_first_batch_and_the_call_mode_is_in_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Low, mid and high by their names; the file runs in its mode in a suite of another one."""
+    campaigns = _Campaigns(interrupted_at=0)
+    monkeypatch.setattr(tune, "measure_settings", campaigns)
+    monkeypatch.setattr(tune, "find_step_of_largest_error", lambda *_: 0)
+    words = {"training": ["calm-30-5"], "test": ["move-30-5"], "trials": 8, "policy": "warm"}
+    found = tune_solver("osqp", out=tmp_path, **words)  # type: ignore[arg-type] # mixed values
+    assert campaigns.presets == [
+        ["default", "low", "mid", "high"],
+        ["default"],
+        ["default", "high"],
+    ]
+    assert found.trials == 8 + 3
+    suite = (
+        'title = "mine"\nsolvers = ["osqp"]\nbaseline_law = false\n[[closed_loop]]\n'
+        'scenarios = ["paper"]\nsettings = ["default", "tuned"]\n'
+    )
+    (tmp_path / "mine.toml").write_text(suite + (tmp_path / "tuned.toml").read_text())
+    modes = {
+        (planned.cell.settings, planned.cell.route, planned.cell.policy)
+        for planned in RunRequest(str(tmp_path / "mine.toml")).make_plan().cells
+    }
+    assert modes == {("default", "qpsolvers", "fresh"), ("tuned", "native", "warm")}
+    request = RunRequest(str(tmp_path / "mine.toml"), policies=["fresh"])
+    assert {planned.cell.policy for planned in request.make_plan().cells} == {"fresh"}
 
 
 @pytest.mark.parametrize("solver", ["osqp", "osqp[rho=1.6]"])
@@ -167,7 +200,7 @@ def test_settings_near_the_limit_are_to_be_checked(
             (f"largest error {share} meas" in shown) if share else ("% of the limit" not in shown)
         )
     proposed = [shlex.split(line) for line in said.splitlines() if line.startswith("dpbench run")]
-    assert len(proposed) == bool(share)
+    assert len(proposed) == 1
     for words_of_command in proposed:
         assert words_of_command[-2] == "--out"
         assert Path(words_of_command[-1]).parent == tmp_path
@@ -232,7 +265,7 @@ def test_settings_are_found_measured_and_written(
     command = ["tune-solver", "osqp", *words.split(), "--range", "eps_abs=[1e-8,1e-3]"]
     assert main(command) == 0
     said = capsys.readouterr().out
-    (options,) = tomllib.loads(Path("out/tuned.toml").read_text())["settings"]["tuned"].values()
+    options = tomllib.loads(Path("out/tuned.toml").read_text())["settings"]["tuned"]["osqp"]
     assert set(options) == {"max_iter", "eps_abs"}
     assert f"max_iter={options['max_iter']}" in said
     assert "training sequences (calm-60-10[:300:8]): accurate; " in " ".join(said.split())

@@ -17,12 +17,19 @@ from dpbench.bench.plan.suite import (
     RecordedTable,
     ReplayTable,
     ScenarioRunsTable,
+    SettingsTable,
     SuiteFile,
 )
 from dpbench.bench.record.cell import Cell, Configuration
-from dpbench.errors import InputError, SettingsError, UnknownNameError, format_allowed_names
+from dpbench.errors import (
+    InputError,
+    PolicyError,
+    SettingsError,
+    UnknownNameError,
+    format_allowed_names,
+)
 from dpbench.solvers.calibration import CALIBRATION
-from dpbench.solvers.contract import Options, Route
+from dpbench.solvers.contract import Options, Policy, Route
 from dpbench.solvers.own.adapters import UNCONSTRAINED_CLIPPED
 from dpbench.solvers.own_settings import (
     encode_options_as_json,
@@ -54,11 +61,16 @@ Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable | Capability
 
 
 class NamedSettings(NamedTuple):
-    """Settings by name: options of one's own as JSON, or a preset with other names of the same."""
+    """Settings by name: options of one's own as JSON, or a preset with other names of the same.
+
+    route, policy : of settings that have a call mode of their own.
+    """
 
     name: str
     options: str = ""
     alias: tuple[str, ...] = ()
+    route: Route | None = None
+    policy: Policy | None = None
 
 
 def list_settings_of_choice(choice: str, table: RunsTable, suite: SuiteFile) -> list[NamedSettings]:
@@ -77,17 +89,21 @@ def list_settings_of_choice(choice: str, table: RunsTable, suite: SuiteFile) -> 
 
 def _list_own_settings(suite: SuiteFile, name: str, solver: str) -> list[NamedSettings]:
     """Return the settings of a solver in `[settings.NAME]`, one for each point of their grid."""
-    options = suite.settings.get(name, {}).get(solver)
-    if options is None:
+    table = suite.settings.get(name)
+    options = None if table is None else table.options_by_solver.get(solver)
+    if table is None or options is None:
         return []
+    mode = table.route, table.policy
     points = expand_option_grid(options, f"suite: settings.{name}.{solver}")
     if len(points) == 1:
-        return [NamedSettings(name, encode_options_as_json(points[0]))]
+        return [NamedSettings(name, encode_options_as_json(points[0]), (), *mode)]
     varied = {key for key, value in options.items() if points[0].get(key) != value}
     return [
         NamedSettings(
             f"{name}[{format_options_as_toml({k: v for k, v in point.items() if k in varied})}]",
             encode_options_as_json(point),
+            (),
+            *mode,
         )
         for point in points
     ]
@@ -130,18 +146,29 @@ def refuse_invalid_own_settings(suite: SuiteFile, choices: Iterable[str], where:
         except SettingsError as error:
             key = f"{solver}[{error.key}]"
             raise SettingsError(where, key, error.found, error.allowed) from None
-    for name, solvers in suite.settings.items():
-        for solver, options in solvers.items():
+    for name, table in suite.settings.items():
+        for solver, options in table.options_by_solver.items():
             where = f"suite: settings.{name}.{solver}"
             try:
+                _refuse_unavailable_call_mode(solver, table)
                 has_preset = has_preset_or_tolerance(find_solver_record(solver).name, name)
                 for point in expand_option_grid(options, where):
                     _refuse_unaccepted_options(solver, point)
-            except (SettingsError, UnknownNameError) as error:
+            except (PolicyError, SettingsError, UnknownNameError) as error:
                 raise type(error)(where, error.key, error.found, error.allowed) from None
             if has_preset:
                 where = f"suite: settings.{name}"
                 raise InputError(where, "", "the name of a preset", "a name of its own")
+
+
+def _refuse_unavailable_call_mode(solver: str, table: SettingsTable) -> None:
+    """Raise PolicyError where a solver has no route, or no policy of it, that settings name."""
+    row = find_solver_record(solver)
+    if (route := table.route) is not None and route not in row.routes:
+        raise PolicyError("", "route", repr(route), " | ".join(row.routes))
+    offered = [p for own in ([route] if route else row.routes) for p in row.policies_by_route[own]]
+    if table.policy is not None and table.policy not in offered:
+        raise PolicyError("", "policy", repr(table.policy), " | ".join(dict.fromkeys(offered)))
 
 
 def _refuse_unaccepted_options(solver: str, options: Options) -> None:
@@ -166,12 +193,11 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     """Return the solvers of a suite, or those of `only` where some are chosen.
 
     A solver with options of one's own is a text such as `osqp[rho=1.6]`. "all" leaves out those of
-    an optional extra that is not installed, and what the suite does not want as superseded.
-    UnknownNameError for an unknown solver; SettingsError
+    an optional extra that is not installed. UnknownNameError for an unknown solver; SettingsError
     for options that a solver does not have; InputError for a baseline of the report, or solvers of
     a table, that the suite has not.
     """
-    named = _resolve_solvers("solvers", suite.solvers, superseded=suite.superseded)
+    named = _resolve_solvers("solvers", suite.solvers)
     for kind, tables in (("closed_loop", suite.closed_loop), ("replay", suite.replay)):
         key = f"{kind}.solvers"
         for table in tables:
@@ -199,31 +225,29 @@ def _is_choice_among(choice: str, names: Sequence[str]) -> bool:
     return choice in names or split_into_solver_and_options_text(choice)[0] in names
 
 
-def _resolve_solvers(key: str, names: Sequence[str], *, superseded: bool = True) -> list[str]:
+def _resolve_solvers(key: str, names: Sequence[str]) -> list[str]:
     """Return the solvers that an entry of the suite names; an InputError names the entry."""
     try:
-        return _expand_solver_choices(names, superseded=superseded)
+        return _expand_solver_choices(names)
     except InputError as error:
         place = f"{key}: {error.key}" if error.key else key
         raise type(error)("suite", place, error.found, error.allowed) from None
 
 
-def _expand_solver_choices(names: Sequence[str], *, superseded: bool = True) -> list[str]:
+def _expand_solver_choices(names: Sequence[str]) -> list[str]:
     """Return choices of solvers without repeats, with "all" and grids of settings expanded."""
     chosen: list[str] = []
     for name in names:
         if name == "all":
-            chosen += list_default_solvers(superseded=superseded)
+            chosen += _list_default_solvers()
         else:
             find_solver_record(split_into_solver_and_options_text(name)[0])
             chosen += expand_choice_over_option_grid(name)
     return list(dict.fromkeys(chosen))
 
 
-def name_solvers_of_suite(choices: Sequence[str], *, superseded: bool = True) -> list[str]:
+def name_solvers_of_suite(choices: Sequence[str]) -> list[str]:
     """Return the names of the solvers that a suite lists, without options, "all" expanded.
-
-    superseded : as of the suite.
 
     >>> name_solvers_of_suite(["daqp", "osqp[rho=[0.1,1]]"])
     ['daqp', 'osqp']
@@ -231,19 +255,15 @@ def name_solvers_of_suite(choices: Sequence[str], *, superseded: bool = True) ->
     named: list[str] = []
     for choice in choices:
         if choice == "all":
-            named += list_default_solvers(superseded=superseded)
+            named += _list_default_solvers()
         else:
             named.append(split_into_solver_and_options_text(choice)[0])
     return list(dict.fromkeys(named))
 
 
-def list_default_solvers(*, superseded: bool = True) -> list[str]:
-    """Return the solvers of "all": neither the baseline law nor those of a missing extra.
-
-    superseded : whether those are included for which another of the same code is chosen instead.
-    """
-    names = [s for s in list_all_solver_names() if s != BASELINE_LAW and _is_default_solver(s)]
-    return [s for s in names if superseded or not find_solver_record(s).choose_instead]
+def _list_default_solvers() -> list[str]:
+    """Return the solvers of "all": neither the baseline law nor those of a missing extra."""
+    return [s for s in list_all_solver_names() if s != BASELINE_LAW and _is_default_solver(s)]
 
 
 def _is_default_solver(solver: str) -> bool:
@@ -297,7 +317,7 @@ def list_configurations(
     if not solvers:
         return []
     refuse_unknown_settings_names(suite, table, solvers)
-    own = [name for name in solvers if name in CALIBRATION]
+    calibration = [name for name in solvers if name in CALIBRATION]
     solvers = [name for name in solvers if name not in CALIBRATION]
     configurations: list[Configuration] = []
     for units, formulation, policy, wanted, choice in product(
@@ -305,14 +325,19 @@ def list_configurations(
     ):
         row = find_solver_record(split_into_solver_and_options_text(choice)[0])
         route: Route = row.default_route if wanted == "default" else wanted
-        if route not in row.policies_by_route:
-            continue
-        configurations += [
-            Configuration(row.name, route, policy, name, units, formulation, options, alias)
-            for name, options, alias in list_settings_of_choice(choice, table, suite)
-        ]
+        for own in list_settings_of_choice(choice, table, suite):
+            called = own.route or route, own.policy or policy
+            if called[0] in row.policies_by_route:
+                name, options, alias = own.name, own.options, own.alias
+                configurations.append(
+                    Configuration(row.name, *called, name, units, formulation, options, alias)
+                )
     timed = isinstance(table, ReplayTable | RecordedTable)
-    return configurations + [Configuration(name, "native", "reuse") for name in own if timed]
+    # Settings with a call mode of their own come with every mode of the table.
+    configurations = list(dict.fromkeys(configurations))
+    return configurations + [
+        Configuration(name, "native", "reuse") for name in calibration if timed
+    ]
 
 
 def _select_solvers(solvers: Sequence[str], table: Table) -> list[str]:

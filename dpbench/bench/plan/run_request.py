@@ -138,7 +138,8 @@ def reduce_suite(
 ) -> SuiteFile:
     """Return a suite reduced to some scenarios, calls and `steps` of each loop and replay.
 
-    calls : `settings`, `routes` and `policies` in place of those of every table.
+    calls : `settings`, `routes` and `policies` in place of those of every table; the last two also
+        of settings of one's own.
 
     Unless the suite names all `scenarios`, they replace its own, by name or TOML file: each closed
     loop and replay runs with them, from the first step on. InputError for less than one step.
@@ -175,7 +176,10 @@ def reduce_suite(
         key: [table for i, table in enumerate(own) if table not in own[:i]]
         for key, own in tables.items()
     }
-    return _copy_table_with(suite, **once)
+    keys = {"route": "routes", "policy": "policies"}
+    replaced = {key: None for key, names in keys.items() if names in calls}
+    named = {name: _copy_table_with(table, **replaced) for name, table in suite.settings.items()}
+    return _copy_table_with(suite, settings=named, **once)
 
 
 Model = TypeVar("Model", bound=BaseModel)

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, get_args
 
-from pydantic import AfterValidator, Field, WithJsonSchema
+from pydantic import AfterValidator, ConfigDict, Field, WithJsonSchema
 
 from dpbench.bench.plan.study_points import RouteName, RunsTable, StudyTable
 from dpbench.bench.record.cell import DEFAULT_FALLBACK, SLOWEST, Units
@@ -25,7 +25,7 @@ from dpbench.scenario.tables.key_types import (
     require_distinct_horizon_texts,
 )
 from dpbench.ship.capability.loads import DYNAMIC_FACTOR
-from dpbench.solvers.contract import LEVELS, Policy
+from dpbench.solvers.contract import LEVELS, Options, Policy, Route
 
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
@@ -248,6 +248,24 @@ class ReportTable(FileModel):
     """Configuration for which that step was found, as the report names it."""
 
 
+class SettingsTable(FileModel):
+    """Settings of one's own: each solver's options by its own keys; a list is a grid."""
+
+    later_keys: ClassVar[frozenset[str]] = frozenset({"route", "policy"})
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, OptionsTable]
+
+    route: Route | None = None
+    """Route of these settings, in place of those of a table of runs."""
+    policy: Policy | None = None
+    """Policy of these settings, in place of those of a table of runs."""
+
+    @property
+    def options_by_solver(self) -> dict[str, Options]:
+        """Options of each solver, a list of values for a grid."""
+        return dict(self.__pydantic_extra__)
+
+
 class SuiteFile(FileModel):
     """Content of a suite, a TOML file of solvers and what they run; 0 steps means all steps.
 
@@ -261,8 +279,6 @@ class SuiteFile(FileModel):
     """The suite in words."""
     solvers: Annotated[list[str], Field(min_length=1)] = ["all"]
     """Solvers that run; all: every one that is installed."""
-    superseded: bool = True
-    """Solvers whose record names another of the same code to choose instead run too, with `all`."""
     baseline_law: bool = True
     """Closed loops with the clipped unconstrained law as a baseline."""
     calibration: bool = False
@@ -283,8 +299,8 @@ class SuiteFile(FileModel):
     """Requirements of a solver."""
     report: ReportTable = ReportTable()
     """First view of the report."""
-    settings: dict[str, dict[str, OptionsTable]] = {}
-    """Settings of one's own by name: each solver's options by its own keys; a list is a grid."""
+    settings: dict[str, SettingsTable] = {}
+    """Settings of one's own by name: options of each solver, and a call mode."""
     design: DesignTable | None = None
     """Stability and region of attraction of the controllers; not studied without this table."""
     embedded: EmbeddedTable | None = None
