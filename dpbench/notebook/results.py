@@ -109,11 +109,13 @@ class Results(result_folder.Results):
         return self.tables["ladder"]
 
     def paired_ratios(self) -> pd.DataFrame:
-        """Return solvers' step time ratios to the fastest, measured on the same steps, as a table.
+        """Return step time ratios of two configurations on the same steps, as a table.
 
-        One row for each number of `variables`. `low` and `high` bound the mean ratio. `finding` is
-        "slower" (the second), "tied" where they include 1, "unstable" where another measure names
-        another solver as faster, or "too few steps" for an interval, which is then 0 to inf.
+        Each solver's best against the fastest, and its settings, in one call mode, against
+        `default` or the first of them. One row for each number of `variables`. `low` and `high`
+        bound the mean ratio. `finding` is "slower" or "faster" (the second), "tied" where they
+        include 1, "unstable" where another measure names another one as faster, or "too few steps"
+        for an interval, which is then 0 to inf.
         """
         return self.tables["paired_ratios"]
 

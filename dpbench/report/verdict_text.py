@@ -10,12 +10,12 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS, Interval
-from dpbench.analysis.times.contrasts import PairedComparison
 from dpbench.analysis.times.machine import (
     find_largest_by_name,
     select_timed_replays,
     sum_disturbances,
 )
+from dpbench.analysis.times.paired_times import PairedComparison
 from dpbench.analysis.verdict.requirements import (
     PERHAPS_BY_MACHINE,
     Finding,
@@ -254,8 +254,10 @@ def _describe_time_ratio(compared: PairedComparison) -> str:
             return f"{wording}: no significant difference"
     if not compared.is_unstable:
         return wording
-    tail = [*compared.leaders][-1]
-    return f"{wording}, with the larger {tail}: which is faster depends on the measure"
+    slower = compared.first if compared.ratio.value < 1.0 else compared.second
+    against = [name for name, leader in compared.leaders.items() if leader == slower]
+    size = "larger" if slower == compared.first else "smaller"
+    return f"{wording}, with the {size} {against[-1]}: which is faster depends on the measure"
 
 
 def describe_findings(findings: Sequence[Finding]) -> str:

@@ -1,4 +1,4 @@
-"""Contrasts of step times: routes, settings, formulations, two solvers, and horizons.
+"""Contrasts of step times: routes, settings levels, formulations, and horizons.
 
 Routes are compared with their neighbours in the order qpsolvers fresh, native fresh, native reuse,
 native warm: the cost of the wrapper, the gain of a kept workspace, that of a warm start.
@@ -7,10 +7,9 @@ native warm: the cost of the wrapper, the gain of a kept workspace, that of a wa
 import json
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -22,161 +21,13 @@ from dpbench.analysis.statistics import (
     Interval,
     estimate_paired_time_ratio,
     estimate_percentile_interval,
-    estimate_pooled_ratio,
-    select_long_series,
 )
+from dpbench.analysis.times.paired_times import match_times_by_step
 from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
-from dpbench.analysis.verdict.verdict import Verdict, Verdicts
-from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import median_of_known, percentile_or_nan
 from dpbench.bench.record.cell import Configuration, sort_key_of_settings
 from dpbench.bench.record.schema import FORCES
 from dpbench.scenario.tables.key_types import Horizons
-
-
-@dataclass(frozen=True)
-class PairedComparison:
-    """Step time ratio second/first of two configurations on the same steps of equal QP size.
-
-    `leaders` names the faster one by each yardstick; where they differ the order is unstable.
-    """
-
-    first: str
-    second: str
-    variables: float
-    ratio: Interval
-    steps: int
-    leaders: dict[str, str]
-
-    @property
-    def is_tied(self) -> bool:
-        """True if the time ratio's interval contains 1, so that neither solver is faster."""
-        return self.ratio.contains(1.0)
-
-    @property
-    def is_unstable(self) -> bool:
-        """True if it depends on p99 or median which of two configurations is faster."""
-        return len(set(self.leaders.values())) > 1 or self.ratio.high < 1.0
-
-    @property
-    def finding_text(self) -> str:
-        """Finding on the ratio: "too few steps", "tied", "unstable" or "slower" (the second)."""
-        if not math.isfinite(self.ratio.high):
-            return "too few steps"
-        if self.is_tied:
-            return "tied"
-        return "unstable" if self.is_unstable else "slower"
-
-    @property
-    def table_row(self) -> dict[str, Any]:
-        """Table row: names of both configurations, time ratio with interval, and the finding."""
-        ratio = {"ratio": self.ratio.value, "low": self.ratio.low, "high": self.ratio.high}
-        names = {"first": self.first, "second": self.second}
-        size = {"variables": self.variables}
-        return names | size | ratio | {"steps": self.steps, "finding": self.finding_text}
-
-
-def match_times_by_step(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
-    """Return the step times of two configurations on the steps that both have done."""
-    if np.array_equal(first.k, second.k):
-        return first.algo_ns, second.algo_ns
-    _, in_first, in_second = np.intersect1d(first.k, second.k, return_indices=True)
-    return first.algo_ns[in_first], second.algo_ns[in_second]
-
-
-def compute_log_ratio_half_width(
-    first: Mapping[int, StepTimes], second: Mapping[int, StepTimes], sizes: Mapping[int, float]
-) -> float:
-    """Return the half-width of two configurations' log time ratio on their largest common QPs.
-
-    NaN if unknown. first, second : step times by the index of the replay; sizes : its variables.
-    """
-    logs: dict[float, list[Floats]] = {}
-    for p in first.keys() & second.keys():
-        first_ns, second_ns = match_times_by_step(first[p], second[p])
-        if len(first_ns):
-            logs.setdefault(sizes[p], []).append(np.log(second_ns / first_ns))
-    ratio = estimate_pooled_ratio(logs[max(logs)]) if logs else UNKNOWN
-    known = ratio.low > 0.0 and ratio.high < math.inf
-    return 0.5 * math.log(ratio.high / ratio.low) if known else math.nan
-
-
-def compare_paired_times(
-    records: Records, first: Verdict, second: Verdict
-) -> list[PairedComparison]:
-    """Return two configurations' step time ratios on the QP sequences that both replayed.
-
-    One comparison for each number of variables, the fewest first: the ratio depends on the size.
-    Sequences of one size have equal weight; `first` has the smaller p99, or the smaller largest
-    step where there is none.
-    """
-    names = first.configuration.label, second.configuration.label
-    logs: dict[float, list[Floats]] = {}
-    leaders: dict[float, dict[str, str]] = {}
-    for sequence in records.sequences:
-        size, first_ns, second_ns = _find_common_times(records, sequence, first, second)
-        if len(first_ns):
-            leader = names[int(np.median(first_ns) > np.median(second_ns))]
-            logs.setdefault(size, []).append(np.log(second_ns / first_ns))
-            leaders.setdefault(size, {})[f"median on `{sequence}`"] = leader
-    tail = {"p99" if math.isfinite(first.p99_ns) else "largest step": names[0]}
-    return [
-        PairedComparison(
-            *names,
-            size,
-            estimate_pooled_ratio(logs[size]),
-            sum(map(len, select_long_series(logs[size]))),
-            leaders[size] | tail,
-        )
-        for size in sorted(logs)
-    ]
-
-
-def count_common_window_steps(records: Records, first: Verdict, second: Verdict) -> int:
-    """Return how many steps two configurations both solved in windows of hardest steps."""
-    replays = records.select_runs(mode="replay")
-    windows = {run.sequence for run in replays if run.steps_searched_for_hardest}
-    return sum(len(_find_common_times(records, name, first, second)[1]) for name in windows)
-
-
-def _find_common_times(
-    records: Records, sequence: str, first: Verdict, second: Verdict
-) -> tuple[float, Floats, Floats]:
-    """Return the number of variables of a QP sequence and two configurations' times on its steps.
-
-    The times (K,) [ns] are of the steps that both replayed; K is 0 without any.
-    """
-    runs = [_find_replay_of_verdict(records, sequence, verdict) for verdict in (first, second)]
-    times = [None if run is None else records.get_step_times(run) for run in runs]
-    if runs[0] is None or times[0] is None or times[1] is None:
-        return math.nan, np.empty(0), np.empty(0)
-    return runs[0].n, *match_times_by_step(times[0], times[1])
-
-
-def find_faster_inconclusive(
-    records: Records, verdicts: Verdicts, chosen: Verdict
-) -> list[Verdict]:
-    """Return configurations of inconclusive verdict that are surely faster than the chosen one.
-
-    Those without anything against the requirements.
-    """
-    unsettled = [v for v in verdicts.all_verdicts if v.state == "inconclusive" and v.timed_on]
-    compared = [(compare_paired_times(records, chosen, verdict), verdict) for verdict in unsettled]
-    faster = [
-        (max(one.ratio.value for one in sizes), verdict)
-        for sizes, verdict in compared
-        if sizes and all(one.ratio.high < 1.0 for one in sizes)
-    ]
-    ordered = (verdict for _, verdict in sorted(faster, key=lambda pair: pair[0]))
-    return list(map_first_by_key(ordered, lambda verdict: verdict.configuration.solver).values())
-
-
-def _find_replay_of_verdict(records: Records, sequence: str, verdict: Verdict) -> RunRecord | None:
-    """Return a judged configuration's replay of a QP sequence; None without one."""
-    wanted, replays = verdict.configuration, records.select_replays(sequence)
-    alike = (run for run in replays if run.configuration.moved_to_common_formulation == wanted)
-    return next(alike, None)
-
 
 RoutePolicy = tuple[str, str]
 

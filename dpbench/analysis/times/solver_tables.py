@@ -18,8 +18,12 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import StepTimes
 from dpbench.analysis.records.thinned_runs import ThinnedRun
-from dpbench.analysis.times.contrasts import compare_paired_times, compute_log_ratio_half_width
 from dpbench.analysis.times.machine import find_library_call_ns
+from dpbench.analysis.times.paired_times import (
+    compare_paired_times,
+    compare_settings_of_solvers,
+    compute_log_ratio_half_width,
+)
 from dpbench.analysis.verdict.requirements import STATES
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import (
@@ -239,15 +243,20 @@ def tabulate_hard_steps(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd
 
 
 def tabulate_time_ratios(matrix: RunMatrix) -> pd.DataFrame:
-    """Return a table of each solver's step time over the fastest's, best configurations of both.
+    """Return a table of step time ratios, one row for each two configurations and size of QP.
 
-    One row for each two solvers and size of their QPs.
+    Each solver's best configuration over the fastest's, then each solver's settings over the first.
     """
     timed = sort_fastest_first(
         [v for v in list_best_verdict_of_each_solver(matrix.verdicts) if v.timed_on]
     )
-    pairs = (compare_paired_times(matrix.records, timed[0], verdict) for verdict in timed[1:])
-    return pd.DataFrame([one.table_row for sizes in pairs for one in sizes])
+    pairs = [
+        one
+        for verdict in timed[1:]
+        for one in compare_paired_times(matrix.records, timed[0], verdict)
+    ]
+    rows = [*pairs, *compare_settings_of_solvers(matrix.records)]
+    return pd.DataFrame([one.table_row for one in rows])
 
 
 def compute_half_widths_of_pairs(

@@ -35,6 +35,7 @@ from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.bench.record.result_folder import load_results
 from dpbench.display import make_html_table
 from dpbench.errors import InputError
+from dpbench.report.compare.further_tables import make_settings_table, make_windows_table
 from dpbench.report.formats import (
     MISSING,
     Table,
@@ -340,7 +341,8 @@ def compare(
     changed = make_changes_table(figures, margin)
     tables = [make_solvers_table(compared, figures)] if compared or figures else []
     tables += [make_times_table(compared, margin, alpha, reference=solver)] if compared else []
-    tables += [changed] if changed is not None else []
+    further = make_windows_table(*views, pairs.pairs), changed, make_settings_table(*views)
+    tables += [table for table in further if table is not None]
     return Comparison(compared, shared, figures, pairs, lines, tables, margin, alpha, solver)
 
 
@@ -398,7 +400,7 @@ def _make_summary_lines(
         lines.append("step times: " + ", ".join(f"{n} {v}" for v, n in verdicts.most_common()))
     windows = sum(pair.a.steps_searched_for_hardest > 0 for pair in pairs.pairs)
     if windows:
-        lines.append(f"{plural(windows, 'window')} of hardest steps: step times not compared")
+        lines.append(f"{plural(windows, 'window')} of hardest steps: step times without a verdict")
     lines += [describe_shared_factor(one) for one in shared]
     changes = Counter(answer.change for answer in figures)
     if figures:

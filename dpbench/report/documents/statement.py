@@ -230,10 +230,7 @@ def _fill_statement(
             for solver in [v.configuration.solver]
         ],
         selection=describe_selection(
-            name_solvers_of_suite(
-                results.suite.get("solvers", []),
-                superseded=bool(results.suite.get("superseded", True)),
-            ),
+            name_solvers_of_suite(results.suite.get("solvers", [])),
             [str(name) for name in versions],
         ),
         machine_state=describe_disturbance(sum_disturbances(select_timed_replays(records))),

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from math import isfinite, isnan
 from typing import Any
 
-from dpbench.analysis.times.contrasts import (
+from dpbench.analysis.times.machine import find_shortest_wait_ns
+from dpbench.analysis.times.paired_times import (
     compare_paired_times,
     count_common_window_steps,
     find_faster_inconclusive,
 )
-from dpbench.analysis.times.machine import find_shortest_wait_ns
 from dpbench.analysis.verdict.time_findings import (
     SlowStep,
     find_largest_stall_ns,
@@ -125,9 +125,11 @@ def build_recommendation(
         fastest = find_fastest_configuration(data.verdicts, baseline)
         second = fastest.configuration if fastest else own[0]
     ship = summarise_ships(data.ships)
+    choice = _describe_choice(data, found, is_lost=bool(ship.warning))
+    alone = f"Nothing was compared, as only {known[0].label} was run." if len(known) == 1 else ""
     return Recommendation(
         ship=ship,
-        sentence=_describe_choice(data, found, is_lost=bool(ship.warning)),
+        sentence=" ".join(filter(None, (alone, choice))),
         notes=(*_make_notes(data, found), *_yield_stopped_notes(data)),
         chips=tuple(_make_badges(data, first)),
         snippets=tuple(_make_snippets(chosen.configuration)) if chosen else (),

@@ -21,6 +21,7 @@ from dpbench.report.topics.replays import (
     build_loops_topic,
     build_race_topic,
     build_routes_topic,
+    build_settings_topic,
     build_worst_case_topic,
 )
 from dpbench.report.topics.study import build_study_topic
@@ -56,6 +57,7 @@ def build_topics(
         build_formulations_topic(records, requirements),
         build_loops_topic(records, requirements) if loops else None,
         build_race_topic(records) if replays else None,
+        build_settings_topic(records),
         build_routes_topic(records) if replays else None,
         build_levels_topic(records, requirements) if replays else None,
         build_thrusters_topic(records, requirements),

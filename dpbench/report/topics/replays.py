@@ -18,9 +18,9 @@ from dpbench.analysis.times.contrasts import (
     compare_routes,
     count_wins_of_formulations,
     find_right_levels_by_solver,
-    match_times_by_step,
     yield_matched_replays,
 )
+from dpbench.analysis.times.paired_times import compare_settings_of_solvers, match_times_by_step
 from dpbench.analysis.verdict.requirements import (
     Requirements,
     is_right_on_every_step,
@@ -39,7 +39,7 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.page.section import Topic
-from dpbench.report.verdict_text import describe_answer, format_p99_interval
+from dpbench.report.verdict_text import describe_answer, describe_paired_times, format_p99_interval
 
 
 def build_routes_topic(records: Records) -> Topic | None:
@@ -132,6 +132,46 @@ def _describe_right_levels(records: Records, requirements: Requirements) -> str:
     parts += [f"with others only: {', '.join(others)}"] if others else []
     parts += [f"with none that was run: {join_with_and(never)}"] if never else []
     return "; ".join(parts) + "."
+
+
+MOST_RATIOS = 6
+"""Ratios of two settings that are named; of presets alone the page has as many at most."""
+
+
+def build_settings_topic(records: Records) -> Topic | None:
+    """Return the report's part on settings of one solver timed side by side; None without two."""
+    found = compare_settings_of_solvers(records)
+    own = {run.configuration.label for run in records.runs if run.options}
+    named = [one for one in found if {one.first, one.second} & own]
+    if not found or (not named and len(found) > MOST_RATIOS):
+        return None
+    named = named or found
+    sizes = {one.variables for one in named}
+    texts = [
+        one.second
+        + (f" at {one.variables:.0f} variables" if len(sizes) > 1 else "")
+        + f" takes {describe_paired_times([one])} as {one.first}"
+        for one in named[:MOST_RATIOS]
+    ]
+    more = len(named) - len(texts)
+    ending = f"; {more} more: tables/paired_ratios.csv" if more > 0 else ""
+    rows = [
+        {
+            "settings": one.second,
+            "against": one.first,
+            "variables": f"{one.variables:.0f}",
+            "ratio (95 %)": _format_ratio(one.ratio),
+            "steps": format_count(one.steps),
+            "finding": one.finding_text,
+        }
+        for one in found
+    ]
+    note = "Geometric mean of the ratios of step times on common steps, in one call mode."
+    lead = f"{'; '.join(texts)}{ending}."
+    table = Table.from_rows(rows, text_columns=2)
+    return Topic(
+        "settings", "Two settings of one solver", (lead, note), (), (table,), short="Settings"
+    )
 
 
 def build_race_topic(records: Records) -> Topic | None:

@@ -5,7 +5,11 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.contrasts import PairedComparison, compare_paired_times
+from dpbench.analysis.times.paired_times import (
+    PairedComparison,
+    compare_paired_times,
+    compare_settings_of_solvers,
+)
 from dpbench.analysis.times.solver_tables import (
     build_level_points,
     tabulate_best_times,
@@ -18,6 +22,9 @@ from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import load_path_and_suite
+from dpbench.report.documents.markdown import make_report_markdown
+from dpbench.report.formats import significant
+from dpbench.report.report import Report
 from dpbench.report.verdict_text import describe_paired_times
 from dpbench.solvers.calibration import COPY_ONLY
 from dpbench.solvers.settings import has_distinct_tolerance_presets, list_preset_names
@@ -163,6 +170,39 @@ def test_a_ratio_that_turns_with_the_sequence_names_both_leaders(records: Any) -
     assert found.leaders["median on `paper`"] == "other (qpsolvers fresh)"
     assert found.leaders["median on `calm`"] == "base (qpsolvers fresh)"
     assert found.is_unstable
+
+
+def test_settings_of_a_solver_are_compared_with_its_first_in_one_call_mode(records: Any) -> None:
+    """Half the time of default in its mode; warm, where nothing else ran, has no ratio."""
+    records.loop("osqp")
+    records.replay("osqp", median_us=40.0, spread=0.1)
+    own = {"settings": "mine", "options": '{"rho": 1.6}'}
+    records.replay("osqp", median_us=20.0, spread=0.1, **own)
+    records.replay("osqp", median_us=60.0, settings="high", spread=0.1)
+    records.replay("osqp", median_us=5.0, policy="warm", spread=0.1, **own)
+    found = {one.second: one for one in compare_settings_of_solvers(records.view())}
+    assert {one.first for one in found.values()} == {"osqp (qpsolvers fresh)"}
+    mine, high = found["osqp (qpsolvers fresh, mine)"], found["osqp (qpsolvers fresh, high)"]
+    assert len(found) == 2 and mine.ratio.value == pytest.approx(0.5, rel=0.02)
+    assert (mine.finding_text, high.finding_text) == ("faster", "slower")
+    report = Report.from_results(records.results())
+    text = f"osqp (qpsolvers fresh, mine) takes {significant(mine.ratio.value)} times as long over"
+    assert text in dict(report.summary_rows())["settings"] and "high" not in text
+    assert text in make_report_markdown(report)
+    (topic,) = (one for one in report.topics if one.id == "settings")
+    ratios = [row[3].split(" ")[0] for row in topic.tables[0].rows]
+    assert ratios == [significant(one.ratio.value) for one in (high, mine)]
+    assert {mine.second, high.second} <= {*report.tables["paired_ratios"]["second"]}
+
+
+def test_a_larger_tail_of_the_faster_settings_is_named(records: Any) -> None:
+    """Most steps take half as long and 20 of them 50 times: which is faster depends."""
+    records.replay("osqp", median_us=40.0, spread=0.1)
+    slow = dict.fromkeys(range(20), 50.0)
+    records.replay("osqp", median_us=20.0, settings="low", slow=slow, spread=0.1)
+    (found,) = compare_settings_of_solvers(records.view())
+    assert found.finding_text == "unstable"
+    assert "with the larger p99 on `paper`" in describe_paired_times([found])
 
 
 def test_only_common_steps_are_compared(records: Any) -> None:

@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.contrasts import compare_paired_times
+from dpbench.analysis.times.paired_times import (
+    compare_paired_times,
+)
 from dpbench.analysis.verdict.requirements import MISSED, Finding, Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers, sort_fastest_first
 from dpbench.report.formats import strip_markdown

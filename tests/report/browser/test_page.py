@@ -8,7 +8,9 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from dpbench.analysis.times.contrasts import compare_paired_times
+from dpbench.analysis.times.paired_times import (
+    compare_paired_times,
+)
 from dpbench.bench.record.cell import Configuration
 from dpbench.report.formats import format_rounded_down
 from dpbench.report.page.recommendation import format_python_call

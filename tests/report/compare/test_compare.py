@@ -23,6 +23,7 @@ from dpbench.report.compare.page import (
     write_comparison,
 )
 from dpbench.report.ship_text import BANNER
+from tests.conftest import MadeRecords
 from tests.report.conftest import run_row
 from tests.result_folder import StepsInMemory, write_results
 
@@ -192,12 +193,20 @@ def test_windows_of_hardest_steps_are_compared_by_accuracy_alone(
     both: dict[str, Any] = {"configurations": ("daqp", "piqp")}
     window = both | {"cell": json.dumps(cell)}
     found = compare(make("a", seed=1, **window), make("b", seed=2, **window))
-    assert "2 windows of hardest steps: step times not compared" in found.lines
+    assert "2 windows of hardest steps: step times without a verdict" in found.lines
+    (times,) = (table for table in found.tables if "window" in table.heads)
+    rows = [dict(zip(times.heads, row, strict=True)) for row in times.rows]
+    assert [row["configuration"] for row in rows] == ["daqp (native fresh)", "piqp (native fresh)"]
+    for row in rows:
+        # The mean ratio is between the least and the largest of the steps.
+        assert 0.5 < float(row["B/A"]) < 2.0 and row["steps"].endswith(" of 450")
+        assert float(row["B p99 [µs]"]) <= float(row["B largest [µs]"])
     assert found.headline == "no change shown, accuracy only"
     page = write_comparison(tmp_path / "compare.html", found).read_text(encoding="utf-8")
     assert "no regression shown, accuracy only" in page
     whole = compare(make("c", seed=1, **both), make("d", seed=2, **both))
-    assert not any("not compared" in line for line in whole.lines)
+    assert not any("of hardest steps" in line for line in whole.lines)
+    assert not any("window" in table.heads for table in whole.tables)
     assert whole.headline == "no change shown"
 
 
@@ -559,6 +568,26 @@ def test_settings_whose_options_changed_are_compared_by_their_name(make: Make) -
     assert not compared.worse and "better" in set(compared.answers["change"])
     assert compare(b, a).worse
     assert not any("options changed" in line for line in compare(a, a).lines)
+
+
+def test_each_folder_has_the_ratios_of_two_settings(tmp_path: Path) -> None:
+    """Half the time of default in A; in B, on a machine half as fast, the same."""
+    for name, factor in (("a", 1.0), ("b", 2.0)):
+        one = MadeRecords()
+        for settings, median_us in (("default", 40.0), ("mine", 20.0)):
+            options = {"options": '{"rho": 1.6}'} if settings == "mine" else {}
+            own = {"settings": settings, "spread": 0.1, **options}
+            one.replay("osqp", median_us=factor * median_us, **own)
+        write_results(tmp_path / name, one.results())
+    compared = compare(tmp_path / "a", tmp_path / "b")
+    (table,) = (one for one in compared.tables if "ratio in A" in one.heads)
+    (row,) = table.rows
+    labels = ("osqp (qpsolvers fresh, mine)", "osqp (qpsolvers fresh)", "30")
+    assert row[:3] == labels and row[3:5] == row[5:7]
+    assert float(row[3]) == pytest.approx(0.5, rel=0.02)
+    low, high = json.loads(row[4])
+    assert low < float(row[3]) < high
+    assert "Two settings of one solver, within each folder" in compared.markdown()
 
 
 @pytest.mark.slow

@@ -2,7 +2,9 @@
 
 from typing import Any
 
-from dpbench.analysis.times.contrasts import compare_routes
+from dpbench.analysis.times.contrasts import (
+    compare_routes,
+)
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
 from dpbench.report.formats import Table

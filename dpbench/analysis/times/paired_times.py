@@ -1,0 +1,210 @@
+"""Step times paired on the same steps: of two solvers, or of two settings of one."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
+from dpbench.analysis.records.run_steps import StepTimes
+from dpbench.analysis.statistics import (
+    UNKNOWN,
+    Interval,
+    estimate_pooled_ratio,
+    select_long_series,
+)
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts
+from dpbench.arrays import Floats
+from dpbench.bench.judge.rules import percentile_or_nan
+from dpbench.bench.record.cell import Configuration, sort_key_of_settings
+
+
+@dataclass(frozen=True)
+class PairedComparison:
+    """Step time ratio second/first of two configurations on the same steps of equal QP size.
+
+    `leaders` names the faster one by each yardstick; where they differ the order is unstable.
+    """
+
+    first: str
+    second: str
+    variables: float
+    ratio: Interval
+    steps: int
+    leaders: dict[str, str]
+
+    @property
+    def is_tied(self) -> bool:
+        """True if the time ratio's interval contains 1, so that neither solver is faster."""
+        return self.ratio.contains(1.0)
+
+    @property
+    def is_unstable(self) -> bool:
+        """True if it depends on the measure which of two configurations is faster."""
+        by_ratio = {self.second if self.ratio.high < 1.0 else self.first}
+        return len({*self.leaders.values()} | (set() if self.is_tied else by_ratio)) > 1
+
+    @property
+    def finding_text(self) -> str:
+        """Finding: "too few steps", "tied", "unstable", or the second is "slower" or "faster"."""
+        if not math.isfinite(self.ratio.high):
+            return "too few steps"
+        if self.is_tied:
+            return "tied"
+        if self.is_unstable:
+            return "unstable"
+        return "faster" if self.ratio.high < 1.0 else "slower"
+
+    @property
+    def table_row(self) -> dict[str, Any]:
+        """Table row: names of both configurations, time ratio with interval, and the finding."""
+        ratio = {"ratio": self.ratio.value, "low": self.ratio.low, "high": self.ratio.high}
+        names = {"first": self.first, "second": self.second}
+        size = {"variables": self.variables}
+        return names | size | ratio | {"steps": self.steps, "finding": self.finding_text}
+
+
+def match_times_by_step(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
+    """Return the step times of two configurations on the steps that both have done."""
+    if np.array_equal(first.k, second.k):
+        return first.algo_ns, second.algo_ns
+    _, in_first, in_second = np.intersect1d(first.k, second.k, return_indices=True)
+    return first.algo_ns[in_first], second.algo_ns[in_second]
+
+
+def compute_log_ratio_half_width(
+    first: Mapping[int, StepTimes], second: Mapping[int, StepTimes], sizes: Mapping[int, float]
+) -> float:
+    """Return the half-width of two configurations' log time ratio on their largest common QPs.
+
+    NaN if unknown. first, second : step times by the index of the replay; sizes : its variables.
+    """
+    logs: dict[float, list[Floats]] = {}
+    for p in first.keys() & second.keys():
+        first_ns, second_ns = match_times_by_step(first[p], second[p])
+        if len(first_ns):
+            logs.setdefault(sizes[p], []).append(np.log(second_ns / first_ns))
+    ratio = estimate_pooled_ratio(logs[max(logs)]) if logs else UNKNOWN
+    known = ratio.low > 0.0 and ratio.high < math.inf
+    return 0.5 * math.log(ratio.high / ratio.low) if known else math.nan
+
+
+def compare_paired_times(
+    records: Records, first: Verdict, second: Verdict
+) -> list[PairedComparison]:
+    """Return two configurations' step time ratios on the QP sequences that both replayed.
+
+    One comparison for each number of variables, the fewest first: the ratio depends on the size.
+    Sequences of one size have equal weight; `first` has the smaller p99, or the smaller largest
+    step where there is none.
+    """
+    label = first.configuration.label
+    tail = {"p99" if math.isfinite(first.p99_ns) else "largest step": label}
+    found = compare_configurations(records, first.configuration, second.configuration, ())
+    return [replace(one, leaders=one.leaders | tail) for one in found]
+
+
+def compare_configurations(
+    records: Records,
+    first: Configuration,
+    second: Configuration,
+    percentiles: Sequence[float] = (99.0,),
+) -> list[PairedComparison]:
+    """Return two configurations' step time ratios on common replays, the smallest QPs first.
+
+    percentiles : step times that name a leader beside the median, where a replay supports them.
+    """
+    names = first.label, second.label
+    logs: dict[float, list[Floats]] = {}
+    leaders: dict[float, dict[str, str]] = {}
+    for sequence in records.sequences:
+        size, first_ns, second_ns = _find_common_times(records, sequence, first, second)
+        if len(first_ns):
+            logs.setdefault(size, []).append(np.log(second_ns / first_ns))
+            of_size = leaders.setdefault(size, {})
+            for percent in (50.0, *percentiles):
+                ends = [percentile_or_nan(one_ns, percent) for one_ns in (first_ns, second_ns)]
+                measure = "median" if percent == 50.0 else f"p{percent:g}"
+                if math.isfinite(ends[0]):
+                    of_size[f"{measure} on `{sequence}`"] = names[int(ends[0] > ends[1])]
+    return [
+        PairedComparison(
+            *names,
+            size,
+            estimate_pooled_ratio(logs[size]),
+            sum(map(len, select_long_series(logs[size]))),
+            leaders[size],
+        )
+        for size in sorted(logs)
+    ]
+
+
+def count_common_window_steps(records: Records, first: Verdict, second: Verdict) -> int:
+    """Return how many steps two configurations both solved in windows of hardest steps."""
+    replays = records.select_runs(mode="replay")
+    windows = {run.sequence for run in replays if run.steps_searched_for_hardest}
+    pair = first.configuration, second.configuration
+    return sum(len(_find_common_times(records, name, *pair)[1]) for name in windows)
+
+
+def _find_common_times(
+    records: Records, sequence: str, first: Configuration, second: Configuration
+) -> tuple[float, Floats, Floats]:
+    """Return the number of variables of a QP sequence and two configurations' times on its steps.
+
+    The times (K,) [ns] are of the steps that both replayed; K is 0 without any.
+    """
+    runs = [_find_replay(records, sequence, wanted) for wanted in (first, second)]
+    times = [None if run is None else records.get_step_times(run) for run in runs]
+    if runs[0] is None or times[0] is None or times[1] is None:
+        return math.nan, np.empty(0), np.empty(0)
+    return runs[0].n, *match_times_by_step(times[0], times[1])
+
+
+def find_faster_inconclusive(
+    records: Records, verdicts: Verdicts, chosen: Verdict
+) -> list[Verdict]:
+    """Return configurations of inconclusive verdict that are surely faster than the chosen one.
+
+    Those without anything against the requirements.
+    """
+    unsettled = [v for v in verdicts.all_verdicts if v.state == "inconclusive" and v.timed_on]
+    compared = [(compare_paired_times(records, chosen, verdict), verdict) for verdict in unsettled]
+    faster = [
+        (max(one.ratio.value for one in sizes), verdict)
+        for sizes, verdict in compared
+        if sizes and all(one.ratio.high < 1.0 for one in sizes)
+    ]
+    ordered = (verdict for _, verdict in sorted(faster, key=lambda pair: pair[0]))
+    return list(map_first_by_key(ordered, lambda verdict: verdict.configuration.solver).values())
+
+
+def _find_replay(records: Records, sequence: str, wanted: Configuration) -> RunRecord | None:
+    """Return a configuration's replay of a QP sequence; None without one."""
+    replays = records.select_replays(sequence)
+    alike = (run for run in replays if run.configuration.moved_to_common_formulation == wanted)
+    return next(alike, None)
+
+
+def compare_settings_of_solvers(records: Records) -> list[PairedComparison]:
+    """Return step time ratios of each solver's settings to the first of them, in one call mode.
+
+    The first is `default` where it was timed, else the preset of the largest tolerance, else the
+    first of one's own. Settings that no common step was timed of have no ratio.
+    """
+    replays = records.select_runs(mode="replay", units="scaled")
+    configurations = dict.fromkeys(
+        run.configuration.moved_to_common_formulation
+        for run in replays
+        if records.get_step_times(run) is not None
+    )
+    modes = group_by_key(configurations, lambda c: (c.solver, c.route, c.policy))
+    found: list[PairedComparison] = []
+    for alike in modes.values():
+        first, *others = sorted(alike, key=lambda c: sort_key_of_settings(c.settings))
+        for other in others:
+            found += compare_configurations(records, first, other)
+    return found
