@@ -131,7 +131,10 @@ def print_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Na
     Returns the exit code: 1 with `--strict` where the controller does not hold a ship.
     """
     if arguments.json:
-        print(json.dumps({"page": str(page)} | dict(rows), ensure_ascii=False, indent=2))
+        texts = {"page": str(page)}
+        for head, text in rows:
+            texts[head] = f"{texts[head]}\n{text}" if head in texts else text
+        print(json.dumps(texts, ensure_ascii=False, indent=2))
     elif arguments.quiet:
         print(page)
     else:

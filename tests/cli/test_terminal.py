@@ -1,10 +1,12 @@
 """Texts for people fit 80 columns and a dumb terminal, and have no codes in them."""
 
+import json
 import os
 import pty
 import re
 import subprocess
 import sys
+from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from dpbench.cli.terminal import (
     _TimeLeftColumn,
     format_heading_and_paragraphs,
     make_report_table,
+    print_ending,
     print_wrapped,
 )
 from dpbench.report.formats import Table
@@ -209,3 +212,11 @@ def test_the_time_left_is_that_at_the_mean_rate(elapsed_s: float, done: int, sai
         now_s[0] += 1e-6
     now_s[0] = elapsed_s
     assert str(_TimeLeftColumn().render(bar.tasks[0])) == said
+
+
+def test_json_has_every_line_of_one_keyword(capsys: pytest.CaptureFixture[str]) -> None:
+    """One's own settings have a line each."""
+    rows = [("options", "osqp[rho=1]: fail."), ("options", "osqp[rho=2]: pass.")]
+    how = Namespace(json=True, quiet=False, open=False, strict=False)
+    assert print_ending(Path("report.html"), rows, how) == 0
+    assert json.loads(capsys.readouterr().out)["options"] == "\n".join(text for _, text in rows)

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, get_args
 
-from pydantic import AfterValidator, ConfigDict, Field, WithJsonSchema
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
 from dpbench.bench.plan.study_points import RouteName, RunsTable, StudyTable
 from dpbench.bench.record.cell import DEFAULT_FALLBACK, SLOWEST, Units
@@ -32,8 +32,19 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Size = Annotated[list[Count], Field(min_length=2, max_length=2)]
 Option = bool | int | float | str
+
+
+def _require_table_of_solver(value: object) -> object:
+    """Return the options of a solver unchanged; ValueError for an option without its solver."""
+    if not isinstance(value, dict):
+        raise ValueError("route, policy, or a table of a solver, as osqp = { rho = 1.6 }")
+    return value
+
+
 OptionsTable = Annotated[
-    dict[str, Option | list[Option] | dict[str, Option | list[Option]]], Field(min_length=1)
+    dict[str, Option | list[Option] | dict[str, Option | list[Option]]],
+    Field(min_length=1),
+    BeforeValidator(_require_table_of_solver),
 ]
 """Options of one solver; those of a group in a table of its own."""
 FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]

@@ -8,8 +8,9 @@ import pytest
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import Cell
-from dpbench.errors import DpbenchError, InputError, SettingsError, UnknownNameError
+from dpbench.errors import DpbenchError, InputError, PolicyError, SettingsError, UnknownNameError
 
+OSQP = "osqp = { rho = 1.6, eps_abs = 1e-5 }"
 SUITE = """
 title = "Settings of one's own"
 solvers = ["osqp", "daqp"]
@@ -125,7 +126,11 @@ def test_the_tables_of_a_suite_may_name_a_choice_or_its_solver(suite: str) -> No
         ("settings.mine", "settings.high", InputError, r"settings\.high: found the name of a p"),
         ("settings.mine", 'settings."1e-4"', InputError, r"settings\.1e-4: found the name of a p"),
         ("osqp = { rho = 1.6", "osqq = { rho = 1.6", UnknownNameError, r"mine\.osqq: .*osqp"),
-        ("osqp = { rho = 1.6, eps_abs = 1e-5 }", "osqp = {}", InputError, r"mine\.osqp"),
+        (OSQP, "osqp = {}", InputError, r"mine\.osqp"),
+        (OSQP, "rho = 1.6", InputError, r"mine\.rho: found 1\.6; allowed: route, policy, or a t"),
+        (OSQP, f'policy = "hot"\n{OSQP}', InputError, r"settings\.mine\.policy: found 'hot'"),
+        (OSQP, 'policy = "warm"\nclarabel = { tol_feas = 1 }', PolicyError, r"mine\.clarabel: pol"),
+        (OSQP, 'route = "qpsolvers"\nhpipm_ocp = { mu0 = 1.0 }', PolicyError, r"hpipm_ocp: rou"),
         ('"osqp",', '"osqp[rhoo=1]",', SettingsError, r"solvers: osqp\[rhoo\]: .*: rho, "),
         ('"osqp",', '"osqp[rho=[]]",', InputError, r"solvers: rho: found \[\]"),
         ('"mine"', '"mien"', SettingsError, r"settings: found 'mien'; allowed: .*mine"),
