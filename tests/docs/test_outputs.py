@@ -27,6 +27,7 @@ WITHOUT = {
     "dpbench gather": OF_CAMPAIGN,
     "dpbench compare results/before": OF_CAMPAIGN,
     "dpbench report results/standard --": OF_CAMPAIGN,
+    "dpbench report results/seas --": OF_CAMPAIGN,
     "dpbench report results/mine --send": OF_CAMPAIGN,
     "dpbench check results/community": OF_CAMPAIGN,
 }
