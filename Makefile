@@ -28,7 +28,7 @@ export MKL_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: setup environments bench full test test-fast test-core test-lowest test-casadi mutants chaos soak lint docs tutorial bench-ci bench-compare vendored report clean clean-results help
+.PHONY: setup environments bench full test test-fast test-core test-lowest test-casadi outdated mutants chaos soak lint docs tutorial bench-ci bench-compare vendored report clean clean-results help
 
 setup: $(STAMP) ## make .venv with all solvers and the development tools
 
@@ -83,6 +83,9 @@ test-casadi: setup ## run the tests of the solvers whose library is an extra (HP
 	$(BIN)/python -m pip install --quiet --no-deps --upgrade --target $(CASADI) 'casadi>=3.7'
 	PYTHONPATH=$(CASADI) $(BIN)/python -m pytest $(SIDE_BY_SIDE) tests/solvers tests/bench/run/test_formulations.py::test_exact_solvers \
 	    -k "hpipm or qpoases"
+
+outdated: setup ## list newer releases of the solvers and run the conformance tests with each, OUTDATED=--list to list them alone
+	$(BIN)/python -m tests.outdated $(OUTDATED)
 
 # Which file and how many: MUTANTS='dpbench/qp/residuals.py --all'.
 mutants: setup ## plant a sample of faults and check that the quick tests find 90 % (some ten minutes)

@@ -447,7 +447,13 @@ _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
         "check a vessel, scenario, suite, sequence or sent result",
         None,
     ),
-    "doctor": (lambda doctor: None, "is this machine quiet, is the harness right", None),
+    "doctor": (
+        lambda doctor: doctor.add_argument(
+            "--offline", action="store_true", help="do not look for newer releases of solvers"
+        ),
+        "is this machine quiet, is the harness right",
+        None,
+    ),
     "completion": (
         lambda completion: completion.add_argument("shell", choices=("bash", "zsh", "fish")),
         "complete names in a shell",

@@ -6,13 +6,19 @@ from dpbench.bench.record.machine import describe_machine
 from dpbench.cli.terminal import wrap_paragraph
 from dpbench.report import verdict_text as verdict
 from dpbench.report.formats import MISSING
+from dpbench.solvers.releases import find_newer_releases
 from dpbench.solvers.table import find_solver_availability, list_all_solver_names
 
 _WIDTH = 32
+_INDEX_TIMEOUT_S = 5.0
+"""Longest wait for the package index [s]."""
 
 
-def describe_machine_and_clock() -> list[str]:
-    """Return lines on this machine, how quiet it is, whether solve times are measured rightly."""
+def describe_machine_and_clock(*, offline: bool) -> list[str]:
+    """Return lines on this machine, how quiet it is, whether solve times are measured rightly.
+
+    offline : do not ask the package index for newer releases of the solvers.
+    """
     machine = describe_machine()
     harness = time_dummy_solvers()
     available = ((name, find_solver_availability(name)) for name in list_all_solver_names())
@@ -27,6 +33,9 @@ def describe_machine_and_clock() -> list[str]:
         ("load average", loads or MISSING),
         *verdict.list_disturbance_facts(harness.disturbance),
     ]
+    # After the measurement, which pip would disturb.
+    newer = [] if offline else find_newer_releases(_INDEX_TIMEOUT_S)
+    facts += [("newer releases", ", ".join(map(str, newer)))] if newer else []
     verdicts = (
         f"machine: {verdict.describe_disturbance(harness.disturbance)}",
         f"quiet means: {QUIET_RULE}",

@@ -450,7 +450,7 @@ def _print_machine_check(arguments: argparse.Namespace) -> None:
     """Print facts about this machine (`dpbench doctor`)."""
     from dpbench.cli.doctor import describe_machine_and_clock
 
-    print("\n".join(describe_machine_and_clock()))
+    print("\n".join(describe_machine_and_clock(offline=arguments.offline)))
 
 
 def _check_named_file(arguments: argparse.Namespace) -> None:

@@ -2,6 +2,7 @@
 asserted."""
 
 import gc
+import json
 import os
 import time
 from pathlib import Path
@@ -28,6 +29,7 @@ from dpbench.bench.sequences.sequence_file import save_sequence
 from dpbench.cli.main import main
 from dpbench.qp.program import QPSequence
 from dpbench.report.write import write_report, write_report_with_summary
+from dpbench.solvers import releases
 from dpbench.solvers.calibration import CALIBRATION, NO_OP, open_calibration_solver
 from tests.bench.deterministic import run_suite, suite_toml
 
@@ -135,9 +137,15 @@ def test_a_quick_calibration_leaves_the_process_as_it_was() -> None:
     assert np.isfinite(found.disturbance.switches_per_s)
 
 
-def test_the_doctor_says_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_doctor_says_what_there_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    newer = {"name": "daqp", "version": "99.0"}
+    report = json.dumps({"install": [{"metadata": newer}]})
+    monkeypatch.setattr(releases, "_resolve_newest_with_pip", lambda names, timeout_s: report)
     assert main(["doctor"]) == 0
     said = capsys.readouterr().out
+    assert "newer releases                  daqp 99.0 (installed: " in said
     words = (
         "processor",
         "governor",

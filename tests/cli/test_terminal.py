@@ -76,7 +76,7 @@ def test_lists_fit(kind: str, say: Say) -> None:
         ["init", "my_ship", *SHIP],
         EXPORT,
         ["worst-case", "daqp", "--budget", "1", "--steps", "3"],
-        ["doctor"],
+        ["doctor", "--offline"],
         ["paper"],
         ["run", "smoke", "--solver", "quadprog", "--settings", "default", "--steps", "20"],
         ["run", "smoke", "--solver", "quadprog", "--steps", "20", "--json", "--out", "b"],
@@ -160,7 +160,7 @@ def test_doctor_puts_a_long_fact_beside_its_name(monkeypatch: pytest.MonkeyPatch
     machine: dict[str, Any] = {"load_average": [], "memory_GiB": 8, "kernel": "k", "python": "p"}
     versions = {f"library{i}": "1.0" for i in range(20)}
     monkeypatch.setattr(doctor, "describe_machine", lambda: machine | {"versions": versions})
-    said = "\n".join(doctor.describe_machine_and_clock())
+    said = "\n".join(doctor.describe_machine_and_clock(offline=True))
     assert_readable(said)
     assert f"\n{' ' * 32}library" in said
 
