@@ -23,7 +23,8 @@ ROUTES: dict[Route, str] = {
 INTRODUCTION = """# Solvers
 
 One page for each solver that dpbench has an adapter for. A solver that qpsolvers serves works by
-its name without one, and [your own](../tutorials/add-a-solver.md) is one file.
+its name without one, and [your own](../tutorials/add-a-solver.md) is one file. Others were
+[looked at and left out](../looked-at.md).
 `dpbench list solvers` lists which are installed here, in which version.
 """
 EXTRAS = {
