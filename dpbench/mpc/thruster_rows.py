@@ -7,9 +7,9 @@
         …     ╲__╱   …          and T cos(π/s) at least anywhere else
 
 Between corners the polygon gives away 1 − cos(π/s) ≈ ½ (π/s)² of the thrust. Opposite sides share
-a row, because one-sided rows bring infinite limits that some solvers take badly. A sector adds two
-rows through the origin, whose other side is T, which no force exceeds. Every other thruster has one
-row of its own.
+a row, because one-sided rows bring infinite limits that some solvers take badly. A sector adds a row
+through the origin for each of its edges, whose other side is T, which no force exceeds: two rows, and
+one of a half turn, whose edges are one line. Every other thruster has one row of its own.
 """
 
 from collections.abc import Collection
@@ -21,7 +21,7 @@ import scipy.linalg
 
 from dpbench.arrays import Flags, Indices, Matrix, Vector
 from dpbench.kernel_cache import njit
-from dpbench.ship.thrusters import Thruster, ThrusterSet
+from dpbench.ship.thrusters import Thruster, ThrusterSet, is_half_turn
 
 NOTHING_LOST: Flags = np.zeros(0, dtype=np.bool_)  # Of limits that belong to no thrusters
 
@@ -110,7 +110,10 @@ def _build_limit_rows_of_one_thruster(
         return normals, -most, most
     start, end = thruster.convex_sector_rad
     edges = [(-np.sin(start), np.cos(start)), (np.sin(end), -np.cos(end))]
-    beside = np.full(2, thruster.thrust_N)
+    if is_half_turn(thruster.convex_sector_rad):
+        # A second row, a rounding apart, would leave open which of the two is active.
+        edges = edges[:1]
+    beside = np.full(len(edges), thruster.thrust_N)
     low, high = np.concatenate((-most, 0.0 * beside)), np.concatenate((most, beside))
     return np.vstack((normals, edges)), low, high
 

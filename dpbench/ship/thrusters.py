@@ -43,6 +43,11 @@ def describe_sector(start_deg: float, end_deg: float) -> str:
     return f"pushes {format_directions(start_deg, end_deg)} ({race}), {barred}"
 
 
+def is_half_turn(sector_rad: tuple[float, float]) -> bool:
+    """Return whether the edges of a sector are one line, but for rounding."""
+    return abs(sector_rad[1] - sector_rad[0] - np.pi) <= _ROUNDING
+
+
 def format_sector(sector_rad: tuple[float, float]) -> str:
     """Return the directions of a sector as text in degrees."""
     return format_directions(*np.degrees(sector_rad).tolist())

@@ -91,6 +91,22 @@ def test_of_a_wide_sector_controllers_plan_with_the_middle_half_turn_or_the_chos
     np.testing.assert_array_equal(chosen.G, last.G)
 
 
+@pytest.mark.parametrize("start_deg", [-90.0, 0.0, 120.0, 123.4, 240.0])
+def test_both_edges_of_a_half_turn_are_one_row(start_deg: float) -> None:
+    """Two rows a rounding apart would leave no certificate of which is active."""
+    half = math.radians(start_deg), math.radians(start_deg + 180.0)
+    thrusters = one_azimuth(sector_rad=half)
+    rows = build_limit_rows_of_thrusters(thrusters, 16)
+    of_azimuth = rows.G[rows.thruster == 0, :2]
+    assert len(of_azimuth) == 16 // 2 + 1
+    across = of_azimuth[:, :1] * of_azimuth[:, 1] - of_azimuth[:, 1:] * of_azimuth[:, 0]
+    own = np.eye(len(of_azimuth), dtype=bool)
+    assert np.abs(across[~own]).min() > 1e-3
+    low, high, _ = rows.limits_after_loss_of_thrusters({0})
+    zero = (low == 0.0) & (high == 0.0)
+    assert np.linalg.matrix_rank(rows.G[zero]) == np.count_nonzero(zero) == 2
+
+
 def test_a_lost_azimuth_is_held_at_zero_by_two_rows_alone() -> None:
     rows = build_limit_rows_of_thrusters(
         one_azimuth(sector_rad=(math.radians(-40.0), math.radians(100.0))), 16
