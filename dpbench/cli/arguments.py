@@ -242,8 +242,10 @@ def _add_init_arguments(init: Command) -> None:
         "Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml, with what "
         "was derived how in their comments; with --thrusters also NAME_thrusters.toml, whose "
         "controller commands them, NAME_loss_*.toml, which lose other switchboards, and the "
-        "plot NAME_capability.svg. Sectors of azimuths are directions of push: one that may push "
-        "0 to 180 deg has its race at 180 to 360. With NAME.toml there "
+        "plot NAME_capability.svg. Sectors and barred zones of azimuths are directions in which "
+        "they push the ship, clockwise from ahead; the race (wash) goes the other way. A port "
+        "azimuth whose race may not go 60 to 120 deg, to the starboard one, has barred_from_deg "
+        "240 and barred_to_deg 300. With NAME.toml there "
         "and --sea N alone: the same ship in another sea."
     )
     init.add_argument("name", metavar="NAME", help="of the ship: letters, digits, _ and -")
@@ -280,6 +282,8 @@ def _add_capability_arguments(capability: Command) -> None:
     option("--solver", "S", solver, action="append")
     option("--out", "DIR", "where these QPs go (results/capability-<vessel>)")
     option("--figure", "FILE", "write the rose: .svg, .html, .png or .pdf")
+    planned = "also with the half turns that controllers plan with for azimuths"
+    capability.add_argument("--planned", action="store_true", help=planned)
     capability.add_argument("--json", action="store_true", help="print the result as JSON")
 
 

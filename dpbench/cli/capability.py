@@ -5,6 +5,7 @@ import json
 import math
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,9 @@ from dpbench.errors import InputError
 from dpbench.report.formats import format_time
 from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.scenario.scenario import load_vessel
+from dpbench.ship.capability.loads import DP_CONDITIONS
+from dpbench.ship.capability.losses import list_thruster_cautions
+from dpbench.ship.thrusters import format_sector
 from dpbench.ship.vessel import Vessel
 from dpbench.solvers.table import require_solver_available
 
@@ -37,6 +41,8 @@ SIDES = 24
 FIGURES = (".svg", ".html", ".png", ".pdf")
 _WIDE = 4  # Cases that fit beside each other
 _CELL = 15
+_SPARE = 4  # Of a cell, at its end
+_PLANNED = 7  # Wind beside it that controllers plan with
 
 
 def describe_capability(arguments: argparse.Namespace) -> str:
@@ -53,22 +59,29 @@ def describe_capability(arguments: argparse.Namespace) -> str:
     quiet = arguments.json
     with ProgressBar(transient=True, quiet=quiet) as bar:
         capability = compute_capability(frontier, bar)
+        planned = _compute_planned(frontier, bar) if arguments.planned else None
     if figure is not None:
-        save_rose_figure(capability, vessel, figure)
+        save_rose_figure(capability, vessel, figure, planned)
     answers: list[Answers] = []
     out = Path(arguments.out or f"results/capability-{vessel.id}")
     if arguments.solver:
         answers = _judge_solvers(frontier, capability, out, arguments)
     if arguments.json:
-        report = make_json_report(capability, vessel, answers)
+        report = make_json_report(capability, vessel, answers, planned)
         return json.dumps(report, ensure_ascii=False, indent=2)
     lines = [
-        *format_wind_table(capability, vessel),
+        *format_wind_table(capability, vessel, planned),
         *_suggest_closed_loops(capability, arguments.vessel),
     ]
     if answers:
         lines += ["", *format_answer_counts(answers), "", f"judged in {out / 'run'}"]
     return "\n".join(lines)
+
+
+def _compute_planned(frontier: CapabilityPlot, progress: ProgressBar) -> Capability:
+    """Return a ship's wind limits with the half turns that controllers plan with for azimuths."""
+    convex = replace(frontier.vessel, thrusters=frontier.thrusters.copy_with_convex_sectors())
+    return compute_capability(CapabilityPlot(convex, frontier.sides), progress)
 
 
 def _judge_solvers(
@@ -88,29 +101,43 @@ def _judge_solvers(
     return count_answers_by_run(records, [run for run in records.runs if run.default_route])
 
 
-def save_rose_figure(capability: Capability, vessel: Vessel, path: Path) -> None:
+def save_rose_figure(
+    capability: Capability, vessel: Vessel, path: Path, planned: Capability | None = None
+) -> None:
     """Write a chart of the largest wind held by direction and failure case to a file."""
     from dpbench.report.charts.capability import COLUMNS as DRAWN, draw_capability_rose
     from dpbench.report.charts.render import save_figure
 
+    curves = dict(capability.held)
+    if planned is not None:
+        curves |= {f"{case}, planned": held for case, held in planned.held.items()}
     rows = [
         (case, from_deg, at.wind_mps, at.number)
-        for case, held in capability.held.items()
+        for case, held in curves.items()
         for from_deg, at in zip(FROM_DEG, held, strict=True)
     ]
     title = f"{vessel.title}: largest wind held"
     save_figure(draw_capability_rose(pd.DataFrame(rows, columns=list(DRAWN)), title), path)
 
 
-def format_wind_table(capability: Capability, vessel: Vessel) -> list[str]:
-    """Return the largest wind held, by direction and lost thrusters, as lines of 80 columns."""
-    columns = dict(capability.held)
-    if len(columns) > _WIDE:
-        columns = {INTACT: columns[INTACT], "worst failure": capability.limits_after_worst_failure}
-    room = _CELL - 2
+def format_wind_table(
+    capability: Capability, vessel: Vessel, planned: Capability | None = None
+) -> list[str]:
+    """Return the largest wind held, by direction and lost thrusters, as lines of 80 columns.
+
+    planned : the same with the half turns that controllers plan with, in a column beside each.
+    """
+    columns = _list_columns(capability)
+    room = _CELL - 2 - (0 if planned is None else _SPARE)
     names = [case if len(case) <= room else f"{case[: room - 1]}…" for case in columns]
-    head = "".join(f"  {name:<{room}}" for name in names)
-    cells = ("".join(map(_format_wind_limit, row)) for row in zip(*columns.values(), strict=True))
+    beside = "" if planned is None else f"{'planned':<{_PLANNED}}"
+    head = "".join(f"  {name:<{room}}{beside}" for name in names)
+    parts = [[_format_wind_limit(held) for held in column] for column in columns.values()]
+    if planned is not None:
+        for part, column in zip(parts, _list_columns(planned).values(), strict=True):
+            for i, held in enumerate(column):
+                part[i] = f"{part[i][:-_SPARE]}{floor_to_tenth(held.wind_mps):5.1f}  "
+    cells = map("".join, zip(*parts, strict=True))
     rows = [
         f"{from_deg:4.0f}° {row}".rstrip() for from_deg, row in zip(FROM_DEG, cells, strict=True)
     ]
@@ -121,25 +148,63 @@ def format_wind_table(capability: Capability, vessel: Vessel) -> list[str]:
         "starboard); + at the end of the standard's table."
     )
     table = [f" from {head}".rstrip(), *rows]
-    rudders = vessel.thrusters.caution_on_rudders if vessel.thrusters else ""
-    notes = [*_explain_notation(capability), *textwrap.wrap(rudders, WIDTH)]
+    cautions = list_thruster_cautions(vessel.thrusters) if vessel.thrusters else []
+    notes = [*_explain_planned(planned, vessel), *_explain_notation(capability), *cautions]
+    notes = [line for note in notes for line in textwrap.wrap(note, WIDTH)]
     return [*textwrap.wrap(about, WIDTH), "", *table, "", *notes]
+
+
+def _list_columns(capability: Capability) -> dict[str, tuple[WindLimit, ...]]:
+    """Return the cases that a table has columns for: all, or intact and the worst of many."""
+    if len(capability.held) <= _WIDE:
+        return dict(capability.held)
+    return {
+        INTACT: capability.held[INTACT],
+        "worst failure": capability.limits_after_worst_failure,
+    }
+
+
+def _explain_planned(planned: Capability | None, vessel: Vessel) -> list[str]:
+    """Return notes on the half turns that controllers plan with; none unless they are shown."""
+    if planned is None or vessel.thrusters is None:
+        return []
+    halves = [
+        f"{thruster.name} {format_sector(convex)} of {format_sector(thruster.sector_rad)}"
+        for thruster in vessel.thrusters.thrusters
+        if thruster.sector_rad is not None
+        and (convex := thruster.convex_sector_rad) not in (None, thruster.sector_rad)
+    ]
+    if not halves:
+        return ["planned: the same, as no azimuth has a sector wider than half a turn."]
+    return [
+        f"planned: the wind held with the half turn of each azimuth that controllers plan with, "
+        f"as their QPs need convex sets of forces: {', '.join(halves)}; {planned.notation}."
+    ]
+
+
+def floor_to_tenth(wind_mps: float) -> float:
+    """Return a wind rounded down: 10.68 m/s, short of the 10.7 of number 5, is no "10.7"."""
+    return math.floor(10.0 * wind_mps + 1e-6) / 10.0
 
 
 def _format_wind_limit(held: WindLimit) -> str:
     """Return the largest wind held [m/s] and its DP capability number as a table cell."""
     beyond = "+" if is_beyond_standard_winds(held) else " "
-    # Rounded down: 10.68 m/s, short of the 10.7 m/s of number 5, is no "10.7" beside a 4.
-    wind_mps = math.floor(10.0 * held.wind_mps + 1e-6) / 10.0
-    return f"  {wind_mps:5.1f}{beyond} {held.number:>2}".ljust(_CELL)
+    return f"  {floor_to_tenth(held.wind_mps):5.1f}{beyond} {held.number:>2}".ljust(_CELL)
 
 
 def _explain_notation(capability: Capability) -> list[str]:
-    """Return lines on a DP capability notation, the thrusters lost in each case, assumptions."""
+    """Return notes on a DP capability notation, its zeros, the thrusters lost, assumptions."""
     lines = [
         f"{capability.notation}: least number intact within 30° of the bow and all round, and the "
         "same after the worst failure."
     ]
+    if any(at.number == 0 for held in capability.held.values() for at in held):
+        wind_mps, hs_m, _, current_mps = DP_CONDITIONS[1]
+        lines.append(
+            f"Number 0: not even number 1 is held, a wind of {wind_mps:g} m/s with waves of "
+            f"{hs_m:g} m and a current of {current_mps:g} m/s."
+        )
     for case, names in capability.lost.items():
         if names:
             lines.append(f"{case}: without {', '.join(names)}.")
@@ -147,7 +212,7 @@ def _explain_notation(capability: Capability) -> list[str]:
         lines.append(
             f"Assumed, as the vessel's file leaves it out: {', '.join(capability.assumed)}."
         )
-    return [part for line in lines for part in textwrap.wrap(line, WIDTH)]
+    return lines
 
 
 def _suggest_closed_loops(capability: Capability, vessel: str) -> list[str]:
@@ -191,29 +256,45 @@ def format_answer_counts(answers: Sequence[Answers]) -> list[str]:
 
 
 def make_json_report(
-    capability: Capability, vessel: Vessel, answers: Sequence[Answers]
+    capability: Capability,
+    vessel: Vessel,
+    answers: Sequence[Answers],
+    planned: Capability | None = None,
 ) -> dict[str, Any]:
     """Return the largest winds held and the counts of solvers' right answers, for JSON."""
-    return {
+    report: dict[str, Any] = {
         "vessel": capability.vessel,
         "title": vessel.title,
         "standard": "DNV-ST-0111 (2021) level 1",
         "sides": capability.sides,
         "assumed": list(capability.assumed),
+        "cautions": list_thruster_cautions(vessel.thrusters) if vessel.thrusters else [],
         "notation": capability.notation,
         "from_deg": list(FROM_DEG),
-        "cases": [
-            {
-                "name": case,
-                "lost": list(capability.lost[case]),
-                "wind_mps": [round(at.wind_mps, 3) for at in held],
-                "number": [at.number for at in held],
-            }
-            for case, held in capability.held.items()
-        ],
+        "cases": _list_cases(capability),
         # JSON has no NaN, the one number that differs from itself.
         "solvers": [
             {key: value if value == value else None for key, value in vars(answer).items()}
             for answer in answers
         ],
     }
+    if planned is not None:
+        report["planned"] = {
+            "notation": planned.notation,
+            "about": _explain_planned(planned, vessel),
+            "cases": _list_cases(planned),
+        }
+    return report
+
+
+def _list_cases(capability: Capability) -> list[dict[str, Any]]:
+    """Return the winds held and DP capability numbers of each failure case, for JSON."""
+    return [
+        {
+            "name": case,
+            "lost": list(capability.lost[case]),
+            "wind_mps": [round(at.wind_mps, 3) for at in held],
+            "number": [at.number for at in held],
+        }
+        for case, held in capability.held.items()
+    ]

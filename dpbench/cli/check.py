@@ -31,6 +31,8 @@ NONE_PASSES = (
     "none can pass"
 )
 
+FIRST_SOLVER = "daqp"
+"""The solver of a short first run: fast, and right in every controller that is shipped."""
 MOST_UNSTABLE = 3
 """Unstable loops of a suite that are described; the others are counted."""
 
@@ -53,7 +55,8 @@ def check_file(name: str, progress: Progress | None = None, *, quick: bool = Fal
     if name.endswith(".npz"):
         return _check_sequence(Path(name), progress)
     if os.path.isfile(name):
-        return _check_document(Path(name), progress, quick=quick)
+        text = _check_document(Path(name), progress, quick=quick)
+        return "\n".join([text, *_suggest_first_run(Path(name))])
     if "@" in name:
         return _check_scenario(name, progress, quick=quick)
     if name.endswith(".toml") or "/" in name:
@@ -146,6 +149,25 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
     to_run, *expected = estimate.lines
     counted = [f"{file}: a suite of {len(plan.cells)} cells", *[to_run] * bool(estimate.finished)]
     return "\n".join([*missing, *counted, *expected, *also])
+
+
+def _suggest_first_run(file: Path) -> list[str]:
+    """Return a line with a short first run of a suite, or of the suite beside a ship's file."""
+    stems = ("_".join(file.stem.split("_")[:n]) for n in range(file.stem.count("_") + 1, 0, -1))
+    beside = (file.with_name(f"{stem}_suite.toml") for stem in stems)
+    path = file if file.stem.endswith("_suite") else next(filter(os.path.isfile, beside), None)
+    if path is None:
+        return []
+    from dpbench.bench.plan.configurations import name_solvers_of_suite
+    from dpbench.bench.plan.run_request import RunRequest
+
+    whole = RunRequest(str(path)).make_plan()
+    part = RunRequest(str(path), solvers=[FIRST_SOLVER], settings=["default"]).make_plan()
+    if FIRST_SOLVER not in name_solvers_of_suite(whole.document.solvers) or not part.cells:
+        return []
+    share = f"{len(part.cells)} of its {len(whole.cells)} cells, which the whole run keeps"
+    command = f"dpbench run {path} --solver {FIRST_SOLVER} --settings default"
+    return [f"first run ({share}):", f"  {command}"]
 
 
 def _describe_unstable_loops(planned: Sequence[PlannedCell]) -> list[str]:

@@ -20,6 +20,7 @@ from dpbench.cli.terminal import WIDTH
 from dpbench.report.formats import format_rounded_down, format_rounded_up, significant
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.ship import characteristics as ships
+from dpbench.ship.capability.losses import list_thruster_cautions
 from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel
 
@@ -105,8 +106,14 @@ def format_limits_by_axis(vessel: Vessel) -> list[str]:
     current_mps = ships.find_largest_current_abeam_mps(vessel, find_share)
     lines = [line.rstrip() for line in table]
     lines.append(_describe_sideways_force(pure, current_mps, unit, per))
-    sectors = [] if vessel.thrusters is None else vessel.thrusters.sector_descriptions
-    return [*lines, *_describe_drag_error(vessel, unit, per), *sectors]
+    lines += _describe_drag_error(vessel, unit, per)
+    if vessel.thrusters is None:
+        return lines
+    on_thrusters = [
+        *vessel.thrusters.sector_descriptions,
+        *list_thruster_cautions(vessel.thrusters),
+    ]
+    return [*lines, *(line for text in on_thrusters for line in textwrap.wrap(text, WIDTH))]
 
 
 def _limit_to_pure_forces(vessel: Vessel, reach: ThrusterReach) -> Vessel:

@@ -36,6 +36,7 @@ from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.hull_files import Hull, read_hull_from_csv_table, read_hull_from_mss_file
 from dpbench.scenario.own_thrusters import ASSUMED_IN_SOURCE
 from dpbench.scenario.scenario import load_vessel
+from dpbench.ship.capability.losses import list_thruster_cautions
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather import WATER_DENSITY
 
@@ -122,9 +123,8 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
         if ship.thrusters is not None:
             remarks.append(f"assumed of the thrusters: {' '.join(ship.thrusters.assumed)}")
             thrusters = ship.thrusters.thrusters
-            rudders = thrusters.caution_on_rudders
             remarks += [*thrusters.sector_descriptions, *ship.thrusters.half_turns]
-            remarks += [rudders] if rudders else []
+            remarks += list_thruster_cautions(thrusters)
     else:
         if sea is None:
             instead = f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or describe the ship anew"
@@ -310,7 +310,8 @@ def _list_files_and_commands(
     lines.append(f"{sea}; its level-1 mean force takes {share:.0%} of {whole}")
     if share > 1.0:
         forces = "--sway-thrust and --yaw-moment" if vessel.thrusters is None else "--thrusters"
-        lines.append(f"This ship cannot hold there: see --sea, {forces}.")
+        smaller = ", or a smaller sea (--sea)" if number > 1 else ""
+        lines.append(f"This ship cannot hold there: it needs more force ({forces}){smaller}.")
     return [*lines, f"next: dpbench check {paths[0]}", f"      dpbench run {paths[-1]}"]
 
 
@@ -319,7 +320,8 @@ def _suggest_harder_sea(
 ) -> list[str]:
     """Return lines with the command for the hardest sea the ship holds; none where this is it."""
     harder = find_hardest_sea(vessel, held)
-    if harder <= number:
+    # A loss that is not held here is not held in a larger sea either.
+    if harder <= number or (held is not None and held.list_groups_not_held(number)):
         return []
     share, whole = find_mean_share(vessel, harder, held)
     where = "" if folder == Path() else f" --out {folder}"

@@ -15,7 +15,7 @@ from dpbench.bench.capability.frontier import (
     compute_capability,
 )
 from dpbench.bench.capability.utilisation import ThrusterReach
-from dpbench.cli.capability import save_rose_figure
+from dpbench.cli.capability import floor_to_tenth, save_rose_figure
 from dpbench.cli.terminal import ProgressBar
 from dpbench.errors import InputError, SituationError
 from dpbench.mpc.thrusters.attainable_set import build_attainable_force_polytope
@@ -109,8 +109,9 @@ class OwnThrusters:
         """Return the thrusters with half turns that controllers plan with for wider sectors.
 
         Of three for each azimuth that with which the fitted vessel holds the most wind off the bow,
-        after the losses that leave least. The first round begins with whole sectors, the second
-        has what the first chose for the others.
+        after the loss that leaves least, then the next, at last intact; the first in the order of
+        `_list_half_turns` of those that are equal to 0.1 m/s. The first round begins with whole
+        sectors, the second has what the first chose for the others.
         """
         every, tables = list(self.thrusters.thrusters), list(self.tables)
         wide = [i for i, t in enumerate(every) if t.convex_sector_rad != t.sector_rad]
@@ -121,33 +122,55 @@ class OwnThrusters:
                 every[i] = replace(thruster, sector_rad=half)
                 fitted = replace(self.thrusters, thrusters=tuple(every))
                 tried[half] = find_winds_of_worse_side(replace(vessel, thrusters=fitted))[1]
-            best = max(tried, key=lambda half: _sort_winds(tried[half]))
+            # Of equals `max` takes the first.
+            best = max(tried, key=lambda half: _list_winds_as_compared(tried[half]))
             every[i] = replace(thruster, sector_rad=best)
-            sentences[i] = _describe_half_turns(thruster.name, tried)
+            sentences[i] = _describe_half_turns(thruster.name, tried, best)
             half_deg = [round(math.degrees(angle) % 360.0, 9) for angle in best]
             tables[i] = tables[i].model_copy(update={"controller_sector_deg": half_deg})
         thrusters = replace(self.thrusters, thrusters=tuple(t.build_thruster() for t in tables))
         said = tuple(sentences.values())
+        if said:
+            said += (f"What half turns cost: dpbench capability {vessel.id}.toml --planned.",)
         return replace(self, tables=tuple(tables), thrusters=thrusters, half_turns=said)
 
 
 def _list_half_turns(thruster: Thruster) -> list[tuple[float, float]]:
-    """Return the half turns in the middle and at both ends of an azimuth's wider sector."""
+    """Return half turns of an azimuth's wider sector: middle, from its start, to its end."""
     assert thruster.sector_rad and thruster.convex_sector_rad, "a sector wider than a half turn"
     start, end = thruster.sector_rad
     return [thruster.convex_sector_rad, (start, start + math.pi), (end - math.pi, end)]
 
 
 def _describe_half_turns(
-    name: str, tried: Mapping[tuple[float, float], Mapping[str, WindLimit]]
+    name: str,
+    tried: Mapping[tuple[float, float], Mapping[str, WindLimit]],
+    best: tuple[float, float],
 ) -> str:
-    """Return a sentence on the wind held off the bow with each half turn tried for controllers."""
+    """Return sentences on the winds held with each half turn tried, and why one was chosen."""
+    winds = {half: _list_winds_as_compared(held) for half, held in tried.items()}
     each = [
-        f"{format_sector(half)} holds {format_rounded_down(held[INTACT].wind_mps)} m/s off the bow "
-        f"and {format_rounded_down(_sort_winds(held)[0])} m/s after the worst loss"
-        for half, held in tried.items()
+        f"{format_sector(half)} {intact:.1f} ({', '.join(f'{wind:.1f}' for wind in losses)})"
+        for half, (*losses, intact) in winds.items()
     ]
-    return f"{name}, half turns tried for controllers: {', '.join(each)}."
+    equal = [half for half in tried if winds[half] == winds[best]]
+    tie = ""
+    if len(equal) > 1:
+        tie = (
+            f" Equal to 0.1 m/s: {join_with_and([format_sector(half) for half in equal])}; of "
+            "equals the middle one comes first, then that from the end of the barred zone."
+        )
+    return (
+        f"{name}: controllers plan with {format_sector(best)}. Wind held off the bow [m/s] intact "
+        f"(after each loss, the worst first), by half turn: {', '.join(each)}. The best after the "
+        f"worst loss is chosen, then after the next, then intact.{tie}"
+    )
+
+
+def _list_winds_as_compared(held: Mapping[str, WindLimit]) -> list[float]:
+    """Return the winds held [m/s] after losses, the least first, and intact; down to 0.1 m/s."""
+    losses = sorted(limit.wind_mps for case, limit in held.items() if case != INTACT)
+    return [floor_to_tenth(wind) for wind in (*losses, held[INTACT].wind_mps)]
 
 
 def _sort_winds(held: Mapping[str, WindLimit]) -> list[float]:
@@ -222,7 +245,8 @@ class HeldSea:
     lost : the worst group without which a sea is held; None where there is none, and the number is
         that of the whole ship. losses : DP number held without each group, by rising wind.
     intact_mps : largest wind [m/s] held without a loss. reason : why this sea, for the scenario.
-    from_deg : the side of the bow from which less is held.
+    from_deg : the side of the bow from which less is held. has_half_turns : whether controllers
+        plan with less than the sectors of the plot.
     """
 
     capability: Capability
@@ -232,6 +256,11 @@ class HeldSea:
     intact_mps: float
     reason: str
     from_deg: float
+    has_half_turns: bool
+
+    def list_groups_not_held(self, number: int) -> list[str]:
+        """Return the groups after whose loss a DP number is not held, the worst first."""
+        return [group for group, held_number in self.losses.items() if held_number < number]
 
 
 def find_held_sea(vessel: Vessel) -> HeldSea:
@@ -258,7 +287,9 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
     else:
         number, reason = 1, "the smallest, as its thrusters hold none by level 1"
     numbers = {case: held[case].number for case in losses}
-    return HeldSea(capability, min(number, most), lost, numbers, intact.wind_mps, reason, from_deg)
+    number, intact_mps = min(number, most), intact.wind_mps
+    halves = any(t.sector_rad != t.convex_sector_rad for t in vessel.thrusters.thrusters)
+    return HeldSea(capability, number, lost, numbers, intact_mps, reason, from_deg, halves)
 
 
 def choose_sea(vessel: Vessel, held: HeldSea | None) -> int:
@@ -300,10 +331,7 @@ def describe_losses(
         )
     simulated = ", ".join(f"{group} ({path.name})" for group, path in files.items())
     lines.append(f"lost after {at_s:g} s, one in each scenario: {simulated}")
-    weak = [group for group, held_number in held.losses.items() if held_number < number]
-    if weak:
-        without = _name_groups_lost_one_by_one(weak)
-        lines.append(f"CAUTION: by level 1 the thrusters do not hold this sea {without}.")
+    lines += _describe_losses_not_held(held, number)
     if left_out := describe_losses_left_out(held, [*files]):
         another = f"Name another in `lost` of {next(iter(files.values())).name}."
         lines.append(f"not simulated: {left_out}. {another}")
@@ -315,6 +343,28 @@ def describe_losses_left_out(held: HeldSea, simulated: Sequence[str]) -> str:
     others = [group for group in held.losses if group not in simulated]
     why = f"the {MOST_LOSSES} losses that leave the least wind are"
     return f"the loss of {join_with_and(others)}; {why}" if others else ""
+
+
+def _describe_losses_not_held(held: HeldSea, number: int) -> list[str]:
+    """Return lines: after which losses a sea is not held, and what would change that."""
+    weak = held.list_groups_not_held(number)
+    if not weak:
+        return []
+    without = _name_groups_lost_one_by_one(weak)
+    by = "level 1 with the half turns of controllers" if held.has_half_turns else "level 1"
+    lines = [f"CAUTION: by {by} the thrusters do not hold this sea {without}."]
+    for group in weak:
+        if smaller := held.losses[group]:
+            lines.append(f"DP number {smaller} is held without {group}: --sea {smaller}.")
+    if none := [group for group in weak if not held.losses[group]]:
+        wind_mps = scaling.DP_NUMBERS[1][0]
+        lines.append(
+            f"Not even DP number 1, a wind of {wind_mps:g} m/s, is held "
+            f"{_name_groups_lost_one_by_one(none)}: no --sea helps. The thrusters left have to "
+            "push ahead, astern and to both sides, and turn the ship both ways: put thrusters of "
+            "bow and stern on each switchboard (group), or narrow the barred zones."
+        )
+    return lines
 
 
 def _name_groups_lost_one_by_one(groups: Sequence[str]) -> str:

@@ -7,9 +7,9 @@
         …     ╲__╱   …          and T cos(π/s) at least anywhere else
 
 Between corners the polygon gives away 1 − cos(π/s) ≈ ½ (π/s)² of the thrust. Opposite sides share
-a row, because one-sided rows bring infinite limits that some solvers take badly. A sector adds a row
-through the origin for each of its edges, whose other side is T, which no force exceeds: two rows, and
-one of a half turn, whose edges are one line. Every other thruster has one row of its own.
+a row, because one-sided rows bring infinite limits that some solvers take badly. A sector adds two
+rows through the origin, whose other side is T, which no force exceeds; a half turn, whose edges are
+one line, adds one. Every other thruster has one row of its own.
 """
 
 from collections.abc import Collection

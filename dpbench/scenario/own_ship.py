@@ -54,6 +54,11 @@ class Particulars:
         block_m3 = self.length_m * self.breadth_m * self.draught_m
         return self.displacement_kg / WATER_DENSITY / block_m3
 
+    def describe_as_title(self, name: str) -> str:
+        """Return the title of a ship of this size: its name and main dimensions."""
+        size = f"{self.length_m:g} x {self.breadth_m:g} x {self.draught_m:g} m"
+        return f"{name}, {size}, {self.displacement_kg / 1000:.6g} t"
+
 
 @dataclass(frozen=True)
 class LibraryShip:
@@ -154,6 +159,7 @@ def scale_library_vessel_to_own_ship(
     return replace(
         vessel,
         id=name,
+        title=own.describe_as_title(name),
         length_m=own.length_m,
         M=M,
         D=fit_sway_damping_to_drag(D, drag, own.length_m),

@@ -36,11 +36,12 @@ def describe_sector(start_deg: float, end_deg: float) -> str:
     """Return a sentence: where an azimuth may push, where its race goes, and what is barred.
 
     >>> describe_sector(0.0, 120.0)
-    'pushes 0° to 120° (its race goes 180° to 300°), barred 120° to 360°'
+    'pushes 0° to 120° (its race goes 180° to 300°), barred 120° to 360° (race 300° to 180°)'
     """
     race = f"its race goes {format_directions(start_deg + 180.0, end_deg + 180.0)}"
     barred = f"barred {format_directions(end_deg, start_deg)}"
-    return f"pushes {format_directions(start_deg, end_deg)} ({race}), {barred}"
+    not_there = f"race {format_directions(end_deg + 180.0, start_deg + 180.0)}"
+    return f"pushes {format_directions(start_deg, end_deg)} ({race}), {barred} ({not_there})"
 
 
 def is_half_turn(sector_rad: tuple[float, float]) -> bool:
@@ -128,6 +129,13 @@ class Thruster:
             found = f"{width_deg:g} degrees of a thruster of kind {self.kind}"
             allowed = f"for an azimuth, from a to b with b − a above 0 and up to {most_deg:g}"
             raise InputError(f"thruster {self.name}", key, found, allowed)
+
+    def may_push(self, direction_rad: float) -> bool:
+        """Return whether an azimuth may push the ship in a direction, clockwise from ahead."""
+        if self.sector_rad is None:
+            return True
+        start, end = self.sector_rad
+        return (direction_rad - start + _ROUNDING) % (2.0 * np.pi) <= end - start + 2.0 * _ROUNDING
 
     @property
     def convex_sector_rad(self) -> tuple[float, float] | None:

@@ -79,6 +79,24 @@ def test_many_groups_are_told_by_the_worst() -> None:
     assert "15.0" in next(line for line in lines if line.startswith("   0°"))
 
 
+def test_what_controllers_plan_with_is_beside_each_case_within_80_columns() -> None:
+    """Four cases in winds of two digits; a zero is explained."""
+    held, half = (
+        {case: tuple(WindLimit(wind, 0) for _ in FROM_DEG) for case in ("intact", *"abc")}
+        for wind in (32.66, 10.68)
+    )
+    no_loss = dict.fromkeys(held, ())
+    plots = (Capability("osv", None, winds, no_loss, ()) for winds in (held, half))
+    capability, planned = plots
+    lines = format_wind_table(capability, load_vessel("osv"), planned)
+    assert max(map(len, lines)) <= 80
+    (row,) = (line for line in lines if line.startswith("   0°"))
+    assert row.split()[1:] == ["32.6", "0", "10.6"] * 4
+    text = " ".join(lines)
+    assert "planned: the same, as no azimuth has a sector wider than half a turn." in text
+    assert "Number 0: not even number 1 is held, a wind of 1.5 m/s" in text
+
+
 def test_the_notation_is_that_of_the_standard() -> None:
     """Least numbers: within 30° of the bow and all round, intact and after the worst failure."""
     numbers = [5 if from_deg == 90.0 else 7 + (from_deg > 180.0) for from_deg in FROM_DEG]

@@ -1,13 +1,17 @@
 """`dpbench init --thrusters`: the files of a ship with its thrusters, and what is refused."""
 
 import io
+import json
+import math
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from dpbench.bench.capability.frontier import FROM_DEG, CapabilityPlot
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.cli.main import main
@@ -50,6 +54,8 @@ def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
     words = " ".join(said.split())
     assert "board A (my_ship_thrusters.toml), board B (my_ship_loss_board_B.toml)" in words
     assert "CAUTION: by level 1 the thrusters do not hold this sea without board B." in words
+    assert "Not even DP number 1, a wind of 1.5 m/s, is held without board B: no --sea" in words
+    assert "harder:" not in said
     (other,) = load_scenario("my_ship_loss_board_B.toml").files["scenario"]["faults"]
     assert other["lost"] == ["board B"] and other["loss"] == "trip"
     vessel, scenario = load_vessel(FILES[0]), load_scenario(FILES[2])
@@ -140,6 +146,7 @@ def test_a_sea_beyond_the_thrusters_is_named_and_losses_are_simulated_there(
     held_mps = re.search(r"the wind of 24.4 m/s is beyond the (\S+) m/s that the thrusters", said)
     assert held_mps is not None and float(held_mps[1]) < 24.4
     assert "do not hold this sea without board B or without board A." in said
+    assert re.search(r"DP number \d is held without board A: --sea \d\.", said)
     suite = load_path_and_suite(Path("my_ship_sea9_suite.toml"))[1]
     assert suite.closed_loop[1].scenarios == [
         "my_ship_sea9_thrusters.toml",
@@ -179,7 +186,9 @@ def test_a_force_that_the_thrusters_cannot_make_is_no_share_of_the_limits(
     share = re.search(r"mean force takes (\d+)% of the thrust", said)
     assert share is not None
     assert int(share[1]) > 100 * compute_limit_share_of_dp_number(load_vessel(FILES[0]), 5)
-    assert ("cannot hold there: see --sea, --thrusters" in said) == (int(share[1]) > 100)
+    assert (
+        "cannot hold there: it needs more force (--thrusters), or a smaller sea (--sea)" in said
+    ) == (int(share[1]) > 100)
 
 
 def test_thrusters_with_a_sector_are_limited_axis_by_axis() -> None:
@@ -195,8 +204,11 @@ def test_barred_directions_leave_the_sector_and_both_are_printed(
     """By `init`, `check` and the comment of the file: none can take one for the other."""
     rows = TABLE.replace("power_kW,group", "power_kW,group,barred_from_deg,barred_to_deg")
     assert init(rows.rstrip("\n") + ",150,30\n") == 0
-    said = "azimuth 5 pushes 30° to 150° (its race goes 210° to 330°), barred 150° to 30°"
-    assert said in capsys.readouterr().out.splitlines()
+    said = (
+        "azimuth 5 pushes 30° to 150° (its race goes 210° to 330°), barred 150° to 30° "
+        "(race 330° to 210°)"
+    )
+    assert said in " ".join(capsys.readouterr().out.split())
     text = Path(FILES[0]).read_text(encoding="utf-8")
     assert "sector_deg = [30.0, 150.0]  # pushes, from and to" in text
     barred = text.replace("sector_deg = [30.0, 150.0]", "barred_deg = [150, 30]")
@@ -208,7 +220,7 @@ def test_barred_directions_leave_the_sector_and_both_are_printed(
         assert thrusters is not None
         sectors.append(np.degrees(thrusters.thrusters[-1].sector_rad).tolist())
         assert main(["check", "same.toml", "--quick"]) == 0
-        assert said in capsys.readouterr().out.splitlines()
+        assert said in " ".join(capsys.readouterr().out.split())
     np.testing.assert_allclose(sectors, [[30.0, 150.0], [30.0, 150.0], [390.0, 510.0]])
     for wrong, found in (("barred_deg = [150]", "of two numbers"), (None, "either sector_deg or")):
         both = "barred_deg = [150, 30]\nsector_deg = [30.0, 150.0]"
@@ -229,21 +241,68 @@ def test_a_narrow_barred_zone_stays_and_controllers_get_a_half_turn(
     assert init(rows.rstrip("\n") + ",150,210\n") == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "DP capability-L1(8, 5, 0, 0)" in said
-    tried = re.search(
-        r"azimuth 5, half turns tried for controllers: (.*?) after the worst loss\.", said
-    )
+    tried = re.search(r"azimuth 5: controllers plan with (\S+ to \S+)\. (.*?)\. The best", said)
     assert tried is not None
     text = Path(FILES[0]).read_text(encoding="utf-8")
-    assert "sector_deg = [210.0, 150.0]  # pushes" in text and tried[1][:30] in text
-    winds = {half: float(mps) for half, mps in re.findall(r"(\d+° to \d+°) holds (\S+)", tried[1])}
+    assert "sector_deg = [210.0, 150.0]  # pushes" in text and tried[2][:30] in text
+    found = re.findall(r"(\d+° to \d+°) (\S+) \((.*?)\)", tried[2])
+    winds = {half: [*map(float, lost.split(", ")), float(mps)] for half, mps, lost in found}
     assert list(winds) == ["270° to 90°", "210° to 30°", "330° to 150°"]
+    assert all(len(held) == 3 and held[:2] == sorted(held[:2]) for held in winds.values())
     thrusters = load_scenario(FILES[2]).vessel.thrusters
     assert thrusters is not None
     azimuth = thrusters.thrusters[-1]
     assert azimuth.convex_sector_rad == azimuth.controller_sector_rad
     best = format_sector(azimuth.controller_sector_rad)
     assert winds[best] == max(winds.values())
-    assert f"barred 150° to 210°; controllers plan with {best}" in said
+    assert best == tried[1]
+    assert f"barred 150° to 210° (race 330° to 30°); controllers plan with {best}" in said
+    plan = f"azimuth 5 {best} of 210° to 150°"
+    assert main(["capability", FILES[0], "--planned", "--json"]) == 0
+    planned = json.loads(capsys.readouterr().out)["planned"]
+    assert plan in planned["about"][0]
+    vessel = load_vessel(FILES[0])
+    assert vessel.thrusters is not None
+    half = replace(vessel, thrusters=vessel.thrusters.copy_with_convex_sectors())
+    alone = CapabilityPlot(half)
+    k, case = 12, alone.intact_and_failure_cases[1]
+    limit = alone.find_wind_limit(case, math.radians(FROM_DEG[k]))
+    assert planned["cases"][1]["wind_mps"][k] == pytest.approx(limit.wind_mps, abs=1e-3)
+
+
+def test_of_equal_half_turns_the_middle_one_is_taken_and_the_tie_printed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Of an azimuth of 10 W, which changes no wind by 0.1 m/s."""
+    rows = TABLE.replace("power_kW,group", "power_kW,group,barred_from_deg,barred_to_deg")
+    small = rows.rstrip("\n").replace("-30,0,1200,board B", "-30,0,0.01,board B,150,210")
+    assert init(small) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "azimuth 5: controllers plan with 270° to 90°." in said
+    assert "Equal to 0.1 m/s: 270° to 90°, 210° to 30° and 330° to 150°; of equals" in said
+
+
+@pytest.mark.parametrize("of_race", [False, True])
+def test_a_zone_that_bars_the_push_towards_a_thruster_but_not_the_race_is_warned_of(
+    of_race: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By `init`, `check` and in the JSON of `capability`, whose title is the ship's own."""
+    head = "name,kind,x_m,y_m,power_kW,group,barred_from_deg,barred_to_deg"
+    port, starboard = ("240,300", "60,120") if of_race else ("60,120", "240,300")
+    rows = [head, f"port,azimuth,-35,-5,1200,board A,{port}"]
+    rows += [f"starboard,azimuth,-35,5,1200,board B,{starboard}"]
+    rows += ["bow 1,tunnel,33,,800,board A,,", "bow 2,tunnel,30,,800,board B,,"]
+    said = "port may not push towards starboard, but may send its race there. To bar the race: 240°"
+    assert init("\n".join(rows) + "\n") == 0
+    assert (said in " ".join(capsys.readouterr().out.split())) != of_race
+    figure = Path("my_ship_capability.svg").read_text(encoding="utf-8")
+    assert "my_ship, 80 x 18 x 6 m, 6000 t: largest wind held" in figure
+    assert main(["check", FILES[0], "--quick"]) == 0
+    shown = capsys.readouterr().out
+    assert (said in " ".join(shown.split())) != of_race
+    assert shown.splitlines()[-1].startswith("  dpbench run my_ship_suite.toml --solver daqp")
+    assert main(["capability", FILES[0], "--json"]) == 0
+    assert (said in " ".join(json.loads(capsys.readouterr().out)["cautions"])) != of_race
 
 
 @pytest.mark.parametrize("port", [-1, 1])

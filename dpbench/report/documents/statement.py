@@ -59,6 +59,7 @@ from dpbench.report.verdict_text import (
 )
 from dpbench.report.words import render_document
 from dpbench.scenario.own_thrusters import ASSUMED_IN_SOURCE
+from dpbench.ship.capability.losses import list_thruster_cautions
 from dpbench.ship.thrusters import describe_sector, format_directions
 from dpbench.ship.vessel import Vessel
 from dpbench.solvers.settings import resolve_settings_with_fixed_options
@@ -264,12 +265,14 @@ def _describe_held(
     analyses: Sequence[ConsequenceAnalysis],
     vessels: Iterable[Vessel],
 ) -> list[str]:
-    """Return lines on a folder's DP capability plots, consequence analyses, and rudders."""
-    rudders = dict.fromkeys(v.thrusters.caution_on_rudders for v in vessels if v.thrusters)
+    """Return lines on a folder's DP capability plots, consequence analyses, and cautions."""
+    cautions = dict.fromkeys(
+        text for v in vessels if v.thrusters for text in list_thruster_cautions(v.thrusters)
+    )
     lines = [
         " ".join([*describe_capability(plot), describe_answers_at_edge(plot)]) for plot in plots
     ]
-    return [*lines, *map(describe_losses_held, analyses), *filter(None, rudders)]
+    return [*lines, *map(describe_losses_held, analyses), *cautions]
 
 
 def _split_source(file: Mapping[str, Any]) -> tuple[str, str]:

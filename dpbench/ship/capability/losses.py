@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 from dpbench.ship.capability.loads import CapabilityHull, Condition, mirror_angle_to_one_side
-from dpbench.ship.thrusters import Thruster
+from dpbench.ship.thrusters import Thruster, ThrusterSet, format_directions
 
 MISCELLANEOUS = 0.9  # β_misc
 FLUSHING_DIAMETERS = 15.0
@@ -64,18 +64,46 @@ def find_forbidden_thrust_directions(
 ) -> list[tuple[float, float]]:
     """Return directions [rad] in which an azimuth's propeller race would hit a working thruster."""
     screw = thruster.screw
-    if thruster.kind != "azimuth" or screw is None:
-        return []
     zones = []
     for other in working:
-        distance = math.hypot(thruster.x_m - other.x_m, thruster.y_m - other.y_m)
-        if other is thruster or other.kind == "tunnel":
-            continue
-        if 0.0 < distance < FLUSHING_DIAMETERS * screw.diameter_m:
+        if screw is not None and _is_within_reach_of_race(thruster, other):
+            distance = math.hypot(thruster.x_m - other.x_m, thruster.y_m - other.y_m)
             half = math.atan(0.1 + screw.diameter_m / distance)
             centre = _direction_hitting_other_thruster(thruster, other)
             zones.append((centre - half, centre + half))
     return zones
+
+
+def list_thruster_cautions(thrusters: ThrusterSet) -> list[str]:
+    """Return sentences on rudders that do not count, and barred zones that miss what they are for.
+
+    The latter bar the push towards another thruster, and leave the race to it.
+    """
+    cautions = [thrusters.caution_on_rudders] if thrusters.caution_on_rudders else []
+    for thruster in thrusters.thrusters:
+        hit = [
+            other.name
+            for other in thrusters.thrusters
+            if _is_within_reach_of_race(thruster, other)
+            and thruster.may_push(to := _direction_hitting_other_thruster(thruster, other))
+            and not thruster.may_push(to + math.pi)
+        ]
+        if hit and thruster.sector_rad is not None:
+            start, end = (math.degrees(edge) + 180.0 for edge in thruster.sector_rad)
+            cautions.append(
+                f"CAUTION: barred directions are those of the push. {thruster.name} may not push "
+                f"towards {' or '.join(hit)}, but may send its race there. To bar the race: "
+                f"{format_directions(end, start)}."
+            )
+    return cautions
+
+
+def _is_within_reach_of_race(thruster: Thruster, other: Thruster) -> bool:
+    """Return whether an azimuth's race hits another propeller that lies in its direction."""
+    if thruster.kind != "azimuth" or thruster.screw is None or other.kind == "tunnel":
+        return False
+    distance = math.hypot(thruster.x_m - other.x_m, thruster.y_m - other.y_m)
+    return 0.0 < distance < FLUSHING_DIAMETERS * thruster.screw.diameter_m
 
 
 def list_losses_at_dead_thrusters(thruster: Thruster, dead: Sequence[Thruster]) -> list[Loss]:
