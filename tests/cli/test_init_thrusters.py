@@ -273,7 +273,7 @@ def test_a_narrow_barred_zone_stays_and_controllers_get_a_half_turn(
 def test_of_equal_half_turns_the_middle_one_is_taken_and_the_tie_printed(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Of an azimuth of 10 W, which changes no wind by 0.1 m/s."""
+    """An azimuth of 10 W changes no wind by 0.1 m/s."""
     rows = TABLE.replace("power_kW,group", "power_kW,group,barred_from_deg,barred_to_deg")
     small = rows.rstrip("\n").replace("-30,0,1200,board B", "-30,0,0.01,board B,150,210")
     assert init(small) == 0
