@@ -358,11 +358,12 @@ def _describe_losses_not_held(held: HeldSea, number: int) -> list[str]:
             lines.append(f"DP number {smaller} is held without {group}: --sea {smaller}.")
     if none := [group for group in weak if not held.losses[group]]:
         wind_mps = scaling.DP_NUMBERS[1][0]
+        zones = ", or narrow the barred zones" if held.has_half_turns else ""
         lines.append(
             f"Not even DP number 1, a wind of {wind_mps:g} m/s, is held "
             f"{_name_groups_lost_one_by_one(none)}: no --sea helps. The thrusters left have to "
             "push ahead, astern and to both sides, and turn the ship both ways: put thrusters of "
-            "bow and stern on each switchboard (group), or narrow the barred zones."
+            f"bow and stern on each switchboard (group){zones}."
         )
     return lines
 
