@@ -181,7 +181,7 @@ class ProgressBar:
     def __init__(self, *, transient: bool = False, quiet: bool = False) -> None:
         self._quiet = quiet
         self._progress = Progress(
-            TextColumn("{task.description:<44}"),
+            TextColumn("{task.description:<44}", markup=False),
             BarColumn(),
             TextColumn("{task.percentage:3.0f} %"),
             TimeElapsedColumn(),
@@ -209,7 +209,7 @@ class ProgressBar:
     def remark(self, text: str) -> None:
         """Print a line above the progress bar, or on standard error without a bar, unless quiet."""
         if not self._progress.disable:
-            self._progress.console.print(f"dpbench: {text}", highlight=False)
+            self._progress.console.print(f"dpbench: {text}", highlight=False, markup=False)
         elif not self._quiet:
             self._lines.remark(text)
 

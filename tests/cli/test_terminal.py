@@ -165,6 +165,14 @@ def test_doctor_puts_a_long_fact_beside_its_name(monkeypatch: pytest.MonkeyPatch
     assert f"\n{' ' * 32}library" in said
 
 
+def test_a_remark_keeps_what_is_in_brackets(capsys: pytest.CaptureFixture[str]) -> None:
+    """Tables of a suite and options of a solver are no markup."""
+    with ProgressBar() as bar:
+        bar.remark("left out: [[capability]], osqp[rho=1]")
+    shown = capsys.readouterr()
+    assert "left out: [[capability]], osqp[rho=1]" in shown.out + shown.err
+
+
 def test_a_remark_is_said_where_no_bar_can_be(capsys: pytest.CaptureFixture[str]) -> None:
     with ProgressBar(transient=True) as bar:
         bar.remark("compiling")
