@@ -152,7 +152,10 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
 
 
 def _suggest_first_run(file: Path) -> list[str]:
-    """Return a line with a short first run of a suite, or of the suite beside a ship's file."""
+    """Return lines with a short first run of a suite, or of the suite beside a ship's file.
+
+    None where there is no such suite, or it is wrong: that is for its own check.
+    """
     stems = ("_".join(file.stem.split("_")[:n]) for n in range(file.stem.count("_") + 1, 0, -1))
     beside = (file.with_name(f"{stem}_suite.toml") for stem in stems)
     path = file if file.stem.endswith("_suite") else next(filter(os.path.isfile, beside), None)
@@ -161,8 +164,11 @@ def _suggest_first_run(file: Path) -> list[str]:
     from dpbench.bench.plan.configurations import name_solvers_of_suite
     from dpbench.bench.plan.run_request import RunRequest
 
-    whole = RunRequest(str(path)).make_plan()
-    part = RunRequest(str(path), solvers=[FIRST_SOLVER], settings=["default"]).make_plan()
+    try:
+        whole = RunRequest(str(path)).make_plan()
+        part = RunRequest(str(path), solvers=[FIRST_SOLVER], settings=["default"]).make_plan()
+    except InputError:
+        return []
     if FIRST_SOLVER not in name_solvers_of_suite(whole.document.solvers) or not part.cells:
         return []
     share = f"{len(part.cells)} of its {len(whole.cells)} cells, which the whole run keeps"
