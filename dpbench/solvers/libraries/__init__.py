@@ -3,6 +3,6 @@
 from dpbench.solvers.adapter import import_all_adapters
 
 NATIVE, THROUGH_QPSOLVERS = import_all_adapters(
-    __name__, besides=("native_workspace", "qpsolvers_workspace")
+    __name__, besides=("hpipm_library", "native_workspace", "qpsolvers_workspace")
 )
 """Adapters by the name of the solver."""

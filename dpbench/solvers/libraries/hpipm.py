@@ -4,26 +4,27 @@
 takes an infinite side as one that is masked out, and l = u as an equality of its own.
 """
 
-import ctypes
 from abc import abstractmethod
-from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Vector
-from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
 from dpbench.solvers.contract import (
-    Build,
     Options,
     Policy,
     RouteRecord,
     SolverRecord,
     make_project_facts,
     make_tolerance_presets,
+)
+from dpbench.solvers.libraries.hpipm_library import (
+    INTEGERS,
+    HpipmStructures,
+    load_hpipm,
+    make_c_pointer_to_array,
 )
 from dpbench.solvers.libraries.native_workspace import (
     NativeWorkspace,
@@ -32,39 +33,9 @@ from dpbench.solvers.libraries.native_workspace import (
 )
 from dpbench.solvers.one_sided import LimitSides
 
-MODES = ("SPEED_ABS", "SPEED", "BALANCE", "ROBUST")
 TOLERANCE_NAMES = ("tol_stat", "tol_eq", "tol_ineq", "tol_comp")
-INTEGERS = ("iter_max", "pred_corr", "cond_pred_corr", "kkt_fact_alg", "ric_alg")
 OPTION_NAMES = ("mode", "mu0", *TOLERANCE_NAMES, "reg_prim", "alpha_min", *INTEGERS[:3])
 """Settings that both interfaces have."""
-STATUS = {
-    0: Status.SOLVED,
-    1: Status.MAX_ITERATIONS,
-    2: Status.NUMERICAL_ERROR,  # step length at its minimum
-    3: Status.NUMERICAL_ERROR,  # NaN in the solution
-    4: Status.PRIMAL_INFEASIBLE,  # inconsistent equalities
-}
-# BLASFEO writes less: names of four vector instructions at most.
-TEXT_BYTES = 256
-
-
-def _load_shared_library_of_casadi(name: str) -> ctypes.CDLL:
-    """Return a loaded shared library that comes with CasADi."""
-    return ctypes.CDLL(str(Path(str(import_module("casadi").__file__)).parent / name))
-
-
-def read_instruction_set_of_blasfeo(library: Any) -> Build:
-    """Return the instruction set of a loaded BLASFEO; an empty build if it states none."""
-    if not hasattr(library, "blasfeo_processor_library_features"):
-        return Build()
-    features, text = ctypes.c_int(), ctypes.create_string_buffer(TEXT_BYTES)
-    library.blasfeo_processor_library_features(ctypes.byref(features))
-    if features.value == 0:
-        return Build("BLASFEO generic", generic=True)
-    library.blasfeo_processor_library_string(text)
-    return Build(f"BLASFEO {' '.join(text.value.decode('ascii').split())}")
-
-
 RECORD = SolverRecord(
     name="hpipm",
     family="interior point",
@@ -95,100 +66,8 @@ RECORD = SolverRecord(
         ),
         single_precision=("yes, routines s_*", "HPIPM source, s_dense_qp_ipm"),
     ),
-    build=lambda: read_instruction_set_of_blasfeo(_load_shared_library_of_casadi("libblasfeo.so")),
+    build=lambda: load_hpipm().build,
 )
-
-
-class HpipmStructures:
-    """The C structures and memory in which HPIPM solves QPs of one size.
-
-    kind : "dense_qp" or "ocp_qp".
-    sizes : the arguments of `dim_set_all`; options : settings by name.
-    stages : what the structure of the sizes is made of: nothing, or the number of the last stage.
-    """
-
-    def __init__(
-        self,
-        library: ctypes.CDLL,
-        kind: str,
-        sizes: tuple[Any, ...],
-        options: Options,
-        *stages: int,
-    ) -> None:
-        self._library, self._kind = library, f"d_{kind}"
-        self._memory: list[Any] = []
-        self.dim = self._create_c_structure("_dim", *stages)
-        self.look_up_hpipm_function("dim_set_all")(*sizes, self.dim)
-        self.qp, self.sol, self.arg = (
-            self._create_c_structure(k, self.dim) for k in ("", "_sol", "_ipm_arg")
-        )
-        self._write_mode_and_options(dict(options))
-        # Its size depends on the arguments.
-        self.ws = self._create_c_structure("_ipm_ws", self.dim, self.arg)
-        self._solve = self.look_up_hpipm_function("ipm_solve")
-        self._set_warm_start = self.look_up_hpipm_function("ipm_arg_set_warm_start")
-        self._warm_flags = [ctypes.byref(ctypes.c_int(flag)) for flag in (0, 1)]
-        self._flag, self._count = ctypes.c_int(), ctypes.c_int()
-        self._getters = [
-            (self.look_up_hpipm_function("ipm_get_status"), ctypes.byref(self._flag)),
-            (self.look_up_hpipm_function("ipm_get_iter"), ctypes.byref(self._count)),
-        ]
-
-    def look_up_hpipm_function(self, name: str) -> Any:
-        """Return HPIPM's C function of this name, for dense or stage-wise QPs."""
-        return getattr(self._library, f"{self._kind}_{name}")
-
-    def pair_arrays_with_hpipm_functions(
-        self, verb: str, arrays: dict[str, Vector]
-    ) -> list[tuple[Any, Any]]:
-        """Return each nonempty array's address, with the HPIPM function that sets or gets it."""
-        named = [(name, array) for name, array in arrays.items() if array.size]
-        return [
-            (self.look_up_hpipm_function(f"{verb}_{name}"), make_c_pointer_to_array(array))
-            for name, array in named
-        ]
-
-    def select_warm_start(self, given: bool) -> None:
-        """Select whether HPIPM's next solve starts from the values in its solution structure."""
-        self._set_warm_start(self._warm_flags[given], self.arg)
-
-    def run_hpipm(self) -> None:
-        """Run HPIPM on the QP in its structures."""
-        self._solve(self.qp, self.sol, self.arg, self.ws)
-
-    def read_status_and_iterations(self) -> Claim:
-        """Return status and iterations of HPIPM's last solve."""
-        for function, target in self._getters:
-            function(self.ws, target)
-        flag = self._flag.value
-        return STATUS.get(flag, Status.UNKNOWN), self._count.value, -1, f"status {flag}"
-
-    def _write_mode_and_options(self, options: dict[str, Any]) -> None:
-        """Write HPIPM's mode and options into its argument structure."""
-        mode = MODES.index(str(options.pop("mode", "SPEED")))
-        self.look_up_hpipm_function("ipm_arg_set_default")(mode, self.arg)
-        for name, value in options.items():
-            number: Any = ctypes.c_int if name in INTEGERS else ctypes.c_double
-            self.look_up_hpipm_function(f"ipm_arg_set_{name}")(
-                ctypes.byref(number(value)), self.arg
-            )
-
-    def _create_c_structure(self, kind: str, *parts: Any) -> Any:
-        """Return a newly allocated C structure of HPIPM of a kind, such as a solution."""
-        library, prefix = self._library, f"{self._kind}{kind}"
-        sizes = [getattr(library, f"{prefix}_{name}") for name in ("strsize", "memsize")]
-        for function in sizes:
-            function.restype = ctypes.c_size_t
-        structure = ctypes.create_string_buffer(sizes[0]())
-        memory = ctypes.create_string_buffer(sizes[1](*parts))
-        self._memory += [structure, memory]
-        getattr(library, f"{prefix}_create")(*parts, structure, memory)
-        return structure
-
-
-def make_c_pointer_to_array(array: NDArray[Any]) -> Any:
-    """Return the memory address of an array as a C void pointer."""
-    return ctypes.c_void_p(array.ctypes.data)
 
 
 class HpipmWorkspace(NativeWorkspace):
@@ -199,11 +78,7 @@ class HpipmWorkspace(NativeWorkspace):
 
     def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
         super().__init__(record, policy, options)
-        # libhpipm needs libblasfeo loaded first. Its names stay its own: PIQP's factorisation by
-        # stages brings another BLASFEO of the same names, and would call this one and corrupt
-        # memory.
-        _load_shared_library_of_casadi("libblasfeo.so")
-        self._library = _load_shared_library_of_casadi("libhpipm.so")
+        self._library = load_hpipm().functions
 
     @abstractmethod
     def _send_cost_and_limits_to_hpipm(self, q: Vector) -> None:

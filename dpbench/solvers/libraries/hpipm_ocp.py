@@ -4,8 +4,9 @@
     subject to  x_{k+1} = A_k x_k + B_k u_k + b_k
                 lb ≤ [u; x] ≤ ub,  lg ≤ C x + D u ≤ ug
 
-The stages are those of `QuadraticProgram.stages`; a QP without any is solved as a single stage. The
-time of a step grows with the number of stages, that of the dense solver with its cube.
+The stages are those of `QuadraticProgram.stages`; a QP without any is solved as a single stage.
+HPIPM condenses blocks of them into one stage each before it solves (partial condensing). The time
+of a step grows with the number of stages, that of the dense solver with its cube.
 
 Vectors of all stages are in one array each, so that a step gathers them at once, and only those of
 the stages in which something has changed are handed over.
@@ -19,19 +20,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpbench.arrays import Flags, Indices, Matrix, Vector
+from dpbench.errors import SettingsError
 from dpbench.solvers.adapter import NativeAdapter
-from dpbench.solvers.contract import make_tolerance_presets
+from dpbench.solvers.contract import Options, Policy, SolverRecord, make_tolerance_presets
 from dpbench.solvers.libraries import hpipm
-from dpbench.solvers.libraries.hpipm import HpipmStructures, HpipmWorkspace, make_c_pointer_to_array
+from dpbench.solvers.libraries.hpipm import HpipmWorkspace
+from dpbench.solvers.libraries.hpipm_library import (
+    CondensedStructures,
+    HpipmStructures,
+    make_c_pointer_to_array,
+)
 from dpbench.solvers.libraries.native_workspace import Point
 from dpbench.solvers.one_sided import LimitSides
 
+BLOCK_SIZE = "cond_block_size"
+"""Setting: stages with inputs that are condensed into one; named as in acados."""
 RECORD = replace(
     hpipm.RECORD,
     name="hpipm_ocp",
     method="primal-dual interior point, factorised stage by stage",
     form="csc",
-    levels=make_tolerance_presets(*hpipm.TOLERANCE_NAMES, iter_max=200),
+    # The fastest or within a tenth of it at every horizon that was tried (docs/guide/settings.md).
+    levels=make_tolerance_presets(*hpipm.TOLERANCE_NAMES, iter_max=200, always={BLOCK_SIZE: 5}),
 )
 NOTHING: Indices = np.empty(0, dtype=np.intp)
 
@@ -105,6 +115,27 @@ def select_limit_rows(A: Matrix, numbers: Indices) -> Matrix:
     return rows
 
 
+def group_stages_into_blocks(stages: list[Stage], size: int) -> tuple[list[Stage], list[int]]:
+    """Return the stages and the number of them in each block that is condensed into one stage.
+
+    A block has `size` stages with inputs; those without inputs join the block before, which makes
+    it no larger. Size 1 condenses nothing. An empty stage follows a block that is the only one.
+    """
+    counts: list[int] = []
+    moves = 0
+    for stage in stages:
+        moved = stage.inputs.size > 0
+        if not counts or size == 1 or (moved and moves == size):
+            counts.append(0)
+            moves = 0
+        counts[-1] += 1
+        moves += moved
+    if len(counts) > 1:
+        return stages, counts
+    # HPIPM's recursion is wrong where there is no step from a stage to another.
+    return [*stages, Stage(NOTHING, NOTHING, NOTHING, NOTHING)], [*counts, 1]
+
+
 class StageLimits:
     """Limits of one stage for HPIPM, split into bounds on variables and general rows.
 
@@ -159,9 +190,6 @@ class StageData:
     def __init__(
         self, stages: list[Stage], P: Matrix, A: Matrix, low: Vector, high: Vector
     ) -> None:
-        if len(stages) == 1:
-            # HPIPM's recursion is wrong where there is no step from a stage to another.
-            stages = [*stages, Stage(NOTHING, NOTHING, NOTHING, NOTHING)]
         self.stages = stages
         self.limits = [StageLimits(stage, A, low, high) for stage in stages]
         self.order = np.concatenate([stage.variable_indices for stage in stages])
@@ -260,6 +288,15 @@ def list_addresses_of_array_pieces(array: Vector, sizes: Iterable[int]) -> NDArr
 class OcpWorkspace(HpipmWorkspace):
     """HPIPM's stage-wise optimal control solver, for a QP in which stages are found."""
 
+    def __init__(self, record: SolverRecord, policy: Policy, options: Options) -> None:
+        options = dict(options)
+        size = options.pop(BLOCK_SIZE)
+        if not (isinstance(size, int) and size >= 1):
+            where = f"settings of {record.name}"
+            raise SettingsError(where, BLOCK_SIZE, repr(size)[:80], "a whole number of 1 or more")
+        super().__init__(record, policy, options)
+        self._block_size = size
+
     def _prepare_matrices_for_library(self) -> None:
         """Allocate and store the limits; have the stages of the QP found again."""
         super()._prepare_matrices_for_library()
@@ -273,13 +310,16 @@ class OcpWorkspace(HpipmWorkspace):
         if pattern != self._pattern:
             self._pattern = pattern
             stages = split_qp_into_stages(self._stages, self._P, self._A, self._l == self._u)
+            stages, self._counts = group_stages_into_blocks(stages, self._block_size)
             self._data = StageData(stages, self._P, self._A, self._low, self._high)
         data = self._data
-        sizes, last = (
-            tuple(map(make_c_pointer_to_array, data.size_arrays_for_hpipm)),
-            len(data.stages) - 1,
+        sizes = tuple(map(make_c_pointer_to_array, data.size_arrays_for_hpipm))
+        counts, last = self._counts, len(data.stages) - 1
+        self._parts = parts = (
+            CondensedStructures(self._library, sizes, self._options, counts)
+            if len(counts) <= last
+            else HpipmStructures(self._library, "ocp_qp", sizes, self._options, last)
         )
-        parts = self._parts = HpipmStructures(self._library, "ocp_qp", sizes, self._options, last)
         for k, matrices in enumerate(data.matrices):
             for name, array in matrices.items():
                 if array.size:
@@ -360,4 +400,4 @@ class OcpWorkspace(HpipmWorkspace):
         return z, y[:m], y[m:]
 
 
-NATIVE = NativeAdapter(RECORD, OcpWorkspace, lambda: (*hpipm.OPTION_NAMES, "ric_alg"))
+NATIVE = NativeAdapter(RECORD, OcpWorkspace, lambda: (*hpipm.OPTION_NAMES, "ric_alg", BLOCK_SIZE))

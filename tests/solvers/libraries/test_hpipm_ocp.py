@@ -5,11 +5,17 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from dpbench import load_scenario, record_sequence
 from dpbench.arrays import Flags, Matrix
+from dpbench.errors import SettingsError
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Solution, Status
-from dpbench.solvers.libraries.hpipm_ocp import Stage, split_qp_into_stages
+from dpbench.solvers.libraries.hpipm_ocp import (
+    Stage,
+    group_stages_into_blocks,
+    split_qp_into_stages,
+)
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import find_solver_availability
 from tests.solvers.conftest import run_program, solve_next
@@ -30,22 +36,25 @@ class Staged:
     """A random optimal control problem in the order u_0 | x_1, u_1 | …, and steps of it.
 
     Inputs are limited by bounds, by rows of one variable and by rows of several, on both sides or
-    one; the cost of the states is semidefinite, of integers, so that rounding leaves it so.
+    one; the cost of the states is semidefinite, of integers, so that rounding leaves it so. The
+    last stages, `without_input` of them, have states only.
     """
 
-    def __init__(self, seed: int, stages: int) -> None:
+    def __init__(self, seed: int, stages: int, without_input: int = 0) -> None:
         rng = self._rng = np.random.default_rng(seed)
-        n_u, n_x = 2, 3
-        self._n = n = stages * (n_u + n_x) + n_u
+        n_x = 3
+        inputs = [2] * (stages + 1 - without_input) + [0] * without_input
+        self._n = n = stages * n_x + sum(inputs)
         P, rows, self._dynamics = np.zeros((n, n)), [], []
         lb, ub = np.full(n, -INF), np.full(n, INF)
-        for k in range(stages + 1):
-            first = k * (n_u + n_x)
+        first = 0
+        for k, n_u in enumerate(inputs):
             u = slice(first, first + n_u)
-            root = rng.integers(-2, 3, size=(n_u, n_u))
-            P[u, u] = np.eye(n_u) + root @ root.T
-            lb[first], ub[first] = -1.0, rng.choice([1.0, INF])
-            rows.append(np.eye(n)[first + 1] * rng.choice([1.0, -2.0]))
+            if n_u:
+                root = rng.integers(-2, 3, size=(n_u, n_u))
+                P[u, u] = np.eye(n_u) + root @ root.T
+                lb[first], ub[first] = -1.0, rng.choice([1.0, INF])
+                rows.append(np.eye(n)[first + 1] * rng.choice([1.0, -2.0]))
             if k == stages:
                 continue
             x = slice(first + n_u, first + n_u + n_x)
@@ -61,9 +70,10 @@ class Staged:
             mixed = np.zeros(n)
             mixed[x] = rng.normal(size=n_x)
             rows.append(mixed)
+            first = x.stop
         self._A = np.array(rows)
         step = self.step()
-        sizes = ((0, n_u), *[(n_x, n_u)] * stages)
+        sizes = ((0, inputs[0]), *((n_x, n_u) for n_u in inputs[1:]))
         self.base = QuadraticProgram(P, step.q, self._A, step.l, step.u, lb, ub, stages=sizes)
 
     def step(self) -> QPStep:
@@ -77,9 +87,10 @@ class Staged:
         return QPStep(3.0 * rng.normal(size=self._n), low, high)
 
 
-def answers(case: Staged, policy: str) -> Iterator[tuple[QuadraticProgram, Solution]]:
+def answers(case: Staged, policy: str, size: int) -> Iterator[tuple[QuadraticProgram, Solution]]:
     """The problems of three steps, whose equal and infinite sides change, and the answers."""
-    workspace = open_workspace("hpipm_ocp", route="native", policy=policy, settings=TIGHT)
+    settings = {**TIGHT, "cond_block_size": size}
+    workspace = open_workspace("hpipm_ocp", route="native", policy=policy, settings=settings)
     workspace.setup(case.base)
     for _ in range(3):
         step = case.step()
@@ -104,17 +115,52 @@ def assert_optimal(qp: QuadraticProgram, answer: Solution) -> None:
 
 
 @needs_casadi
+@pytest.mark.parametrize("size", [1, 2, 9])
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
-def test_random_optimal_control_problems(policy: str) -> None:
+def test_random_optimal_control_problems(policy: str, size: int) -> None:
     stalls = 0
-    for seed in range(60):
-        for qp, answer in answers(Staged(seed, 1 + seed % 4), policy):
+    for seed in range(20):
+        case = Staged(seed, 1 + seed % 4, seed % 3 if seed % 4 > 1 else 0)
+        for qp, answer in answers(case, policy, size):
             if answer.status is Status.SOLVED:
                 assert_optimal(qp, answer)
             else:
                 assert answer.status is Status.MAX_ITERATIONS
                 stalls += 1
-    assert stalls <= 4  # of 180
+    assert stalls <= 2  # of 60
+
+
+@needs_casadi
+@pytest.mark.parametrize("size", [2, 5, 99])
+def test_blocks_of_stages_of_any_size_leave_the_ship_the_same_move(size: int) -> None:
+    sequence = record_sequence(load_scenario("rough").truncate(12)).sparse_equivalent().sequence
+    plans = []
+    for block in (1, size):
+        settings = {**TIGHT, "cond_block_size": block}
+        workspace = open_workspace("hpipm_ocp", route="native", policy="reuse", settings=settings)
+        workspace.setup(sequence.base)
+        steps = [sequence.step(k) for k in range(len(sequence))]
+        plans.append([solve_next(workspace, step).z for step in steps])
+    np.testing.assert_allclose(plans[1], plans[0], rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("size", [0, -1, 1.5])
+@needs_casadi
+def test_a_block_has_at_least_one_stage(size: float) -> None:
+    with pytest.raises(SettingsError, match=r"cond_block_size: found .*; allowed: a whole number"):
+        open_workspace("hpipm_ocp", route="native", settings={"cond_block_size": size})
+
+
+@pytest.mark.parametrize(
+    ("size", "counts"),
+    [(1, [1] * 7), (2, [2, 2, 3]), (3, [3, 4]), (4, [4, 3]), (5, [7, 1]), (99, [7, 1])],
+)
+def test_stages_without_inputs_join_the_block_before(size: int, counts: list[int]) -> None:
+    inputs = [2, 2, 2, 2, 2, 0, 0]
+    nothing = np.empty(0, dtype=np.intp)
+    stages = [Stage(np.arange(n), nothing, nothing, nothing) for n in inputs]
+    grouped, found = group_stages_into_blocks(stages, size)
+    assert found == counts and sum(found) == len(grouped)
 
 
 @needs_casadi
