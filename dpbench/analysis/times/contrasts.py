@@ -190,6 +190,11 @@ class SweptConfiguration:
         return {h: self.points[h] for h in shortest_first if self.points[h].times is not None}
 
     @property
+    def build(self) -> str:
+        """Build of the solver's library at the shortest horizons; "" if it is unknown."""
+        return next(iter(self.points.values())).run.build
+
+    @property
     def has_p99(self) -> bool:
         """True if any of this configuration's replays has enough steps for a p99 time."""
         return any(math.isfinite(point.p99_ns) for point in self.timed_points.values())
@@ -257,7 +262,7 @@ class Sweep:
 
     @property
     def best_configurations(self) -> list[SweptConfiguration]:
-        """The best configuration of each solver and formulation; the fastest solvers first."""
+        """The best one of each solver, formulation and own settings; the fastest solvers first."""
 
         def preference(swept: SweptConfiguration) -> tuple[int, int, float, str]:
             """Return a sort key: most horizons right, most timed, then fastest."""
@@ -267,10 +272,13 @@ class Sweep:
             return -right, -len(swept.timed_points), slowest_ns, swept.configuration.solver
 
         best = sorted(self.swept, key=preference)
-        kinds = map_first_by_key(
-            best, lambda s: (s.configuration.solver, s.configuration.formulation)
-        )
-        return list(kinds.values())
+
+        def kind(swept: SweptConfiguration) -> tuple[str, str, str]:
+            """Return what may be listed more than once for each solver."""
+            of = swept.configuration
+            return of.solver, of.formulation, of.options
+
+        return list(map_first_by_key(best, kind).values())
 
 
 def find_sweeps(records: Records, requirements: Requirements) -> list[Sweep]:

@@ -35,6 +35,7 @@ def build_horizon_topic(records: Records, requirements: Requirements) -> Topic |
             rows.append(
                 {
                     "configuration": name,
+                    "build": swept.build or MISSING,
                     **_format_growth(swept),
                     f"largest horizon, {limit}": _format_longest_horizons(
                         sweep, swept, requirements.p99_ns
@@ -50,7 +51,7 @@ def build_horizon_topic(records: Records, requirements: Requirements) -> Topic |
                 limit=requirements.p99_ms * 1e3,
             )
             figures.append(Figure(f"horizon-{sweep.name}", chart, "Hollow: answers fail there."))
-            tables.append(Table.from_rows(rows, sweep.name))
+            tables.append(Table.from_rows(rows, sweep.name, text_columns=2))
     if not figures:
         return None
     wording = (
