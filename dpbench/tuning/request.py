@@ -265,12 +265,15 @@ class SearchForecast:
             ", ".join(problem.name for problem in problems)
             for problems in (request.training, request.test)
         )
+        more = len(request.first_trials)
+        given = [f"the first batch has {more} more: yours and the presets"] if more else []
         names = ", ".join([*request.presets, *request.name_settings({})])
         compiled = f", with {format_duration(self.compile_s)} to compile kernels, once"
         rates = "finished batches" if self.measured else STATED_RATES.origin.partition(";")[0]
         return [
             f"{request.trials} settings of {request.solver.name} in batches on {training}: "
             f"{batches} batches{done}",
+            *given,
             f"then {names} on these and {test}",
             f"about {format_duration(self.time_s)} on this machine"
             f"{compiled if self.compile_s else ''}, by {rates}",
@@ -289,6 +292,7 @@ def estimate_tuning(solver: str, **asked: Any) -> SearchForecast:
     request = make_request(solver, **asked)
     search, finished_s, wall_s = _repeat_finished_batches(request)
     sizes = split_into_batches(request.trials)
+    sizes[0] += len(request.first_trials)
     left = sizes[len(finished_s) :]
     of_size = {size: _estimate_batch_seconds(request, size) for size in set(left)}
     seconds = [of_size[size] for size in left]
