@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from dpbench.ci import plugin
+from dpbench import load_scenario, open_workspace, record_sequence, replay
+from dpbench.ci import failures, gate, machine_state, plugin, replays
 
 pytest.importorskip("pytest_benchmark", reason="is of the extra ci")
 pytest_plugins = ["pytester"]
@@ -22,6 +23,13 @@ def test_replay(dpbench_replay):
 """
 
 
+@pytest.fixture(scope="module", autouse=True)
+def loaded() -> None:
+    """Modules that pytester unloads behind a session where they were new; C cannot load twice."""
+    assert all((failures, gate, machine_state, replays))
+    replay(record_sequence(load_scenario("paper").truncate(5)), open_workspace("quadprog"))
+
+
 @pytest.fixture(autouse=True)
 def alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """In a worker of pytest-xdist pytest-benchmark would measure nothing."""
@@ -30,10 +38,11 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def run(pytester: pytest.Pytester, *arguments: str) -> pytest.RunResult:
-    """A session in a process, with the plug-in whether or not its entry point is installed."""
+    """A session in this process, with the plug-in whether or not its entry point is installed."""
     quick = ("--benchmark-min-rounds=2", "--benchmark-max-time=0.01", "--benchmark-warmup=off")
-    loaded = ("-p", "no:dpbench", "-p", plugin.__name__, "-p", "no:xdist")
-    return pytester.runpytest_subprocess(*loaded, *quick, *arguments)
+    # The warnings of this session, which are errors, are not those of the one in it.
+    loaded = ("-p", "no:dpbench", "-p", plugin.__name__, "-p", "no:xdist", "-W", "default")
+    return pytester.runpytest_inprocess(*loaded, *quick, *arguments)
 
 
 def write_baseline(folder: Path, name: str, seconds: float, **exact: float) -> str:
@@ -100,7 +109,7 @@ def test_under_xdist_a_replay_is_checked_and_not_timed(pytester: pytest.Pytester
     result.assert_outcomes(passed=1, warnings=1)
     result.stdout.fnmatch_lines(["*benchmarks are not timed under xdist: run with -n0*"])
     base = write_baseline(pytester.path, "test_it.py::test_replay", 1.0)
-    result = pytester.runpytest_subprocess(*loaded, f"--dpbench-compare={base}")
+    result = pytester.runpytest_inprocess(*loaded, f"--dpbench-compare={base}")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
 
 
