@@ -33,15 +33,15 @@ export PYTHONDONTWRITEBYTECODE :=
 
 setup: $(STAMP) ## make .venv with all solvers and the development tools
 
+# A third of the modules is ever imported, in any of the environments, and compiled then.
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[solvers,cluster,embedded,fmi,matplotlib,peers,dev,docs]'
+	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[solvers,cluster,embedded,fmi,matplotlib,peers,dev,docs]'
 	$(BIN)/python hatch_build.py
 	$(BIN)/python -m dpbench.cli.compiling
 	touch $(STAMP)
 
-# Of these two a part of the modules is ever imported, so nothing is compiled in advance.
 environments: setup $(CORE)/.installed $(LOWEST)/.installed ## make those of test-core and test-lowest too
 
 bench: setup ## run the standard suite (five to twelve minutes) and write its report
@@ -77,7 +77,6 @@ $(LOWEST)/.installed: pyproject.toml constraints-lowest.txt
 	$(LOWEST)/bin/python -m pip install --quiet --no-compile --only-binary :all: \
 	    --requirement constraints-lowest.txt $(TEST_TOOLS)
 	$(LOWEST)/bin/python -m pip install --quiet --no-deps --editable .
-	NUMBA_CACHE_DIR=$(LOWEST)/numba $(LOWEST)/bin/python -m dpbench.cli.compiling
 	touch $@
 
 # The wheel with the faster BLASFEO brings a reduced casadi of its own, so it stays out of casadi's
