@@ -86,7 +86,7 @@ class FmuController:
         self.fmu.freeInstance()
 
 
-@pytest.fixture(scope="module", params=[(2, "paper"), (3, "paper"), (2, "thrusters_loss")])
+@pytest.fixture(scope="module", params=[(3, "paper"), (2, "thrusters_loss")])
 def built(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, ControllerData]:
@@ -151,7 +151,6 @@ def test_a_restored_state_goes_on_as_before(
 @pytest.mark.skipif(
     shutil.which("wine") is None, reason="Wine, which loads a Windows library, is not installed"
 )
-@pytest.mark.parametrize("built", [(2, "paper"), (3, "paper")], indirect=True)
 def test_the_library_for_windows_gives_the_same_commands(
     built: tuple[Path, ControllerData], tmp_path: Path
 ) -> None:

@@ -49,13 +49,10 @@ def test_the_c_controller_steers_as_the_python_loop(name: str, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("name", "solver"),
     [
-        ("paper", "paper_active_set"),
-        ("rough", "paper_active_set"),
+        # Between them these execute every line that other scenarios do.
         ("thruster_loss", "paper_active_set"),
         ("thruster_loss_hard", "paper_active_set"),
-        ("thrusters", "paper_active_set"),
         ("thrusters_loss", "paper_active_set"),
-        ("paper", "osqp"),
         ("thruster_loss", "osqp"),
         ("rough", "daqp"),
     ],
@@ -66,7 +63,8 @@ def test_a_sanitizer_finds_nothing_in_a_replay(name: str, solver: str, tmp_path:
         generate_controller(name, solver, out=tmp_path, steps=STEPS, counts=False)
     except SituationError as error:
         pytest.skip(str(error))  # without a package index DAQP's source cannot be fetched
-    options = "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
+    # An optimiser may remove the access that a sanitizer looks for, and takes three times as long.
+    options = "-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
     # Sources of others are compiled as they are.
     warnings = WARNINGS if solver == "paper_active_set" else ()
     replay = compile_c(tmp_path, tmp_path / "replay", *options, warnings=warnings)

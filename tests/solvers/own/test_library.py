@@ -121,7 +121,7 @@ def test_a_sanitizer_finds_nothing_in_random_problems(
     """Under the address and undefined-behaviour sanitizers, with every kind of ending."""
     main, program = tmp_path / "main.c", tmp_path / "main"
     main.write_text(SANITIZED, encoding="utf-8")
-    options = "-std=c99", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
+    options = "-std=c99", "-g", "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
     flags = (*options, *precision, f"-I{compiling.FOLDER}", "-o", str(program))
     subprocess.run(["gcc", *flags, str(main), "-lm"], check=True)
     done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
