@@ -15,8 +15,7 @@ import pytest
 import dpbench
 from dpbench.temporary_folders import PREFIX
 
-# A signal goes to all processes of a group.
-pytestmark = [pytest.mark.slow, pytest.mark.alone]
+pytestmark = pytest.mark.slow
 
 SUITE = """
 title = "A suite for one test"

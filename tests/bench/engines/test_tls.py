@@ -15,8 +15,7 @@ WHY = "engine dask needs the extra `cluster`"
 dask_cluster = pytest.importorskip("dpbench.bench.engines.dask_cluster", reason=WHY)
 distributed = pytest.importorskip("distributed", reason=WHY)
 connect_client, Security = dask_cluster.connect_client, dask_cluster.Security
-# The scheduler and its worker are processes that answer within limits of real time.
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 
 def written(folder: Path) -> list[str]:
