@@ -268,8 +268,7 @@ def _kill_with_files(
     patch.setattr(DaskEngine, "submit", submitted)
 
 
-@pytest.mark.parametrize("gone_before", [False, True])
-@pytest.mark.parametrize("text", [DESIGN, CAPABILITY])
+@pytest.mark.parametrize(("text", "gone_before"), [(DESIGN, False), (CAPABILITY, True)])
 def test_a_scheduler_that_dies_as_files_are_made_is_one_line(
     gone_before: bool,
     text: str,
