@@ -5,6 +5,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.dpbench-installed
+KERNELS := $(VENV)/.dpbench-kernels
 OUT    ?= results/standard
 CASADI := build/casadi
 ACADOS := build/acados
@@ -31,7 +32,7 @@ export PYTHONDONTWRITEBYTECODE :=
 .DEFAULT_GOAL := help
 .PHONY: setup environments bench full test test-fast test-core test-lowest test-casadi outdated mutants chaos soak lint docs tutorial bench-ci bench-compare vendored report clean clean-results help
 
-setup: $(STAMP) ## make .venv with all solvers and the development tools
+setup: $(KERNELS) ## make .venv with all solvers and the development tools
 
 # A third of the modules is ever imported, in any of the environments, and compiled then.
 $(STAMP): pyproject.toml constraints.txt
@@ -39,8 +40,11 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[solvers,cluster,embedded,fmi,matplotlib,peers,dev,docs]'
 	$(BIN)/python hatch_build.py
-	$(BIN)/python -m dpbench.cli.compiling
 	touch $(STAMP)
+
+$(KERNELS): $(STAMP)
+	$(BIN)/python -m dpbench.cli.compiling
+	touch $(KERNELS)
 
 environments: setup $(CORE)/.installed $(LOWEST)/.installed ## make those of test-core and test-lowest too
 
@@ -105,7 +109,8 @@ chaos: setup ## run a small suite under accidents and check its rows (some ten m
 soak: setup ## read seeded mutants of all files that others may send, SHARE=0.01 for 1 % of them (a minute)
 	$(BIN)/python -m tests.soak.run --share $(SHARE) $(SOAK)
 
-lint: setup ## ruff, mypy --strict, import layers
+# Side by side with the kernels, which it does not need.
+lint: $(STAMP) ## ruff, mypy --strict, import layers
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
