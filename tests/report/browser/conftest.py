@@ -6,7 +6,7 @@ reason; with `DPBENCH_BROWSER=required`, as CI sets it, they fail instead.
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +19,15 @@ from dpbench.report.write import write_report
 
 DESK, PHONE = (1400, 900), (390, 844)
 AXE = Path(__file__).parent / "axe"
+DRAWN = "Promise.all(Object.values(views)).then(() => draw())"
+SELECT = """async (fragment) => {
+  await Promise.all(Object.values(views));
+  document.activeElement.blur();
+  scrollTo(0, 0);
+  history.pushState(null, "", fragment);
+  read();
+  await draw();
+}"""
 SIZES = pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 SCHEMES = pytest.mark.parametrize("scheme", ["light", "dark"])
 
@@ -42,11 +51,16 @@ def click_middle(page: Any, locator: Any) -> None:
 
 
 def check_accessible(page: Any, width: int) -> None:
-    """Check that axe finds no violation and nothing scrolls sideways."""
+    """Check that axe finds no violation and nothing scrolls sideways, light and dark."""
     page.evaluate((AXE / "axe.min.js").read_text())
-    violations = page.evaluate("axe.run(document).then((result) => result.violations)")
-    assert [(rule["id"], [n["html"][:200] for n in rule["nodes"]]) for rule in violations] == []
-    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        page.wait_for_timeout(100)
+        page.evaluate(DRAWN)
+        violations = page.evaluate("axe.run(document).then((result) => result.violations)")
+        nodes = [(rule["id"], [n["html"][:200] for n in rule["nodes"]]) for rule in violations]
+        assert nodes == [], scheme
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
 def _absent(reason: str) -> None:
@@ -119,6 +133,15 @@ class Opener:
             wait_until_ready(page)
         return page
 
+    def select(self, fragment: str = "") -> Any:
+        """The page in one tab for all calls, with a selection as a link within it leads there."""
+        if not self._contexts:
+            return self(fragment)
+        (page,) = self._contexts[0].pages
+        page.mouse.move(0, 0)
+        page.evaluate(SELECT, fragment or "#")
+        return page
+
     def close(self) -> None:
         """Close all that was opened."""
         for context in self._contexts:
@@ -139,3 +162,17 @@ def opened(chromium: Any, page_file: Path) -> Iterator[Opener]:
     """The page of the campaign."""
     with opening(chromium, page_file) as opener:
         yield opener
+
+
+@pytest.fixture(scope="session")
+def tab(chromium: Any, page_file: Path) -> Iterator[Opener]:
+    """The page of the campaign in a tab that stays."""
+    with opening(chromium, page_file) as opener:
+        yield opener
+
+
+@pytest.fixture
+def selected(tab: Opener) -> Iterator[Callable[..., Any]]:
+    """The page with a selection, for tests that leave another selection behind and nothing else."""
+    yield tab.select
+    assert tab.errors == []

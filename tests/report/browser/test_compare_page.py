@@ -11,7 +11,6 @@ from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.report.compare.comparison import compare
 from dpbench.report.compare.page import write_comparison
 from tests.report.browser.conftest import (
-    SCHEMES,
     SIZES,
     Opener,
     check_accessible,
@@ -91,7 +90,6 @@ def test_it_answers_without_scripts(compared: Opener) -> None:
         assert not control.is_visible()
 
 
-@SCHEMES
 @SIZES
-def test_axe_has_nothing_to_say(compared: Opener, size: tuple[int, int], scheme: str) -> None:
-    check_accessible(compared(size=size, scheme=scheme), size[0])
+def test_axe_has_nothing_to_say(compared: Opener, size: tuple[int, int]) -> None:
+    check_accessible(compared(size=size), size[0])

@@ -63,8 +63,8 @@ def test_it_answers_without_scripts(opened: Any) -> None:
         assert not control.is_visible()
 
 
-def test_a_row_of_the_ladder_is_chosen_by_a_click(opened: Any) -> None:
-    page = opened()
+def test_a_row_of_the_ladder_is_chosen_by_a_click(selected: Any) -> None:
+    page = selected()
     name = page.locator("#figure-ladder text", has_text="clarabel")
     box, figure = name.bounding_box(), page.locator("#figure-ladder").bounding_box()
     page.mouse.click(figure["x"] + 0.7 * figure["width"], box["y"] + box["height"] / 2)
@@ -82,8 +82,8 @@ def test_a_row_of_the_ladder_is_chosen_by_a_click(opened: Any) -> None:
     assert marked == [str(page.evaluate("state.c"))]
 
 
-def test_a_tile_of_the_matrix_chooses_the_experiment_too(opened: Any) -> None:
-    page = opened()
+def test_a_tile_of_the_matrix_chooses_the_experiment_too(selected: Any) -> None:
+    page = selected()
     wanted = page.locator(
         "#figure-matrix path[aria-label*='solver: highs'][aria-label*='experiment: calm']"
     )
@@ -117,8 +117,8 @@ def test_a_row_of_the_table_is_chosen_by_a_click(opened: Any) -> None:
     assert page.evaluate("document.activeElement.id") == "one"
 
 
-def test_a_hard_step_opens(opened: Any) -> None:
-    page = opened()
+def test_a_hard_step_opens(selected: Any) -> None:
+    page = selected()
     page.select_option("#choose-experiment", label="paper (replay)")
     wait_for_strips(page)
     button = (
@@ -147,8 +147,8 @@ def test_a_hard_step_opens(opened: Any) -> None:
     assert page.locator("#figure-strips canvas").count() == 1
 
 
-def test_a_click_among_the_strips_opens_the_nearest_step(opened: Any) -> None:
-    page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
+def test_a_click_among_the_strips_opens_the_nearest_step(selected: Any) -> None:
+    page = selected("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
     canvas = page.locator("#figure-strips canvas")
     canvas.scroll_into_view_if_needed()
     box = canvas.bounding_box()
@@ -162,8 +162,8 @@ def test_a_click_among_the_strips_opens_the_nearest_step(opened: Any) -> None:
     assert abs(int(selection(page)["k"]) - wanted) < 4.0, "a dot there is the step it stands for"
 
 
-def test_the_hardest_steps_begin_with_those_of_all_experiments(opened: Any) -> None:
-    page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
+def test_the_hardest_steps_begin_with_those_of_all_experiments(selected: Any) -> None:
+    page = selected("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
     heads = page.locator("#hard span").all_inner_texts()
     assert heads[0] == "slowest steps, fastest round of replays and windows"
     assert "largest single timings of all closed loops, stalls included" in heads[1:]
@@ -184,9 +184,9 @@ def test_the_hardest_steps_begin_with_those_of_all_experiments(opened: Any) -> N
     assert selection(page)["sc"] == experiment
 
 
-def test_the_call_is_that_of_the_chosen_one(opened: Any) -> None:
-    assert not opened().locator("#one-call").is_visible(), "it would stand there twice"
-    page = opened("#s=osqp&w=qpsolvers-fresh&set=high&sc=paper")
+def test_the_call_is_that_of_the_chosen_one(selected: Any) -> None:
+    assert not selected().locator("#one-call").is_visible(), "it would stand there twice"
+    page = selected("#s=osqp&w=qpsolvers-fresh&set=high&sc=paper")
     first = page.text_content("#paste-1")
     assert page.text_content("#one-call") == format_python_call(
         Configuration("osqp", "qpsolvers", "fresh", "high")
@@ -221,8 +221,8 @@ def test_the_table_has_pages_and_what_has_no_value_stands_last(opened: Any) -> N
     assert known == sorted(known, reverse=True)
 
 
-def test_a_step_of_a_loop_says_where_the_ship_is(opened: Any, campaign: Path) -> None:
-    page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper&k=74")
+def test_a_step_of_a_loop_says_where_the_ship_is(selected: Any, campaign: Path) -> None:
+    page = selected("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper&k=74")
     output = page.inner_text("#step-said")
     number = r"([\d.e-]+)"
     ship = re.search(
@@ -241,9 +241,9 @@ def test_a_step_of_a_loop_says_where_the_ship_is(opened: Any, campaign: Path) ->
     assert float(ship[5]) == pytest.approx(100 * row["tau_x_N"] / limit, rel=0.05, abs=0.2)
 
 
-def test_the_query_is_that_of_the_replay_behind_the_p99(opened: Any, campaign: Path) -> None:
+def test_the_query_is_that_of_the_replay_behind_the_p99(selected: Any, campaign: Path) -> None:
     """Whatever experiment is chosen; its lines give the p99 that the page names."""
-    page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper_tight")
+    page = selected("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper_tight")
     output = page.inner_text("#data-query")
     run = re.search(r'"run_id", "==", "(\w+)"', output)
     assert run and "(replay)" in output
@@ -254,8 +254,8 @@ def test_the_query_is_that_of_the_replay_behind_the_p99(opened: Any, campaign: P
     assert f"p99 {page.evaluate(f'time({1e3 * p99_us})')}" in page.inner_text("#chosen")
 
 
-def test_the_slider_moves_the_ladder(opened: Any) -> None:
-    page = opened()
+def test_the_slider_moves_the_ladder(selected: Any) -> None:
+    page = selected()
     first = page.locator("#figure-ladder .mark-symbol path").first
     before = first.bounding_box()["x"]
     page.focus("#slow")
@@ -277,14 +277,14 @@ def test_replays_alone_are_counted_as_uncontradicted(chromium: Any, tmp_path: Pa
     assert "2 of the 2 that nothing contradicts here keep the deadline of 300 ms" in output, output
 
 
-def test_a_bound_is_never_rounded_up(opened: Any) -> None:
-    page = opened()
+def test_a_bound_is_never_rounded_up(selected: Any) -> None:
+    page = selected()
     for value in (245.9, 246.0, 29.96, 1234.9, 1.0049, 0.4567, 99_950.0):
         assert page.evaluate(f"Number(roundedDown({value}))") == float(format_rounded_down(value))
 
 
-def test_the_speed_margin_decides_on_slower_computers(opened: Any, written: Any) -> None:
-    page = opened()
+def test_the_speed_margin_decides_on_slower_computers(selected: Any, written: Any) -> None:
+    page = selected()
     for slow in (1, 200, 2000, 10_000):
         _check_speed_margins(page, written.report.data, slow)
 
@@ -433,8 +433,8 @@ def test_the_csv_holds_the_numbers_of_the_parquet(opened: Any, campaign: Path) -
         assert numbers or group in ("memory", "deadline")
 
 
-def test_two_solvers_are_compared(opened: Any) -> None:
-    page = opened("#s=piqp&w=qpsolvers-fresh&set=default&sc=paper&b=daqp~qpsolvers-fresh~default")
+def test_two_solvers_are_compared(selected: Any) -> None:
+    page = selected("#s=piqp&w=qpsolvers-fresh&set=default&sc=paper&b=daqp~qpsolvers-fresh~default")
     assert rows_in(page, "pairs", "pairs") > 100
     output = page.inner_text("#two-said")
     ratio = re.search(r"takes ([\d.]+) times as long", output)
@@ -451,10 +451,10 @@ def test_two_solvers_are_compared(opened: Any) -> None:
     assert len(markdown.encode()) < 3000
 
 
-def test_any_two_have_the_interval_of_their_ratio(opened: Any, written: Any) -> None:
+def test_any_two_have_the_interval_of_their_ratio(selected: Any, written: Any) -> None:
     facts = written.report.data
     timed = [v for v in facts.verdicts.all_verdicts if v.timed_on]
-    page = opened()
+    page = selected()
     for first, second in ((timed[0], timed[-1]), (timed[-2], timed[1])):
         (*_, compared) = compare_paired_times(facts.records, first, second)
         ratio = compared.ratio
@@ -488,8 +488,8 @@ def test_the_keyboard_reaches_everything(opened: Any) -> None:
     assert selection(page)["k"] != "74"
 
 
-def test_arrow_keys_choose_in_the_ladder(opened: Any) -> None:
-    page = opened()
+def test_arrow_keys_choose_in_the_ladder(selected: Any) -> None:
+    page = selected()
     rows = page.evaluate("rowsDrawn('ladder').values.map((row) => Number(row.id))")
     page.focus("#figure-ladder")
     page.keyboard.press("ArrowDown")
@@ -527,10 +527,10 @@ def test_arrow_keys_choose_in_the_matrix(opened: Any, size: tuple[int, int]) -> 
     assert selection(page)["set"] == last["settings"]
 
 
-def test_late_is_not_wrong(opened: Any) -> None:
+def test_late_is_not_wrong(selected: Any) -> None:
     """On a slower computer a right solver is late, in another colour, shape and sign than a wrong
     one, which stays wrong; the limit of the p99 is a line of its own beside the deadline."""
-    page = opened("#slow=10000")
+    page = selected("#slow=10000")
     labels = page.locator("#figure-ladder .mark-symbol path[aria-label]")
     looks: dict[str, set[tuple[str, str]]] = {}
     for mark in labels.all():
@@ -548,8 +548,8 @@ def test_late_is_not_wrong(opened: Any) -> None:
     assert "Fail: " in output and "Late: " in output
 
 
-def test_the_matrix_shows_another_way(opened: Any) -> None:
-    page = opened()
+def test_the_matrix_shows_another_way(selected: Any) -> None:
+    page = selected()
     modes = page.locator("#matrix-mode option").evaluate_all("(all) => all.map((one) => one.value)")
     before = page.locator("#figure-matrix path[aria-label*='verdict: pass']").count()
     page.select_option("#matrix-mode", modes[-1])
@@ -614,16 +614,16 @@ def test_print_has_the_answer_and_what_is_chosen(opened: Any) -> None:
     assert ink.strip() == "#1d2733"
 
 
-def test_the_largest_sample_stays_where_it_was_measured(opened: Any) -> None:
+def test_the_largest_sample_stays_where_it_was_measured(selected: Any) -> None:
     whiskers = "#figure-ladder path[stroke-dasharray], #figure-ladder line[stroke-dasharray]"
-    page = opened()
+    page = selected()
     before = page.locator(whiskers).count()
     assert before > 3
     output = page.locator("#figure-ladder text", has_text="as measured")
     assert output.count() == 0, "nothing is scaled there"
     caption = page.locator("#answer figcaption").inner_text()
     assert "dashed: largest single timing, as measured" in caption
-    page = opened("#slow=10000")
+    page = selected("#slow=10000")
     assert page.locator(whiskers).count() < before
     assert page.locator("#figure-ladder text", has_text="jitter of this machine").count() == 1
 

@@ -9,7 +9,6 @@ import pytest
 from dpbench.report.write import write_report
 from tests.conftest import MadeRecords
 from tests.report.browser.conftest import (
-    SCHEMES,
     SIZES,
     Opener,
     check_accessible,
@@ -151,10 +150,9 @@ def test_a_design_is_drawn_over_what_tells_points_apart(
         assert [row["point"] for row in rows if row["state"] == "none within"] == [3]
 
 
-@SCHEMES
 @SIZES
-def test_it_is_seen_and_read(study_page: Opener, size: tuple[int, int], scheme: str) -> None:
-    page = study_page(size=size, scheme=scheme)
+def test_it_is_seen_and_read(study_page: Opener, size: tuple[int, int]) -> None:
+    page = study_page(size=size)
     check_accessible(page, size[0])
     assert page.evaluate("document.querySelectorAll('*').length") <= 3000
 
