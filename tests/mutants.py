@@ -38,8 +38,10 @@ TARGETS = {
     "dpbench/bench/judge": "tests/bench/judge",
     "dpbench/analysis/verdict": "tests/analysis/verdict",
     "dpbench/analysis/statistics.py": "tests/analysis/test_statistics.py",
+    "dpbench/analysis/records/run_steps.py": "tests/analysis/records",
     "dpbench/analysis/suites/study.py": "tests/analysis/suites",
     "dpbench/mpc/condense.py": "tests/mpc",
+    "dpbench/mpc/condensed_qp.py": "tests/mpc",
     "dpbench/ship/plant.py": "tests/ship",
     "dpbench/qp/residuals.py": "tests/qp",
 }
@@ -163,7 +165,19 @@ def _pytest(arguments: list[str], mutant: Mutant | None = None) -> int:
     hypothesis.settings.register_profile(
         "mutants", database=None, deadline=None, phases=phases, suppress_health_check=checks
     )
-    quick = ["-x", "-q", "-m", "not slow and not alone", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    # Pytest would load a rewritten copy of the original: it rewrites what its plug-ins come with.
+    plain = "--assert=plain"
+    quick = [
+        "-x",
+        "-q",
+        plain,
+        "-m",
+        "not slow and not alone",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:xdist",
+    ]
     drawn = ["--hypothesis-profile=mutants", "--hypothesis-seed=0"]
     # Hypothesis is a plugin that is imported already.
     quiet = ["-W", "ignore::pytest.PytestAssertRewriteWarning"]

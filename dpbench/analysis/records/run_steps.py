@@ -197,7 +197,7 @@ class StepTimes:
     timings: Ints
     raw_max_ns: float
     rounds_ns: Floats
-    hardest_wait_ns: float = 0.0
+    hardest_wait_ns: float
 
 
 def yield_step_times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
