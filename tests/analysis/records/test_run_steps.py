@@ -246,6 +246,12 @@ def test_delays_by_hand() -> None:
     assert _listed(found["b"])["delay_ns"] == []
 
 
+def test_two_rounds_tell_a_step_from_a_delay() -> None:
+    k, zeros = np.array([0, 1, 0, 1]), np.zeros(4)
+    delays = find_delays(np.array([1, 1, 2, 2]), k, np.array([10.0, 90.0, 12.0, 30.0]), zeros)
+    assert delays.delay_ns.tolist() == [90.0] and delays.own_ns.tolist() == [30.0]
+
+
 def test_in_one_round_a_delay_is_what_is_over_the_median() -> None:
     k, zeros = np.arange(4), np.zeros(4)
     timings = np.array([10.0, 30.0, np.nan, 12.0])
