@@ -222,8 +222,9 @@ def test_claims_hold_together_over_all_configurations() -> None:
     assert wrong <= 6
 
 
-def test_who_lost_a_run_is_no_reference_and_its_other_seas_are_paired() -> None:
-    study = _study(_runs({"near": 0.0, "off": 0.03}, near="crashed"), radius_m=9.0)
+@pytest.mark.parametrize("outcome", ["crashed", "hung"])
+def test_who_lost_a_run_is_no_reference_and_its_other_seas_are_paired(outcome: str) -> None:
+    study = _study(_runs({"near": 0.0, "off": 0.03}, near=outcome), radius_m=9.0)
     assert study.reference_name == "off"
     near = next(c for c in study.results_by_cost if c.name == "near")
     assert (near.runs, near.finished) == (12, 11)
