@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         replay as replay,
         run_closed_loop as run_closed_loop,
     )
+    from dpbench.notebook.stored_runs import add_runs as add_runs
     from dpbench.qp.program import (
         QPSequence as QPSequence,
         QPStep as QPStep,
@@ -50,6 +51,8 @@ if TYPE_CHECKING:
     from dpbench.qp.solution import Solution as Solution, Status as Status
     from dpbench.report.compare.comparison import Comparison as Comparison, compare as compare
     from dpbench.report.write import write_report as write_report
+    from dpbench.scenario.plants.contract import Plant as Plant, PlantError as PlantError
+    from dpbench.scenario.plants.linear_mpc import LinearMPC as LinearMPC
     from dpbench.scenario.scenario import (
         Scenario as Scenario,
         condense as condense,
@@ -69,6 +72,7 @@ _NAMES = {
     "notebook.names": "list_scenarios list_sequences list_solvers list_suites",
     "notebook.results": "Results load_results",
     "notebook.runs": "Run replay run_closed_loop",
+    "notebook.stored_runs": "add_runs",
     "qp.program": "QPSequence QPStep QuadraticProgram Refresh",
     "qp.referee.optimum": "Optimum",
     "qp.referee.referee": "certify",
@@ -76,6 +80,8 @@ _NAMES = {
     "qp.solution": "Solution Status",
     "report.compare.comparison": "Comparison compare",
     "report.write": "write_report",
+    "scenario.plants.contract": "Plant PlantError",
+    "scenario.plants.linear_mpc": "LinearMPC",
     "scenario.scenario": "Scenario condense load_scenario",
     "solvers.contract": "Workspace",
     "solvers.open": "open_workspace",

@@ -6,10 +6,11 @@ that crashes, and no core is pinned. The assessment is the same.
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from dpbench.analysis.records.run_record import build_run_records
@@ -29,6 +30,7 @@ from dpbench.bench.run.assemble import (
 from dpbench.bench.run.backup import FALLBACKS
 from dpbench.bench.run.closed_loop import record_closed_loop
 from dpbench.bench.run.exact_loop import solve_loop_exactly
+from dpbench.bench.run.formulation import Case
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver, list_failure_descriptions
 from dpbench.bench.sequences.sequence_file import as_sequence
@@ -48,6 +50,8 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.ship_text import ShipSummary, summarise_ships
+from dpbench.scenario.plants.contract import PlantMaker
+from dpbench.scenario.plants.linear_mpc import LinearMPC
 from dpbench.scenario.scenario import Scenario, resolve_to_scenario
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
@@ -66,7 +70,9 @@ class Run:
     ----------
     steps : a row for each answer, with the columns of steps.parquet.
     summary : its row of runs.parquet.
-    scenario : of a closed loop; None of a replay, which has no ship.
+    scenario : of a closed loop; None of a replay and of a `LinearMPC`, which have no ship.
+    signals : of a `LinearMPC`, a row per step: t_s, outputs and inputs by name, references of the
+        outputs as `<output>_reference`; None of others.
 
     Examples
     --------
@@ -78,6 +84,7 @@ class Run:
     steps: pd.DataFrame
     summary: "pd.Series[Any]"
     scenario: Scenario | None = None
+    signals: pd.DataFrame | None = None
 
     @property
     def label(self) -> str:
@@ -134,6 +141,11 @@ class Run:
         )
 
     @property
+    def _is_closed_loop(self) -> bool:
+        """True for a closed loop, False for a replay."""
+        return bool(self.summary["mode"] == "closed_loop")
+
+    @property
     def _is_inaccurate(self) -> bool:
         """True if the referee finds some answer wrong."""
         return bool(self.summary["true_share"] < 1.0)
@@ -150,7 +162,7 @@ class Run:
     @property
     def _time_text(self) -> tuple[str, str]:
         """Median step time, and what it is of: in a replay the minimum over rounds, as the page."""
-        if self.scenario is not None:
+        if self._is_closed_loop:
             return format_time(self.summary["raw_p50_ns"]), ""
         p50_ns = self.summary["algo_p50_ns"]
         return format_time(p50_ns), "minimum over rounds" if p50_ns > 0.0 else "too few steps"
@@ -159,7 +171,7 @@ class Run:
     def _machine_text(self) -> str:
         """Words on what disturbed a replay's times; "" for nothing, and of a closed loop."""
         row = self.summary
-        if self.scenario is not None or not row["algo_p50_ns"] > 0.0:
+        if self._is_closed_loop or not row["algo_p50_ns"] > 0.0:
             return ""
         # Context switches are too few in such a short time for a rate of them.
         disturbed, parts = row["disturbed_rounds"], []
@@ -195,12 +207,13 @@ class Run:
 
     def _describe_control(self) -> dict[str, str]:
         """Return a closed loop's position errors and number of fallbacks, as text by field name."""
-        if self.scenario is None:
-            return {}
         row = self.summary
+        fallbacks = {"fallbacks": format_count(row["fallbacks"])} if self._is_closed_loop else {}
+        if self.scenario is None:
+            return fallbacks
         return {
             "ship": " ".join(self._ship.lines),
-            "fallbacks": format_count(row["fallbacks"]),
+            **fallbacks,
             "position error, rms": f"{significant(row['r_rms_m'])} m",
             "position error, second half": f"≤ {significant(row['r_tail_max_m'])} m",
             "settled into 0.1 m after": format_seconds(row["settle_0p1m_s"]),
@@ -209,7 +222,7 @@ class Run:
 
 
 def run_closed_loop(
-    scenario: Scenario | str | Path,
+    scenario: Case | str | Path,
     workspace: Workspace | str,
     *,
     units: UnitSystem = "scaled",
@@ -219,23 +232,29 @@ def run_closed_loop(
     slowdown: float = 0.0,
     deadline_s: float = 0.0,
     steps: int | None = None,
+    plant: PlantMaker | None = None,
 ) -> Run:
-    """Simulate ship and MPC in closed loop with `workspace` as QP solver; judge every answer.
+    """Simulate plant and MPC in closed loop with `workspace` as QP solver; judge every answer.
 
     Parameters
     ----------
-    scenario : an object, a name or a TOML file; `Scenario.with_horizons` sets other horizons.
+    scenario : an object, a name or a TOML file; `Scenario.with_horizons` sets other horizons. Or a
+        `LinearMPC`, for a plant that is no ship.
     workspace : an object of `open_workspace`, or the name of a solver.
     steps : only the first so many; by default the whole scenario.
     backup : name of a second solver, asked before the fallback acts; "" for none.
     slowdown : how much slower than this machine the ship's computer is (≥ 1), so that answers
         arrive late; 0 for a ship that waits for each. Time is simulated, not waited for.
     deadline_s : what a step may take of its time [s], at most the sample; 0 for the sample.
+    plant : class or function that makes a `Plant` of one's own, called for this loop and for the
+        reference loop; it replaces the scenario's ship, and is needed for a `LinearMPC`.
 
     Raises
     ------
     InputError : for an unknown formulation, fallback or backup, "sparse" for a scenario that has
-        none, or a slow-down, deadline or number of steps that cannot be.
+        none, a slow-down, deadline or number of steps that cannot be, or weather that would push a
+        plant of one's own.
+    PlantError : for a plant that fails, or whose state or measurement has another shape or NaN.
     TypeError : for a scenario, workspace or number of steps of another type.
 
     Examples
@@ -246,14 +265,16 @@ def run_closed_loop(
     """
     _refuse_unknown_choice("fallback", fallback, FALLBACKS)
     _refuse_unknown_choice("formulation", formulation, FORMULATIONS)
-    scenario, workspace = resolve_to_scenario(scenario), _open_workspace_if_named(workspace)
+    mpc = scenario if isinstance(scenario, LinearMPC) else None
+    case: Case = mpc or resolve_to_scenario(scenario)
+    workspace = _open_workspace_if_named(workspace)
     if steps is not None:
-        scenario = scenario.truncate(steps)
+        case = case.truncate(steps)
     cell = _make_cell(
         workspace,
         mode="closed_loop",
-        scenario=scenario.files,
-        steps=scenario.steps,
+        scenario=case.files,
+        steps=case.steps,
         formulation=formulation,
         units=units,
         fallback=fallback,
@@ -261,10 +282,27 @@ def run_closed_loop(
         slowdown=slowdown,
         deadline_s=deadline_s,
     )
-    setup = build_closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
+    setup = build_closed_loop_setup(
+        cell, case, workspace, RawLog.in_memory, NO_LIMIT_NS, plant=plant
+    )
     record_closed_loop(setup)
-    evaluated = evaluate_loop_log(cell, setup.log, solve_loop_exactly(scenario))
-    return _make_run(cell, workspace, setup.solver, evaluated, scenario)
+    exact = solve_loop_exactly(case, plant=plant)
+    if isinstance(case, LinearMPC):
+        evaluated = evaluate_loop_log(cell, setup.log, exact, case)
+        run = _make_run(cell, workspace, setup.solver, evaluated)
+        return replace(run, signals=_tabulate_signals(case, setup.log))
+    return _make_run(cell, workspace, setup.solver, evaluate_loop_log(cell, setup.log, exact), case)
+
+
+def _tabulate_signals(mpc: LinearMPC, log: RawLog) -> pd.DataFrame:
+    """Return time, outputs, references and inputs of a linear MPC's loop, a row per step."""
+    done, theta = int(log.done[0]), mpc.problem.model.theta
+    rows = log.theta[:done]
+    columns = {"t_s": mpc.sample_s * np.arange(done)}
+    outputs = rows[:, theta.x][:, mpc.model.n_x :]
+    for name, values, wanted in zip(mpc.outputs, outputs.T, rows[:, theta.y_ref].T, strict=True):
+        columns |= {name: values, f"{name}_reference": wanted}
+    return pd.DataFrame(columns | dict(zip(mpc.inputs, log.tau[:done].T, strict=True)))
 
 
 def replay(

@@ -31,6 +31,9 @@ from dpbench.scenario.dotted_keys import (
     copy_documents_with_values,
     read_validated_vessel_documents,
 )
+from dpbench.scenario.plants.contract import refuse_loads_on_own_plant
+from dpbench.scenario.plants.fmu_interface import hash_fmu, read_fmu_interface
+from dpbench.scenario.plants.fmu_plant import FmuSource
 from dpbench.scenario.problem_files import (
     ScenarioDocuments,
     VesselDocuments,
@@ -38,7 +41,7 @@ from dpbench.scenario.problem_files import (
     read_toml_as_model,
     validate_settings_as_model,
 )
-from dpbench.scenario.tables.scenario_file import EstimatorTable, ScenarioFile
+from dpbench.scenario.tables.scenario_file import EstimatorTable, FmuTable, ScenarioFile
 from dpbench.scenario.tables.vessel_file import VesselFile
 from dpbench.ship.actuators import Actuators, CommandedThrusters
 from dpbench.ship.environment import Current, Environment
@@ -134,6 +137,7 @@ class Scenario:
     velocity : (3,) of the start, [u, v, r] over ground along the ship's axes in m/s, m/s, rad/s.
     smoothed, preview : reference filter, and whether the controller sees the reference coming.
     files : the documents from which `build_scenario_from_documents` makes it again.
+    fmu : functional mock-up unit that is steered in place of `true_ship`; None for none.
 
     Examples
     --------
@@ -161,6 +165,7 @@ class Scenario:
     preview: bool
     controller: Controller
     files: ScenarioDocuments
+    fmu: FmuSource | None = None
 
     def __repr__(self) -> str:
         controller = self.controller.tuning_horizons_and_command_text
@@ -307,6 +312,8 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
     name, at, other = str(name_or_path).partition("@")
     path = find_problem_path("scenarios", name, beside)
     scenario = read_toml_as_model(path, ScenarioFile)
+    if scenario.plant.fmu is not None:
+        scenario = _check_and_identify_fmu(scenario, scenario.plant.fmu, path)
     vessel = other if at else scenario.vessel
     try:
         vessel_path = find_problem_path("vessels", vessel, beside=path.parent)
@@ -318,6 +325,20 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
         **read_validated_vessel_documents(vessel_path),
     }
     return build_scenario_from_documents(files, where=str(path), vessel_where=str(vessel_path))
+
+
+def _check_and_identify_fmu(spec: ScenarioFile, table: FmuTable, path: Path) -> ScenarioFile:
+    """Return a scenario file whose FMU is found, checked and identified by its SHA-256."""
+    file = next((p for p in (path.parent / table.file, Path(table.file)) if p.is_file()), None)
+    if file is None:
+        allowed = "an FMU, looked for beside this file first"
+        raise InputError(str(path), "plant.fmu.file", f"no file {table.file!r}", allowed)
+    read_fmu_interface(file, table, str(path))
+    own = hash_fmu(file)
+    if table.sha256 not in ("", own):
+        raise InputError(str(path), "plant.fmu.sha256", repr(table.sha256), f"{own}, of {file}")
+    found = table.model_copy(update={"file": str(file), "sha256": own})
+    return spec.model_copy(update={"plant": spec.plant.model_copy(update={"fmu": found})})
 
 
 def load_vessel(name_or_path: str | Path) -> Vessel:
@@ -350,6 +371,8 @@ def build_scenario_from_documents(
         plant.mass_percent, plant.damping_percent
     )
     environment = spec.environment.build_environment(scale)
+    if plant.fmu is not None:
+        refuse_loads_on_own_plant(environment, where)
     if vessel.drag is not None and environment.current is None:
         # Drag acts on the velocity through the water, which a current at rest puts into the tables.
         environment = replace(environment, current=Current(0.0, 0.0))
@@ -375,6 +398,7 @@ def build_scenario_from_documents(
         preview=spec.reference.preview,
         controller=controller,
         files=files,
+        fmu=None if plant.fmu is None else FmuSource.from_table(plant.fmu, sample_s, where),
     )
 
 

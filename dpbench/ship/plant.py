@@ -195,7 +195,7 @@ def advance_state_with_drag(s, tau, b, Minv, undamped, loads, D, hull, h, work):
         _advance_by_mean_slope_in_place(s, work, h)
 
 
-class Plant:
+class ShipPlant:
     """Simulated true ship, a nonlinear 3-DOF model advanced by one sample at a time.
 
     state : (6,) initial [u, v, r, n, e, ψ], copied.

@@ -13,7 +13,7 @@ import pytest
 from dpbench.arrays import Matrix, Vector
 from dpbench.codegen.controller_data import ControllerData, list_thruster_states_by_sample
 from dpbench.scenario.controllers.controller import stack_lower_and_upper_limits
-from dpbench.ship.plant import SUBSTEPS, Plant, Sensors
+from dpbench.ship.plant import SUBSTEPS, Sensors, ShipPlant
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc here")
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror")
@@ -63,7 +63,7 @@ def steer(data: ControllerData, controller: SteppedController, steps: int) -> Ma
     weather, sample_s = scenario.environment, scenario.sample_s
     loads, actuators = weather.wind_and_drift_coefficients(scenario.vessel), scenario.actuators
     ship = scenario.true_ship
-    plant = Plant(ship, scenario.first_state, sample_s, loads=loads, actuators=actuators)
+    plant = ShipPlant(ship, scenario.first_state, sample_s, loads=loads, actuators=actuators)
     sea, sensors = (
         weather.build_weather_table_at_stages(steps, sample_s, SUBSTEPS),
         Sensors(weather, steps, sample_s),

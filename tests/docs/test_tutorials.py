@@ -16,7 +16,7 @@ FOLLOWED = [page for page in (README, *PAGES) if blocks_of(page)]
 
 def test_the_tutorials_have_something_to_follow() -> None:
     tutorials = {page.stem for page in FOLLOWED if page.parent.name == "tutorials"}
-    assert len(tutorials) == 6
+    assert len(tutorials) == 7
     assert all(
         any(block.language == "sh" for block in blocks_of(DOCS / "tutorials" / f"{name}.md"))
         for name in tutorials

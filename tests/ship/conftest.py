@@ -9,7 +9,7 @@ import pytest
 
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Current, Environment
-from dpbench.ship.plant import Plant
+from dpbench.ship.plant import ShipPlant
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather import WaveReflection, Windage
 
@@ -48,7 +48,7 @@ def weather_force() -> Callable[..., np.ndarray]:
         start = np.zeros(6) if nu is None else np.concatenate([nu, np.zeros(3)])
         start[5] = heading_rad
         instant = 1e-5
-        plant = Plant(ship, start, instant, 1, loads=weather.wind_and_drift_coefficients(ship))
+        plant = ShipPlant(ship, start, instant, 1, loads=weather.wind_and_drift_coefficients(ship))
         plant.advance_by_one_sample(
             np.zeros(3), weather.build_weather_table_at_stages(1, instant, 1)[0]
         )

@@ -6,7 +6,7 @@ import pytest
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.actuators import Actuators
 from dpbench.ship.environment import Environment
-from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.ship.plant import SUBSTEPS, ShipPlant
 
 ZERO = np.zeros(3)
 STAGES = Environment(ZERO, ZERO, np.ones(3), ZERO).build_weather_table_at_stages(1, 0.3, SUBSTEPS)[
@@ -20,7 +20,7 @@ def commands(steps: int) -> np.ndarray:
 
 
 def track(tau: np.ndarray, actuators: Actuators | None) -> np.ndarray:
-    plant = Plant(load_vessel("supply_fs99"), np.zeros(6), 0.3, actuators=actuators)
+    plant = ShipPlant(load_vessel("supply_fs99"), np.zeros(6), 0.3, actuators=actuators)
     states = []
     for command in tau:
         plant.advance_by_one_sample(command, STAGES)
@@ -53,7 +53,7 @@ def test_two_ships_of_one_design_do_not_share_their_commands() -> None:
 def test_the_command_is_left_as_it_was() -> None:
     tau = commands(1)[0]
     before = tau.copy()
-    plant = Plant(
+    plant = ShipPlant(
         load_vessel("supply_fs99"), np.zeros(6), 0.3, actuators=Actuators(np.full(3, 0.5), 1)
     )
     plant.advance_by_one_sample(tau, STAGES)

@@ -17,7 +17,7 @@ from dpbench.ship.characteristics import (
     find_largest_current_abeam_mps,
 )
 from dpbench.ship.environment import Current, Environment
-from dpbench.ship.plant import Plant
+from dpbench.ship.plant import ShipPlant
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather import Sea, WaveDrift, Wind
 from tests.ship.conftest import CALM, linear_vessel
@@ -40,7 +40,7 @@ def test_the_surge_of_a_ship_dies_away_with_its_time_constant(name: str) -> None
     """Surge is coupled to nothing in these ships: after T of the model it has 1/e of its speed."""
     vessel = linear_vessel(name)
     T = compute_axis_time_constants_s(vessel)[0]
-    plant = Plant(vessel, np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), T / 100)
+    plant = ShipPlant(vessel, np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), T / 100)
     for stages in CALM.build_weather_table_at_stages(100, T / 100, 10):
         plant.advance_by_one_sample(ZERO, stages)
     assert plant.state[0] == pytest.approx(np.exp(-1.0), rel=1e-6)
@@ -62,7 +62,7 @@ def test_a_mode_belongs_to_the_axis_that_moves_in_it(swap: bool) -> None:
 def test_the_steady_speed_is_where_the_ship_ends_up(axis: int, side: int) -> None:
     ship = load_vessel("supply_fs99")
     ship = replace(ship, M=np.diag(np.diag(ship.M)), D=np.diag(np.diag(ship.D)))
-    plant = Plant(ship, np.zeros(6), 10.0)
+    plant = ShipPlant(ship, np.zeros(6), 10.0)
     tau = np.zeros(3)
     tau[axis] = (ship.tau_min, ship.tau_max)[side][axis]
     for stages in CALM.build_weather_table_at_stages(200, 10.0, 10):
@@ -75,7 +75,7 @@ def test_the_steady_speed_is_where_the_ship_ends_up(axis: int, side: int) -> Non
 def test_the_force_sideways_keeps_the_ship_at_that_speed() -> None:
     """Under D [0, 1, 0] a ship that goes sideways at 1 m/s neither slows nor turns."""
     ship = linear_vessel("supply_mss")
-    plant = Plant(ship, np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0]), 1.0)
+    plant = ShipPlant(ship, np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0]), 1.0)
     for stages in CALM.build_weather_table_at_stages(100, 1.0, 10):
         plant.advance_by_one_sample(compute_force_of_unit_current_abeam(ship), stages)
     np.testing.assert_allclose(plant.state[:3], [0.0, 1.0, 0.0], atol=1e-12)
@@ -97,7 +97,7 @@ def anchored_mean(
     state = np.array([0.0, 0.0, 0.0, 0.0, 0.0, heading_rad])
     loads = weather.wind_and_drift_coefficients(ship)
     steps = round(3600 * hours)
-    plant = Plant(still, state, 1.0, 1, loads=loads)
+    plant = ShipPlant(still, state, 1.0, 1, loads=loads)
     for stages in weather.build_weather_table_at_stages(steps, 1.0, 1):
         plant.advance_by_one_sample(ZERO, stages)
     mean: np.ndarray = still.M @ plant.state[:3] / steps

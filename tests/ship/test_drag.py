@@ -12,7 +12,7 @@ from dpbench.scenario.scenario import load_scenario, load_vessel
 from dpbench.ship.capability.loads import Condition, compute_mean_environmental_loads
 from dpbench.ship.characteristics import compute_mean_weather_force
 from dpbench.ship.froude import Froude
-from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.ship.plant import SUBSTEPS, ShipPlant
 from dpbench.ship.vessel import HullDrag, Vessel, compute_cross_flow_drag_coefficient
 from tests.ship.conftest import flowing, rotation
 
@@ -176,7 +176,7 @@ def test_the_plant_agrees_with_an_adaptive_integrator() -> None:
         force += R.T @ gust_N * np.sin(2.0 * np.pi * t / period_s)
         return np.concatenate([np.linalg.solve(ship.M, force), R @ s[:3]])
 
-    plant = Plant(ship, START, 0.3, loads=sea.wind_and_drift_coefficients(ship))
+    plant = ShipPlant(ship, START, 0.3, loads=sea.wind_and_drift_coefficients(ship))
     for stages in sea.build_weather_table_at_stages(40, 0.3, SUBSTEPS):
         plant.advance_by_one_sample(0.2 * ship.tau_max, stages)
     theirs = solve_ivp(derivative, (0.0, 12.0), START, method="DOP853", rtol=1e-10, atol=1e-11)
@@ -204,7 +204,7 @@ def test_a_model_ship_with_drag_moves_as_its_full_size_ship() -> None:
     states = []
     for each, scale, start in ((ship, Froude(), START), (model, law, START * at_full_size)):
         sea = flowing(0.6 * scale.time_and_speed_factor, 2.0)
-        plant = Plant(
+        plant = ShipPlant(
             each,
             start,
             0.3 * scale.time_and_speed_factor,
@@ -221,7 +221,7 @@ def test_a_model_ship_with_drag_moves_as_its_full_size_ship() -> None:
 def test_a_free_ship_with_drag_ends_up_drifting_with_the_current() -> None:
     """Carried along until the water around it is at rest."""
     ship, sea = with_drag(), flowing(0.75, 2.0)
-    plant = Plant(ship, np.zeros(6), 1.0, loads=sea.wind_and_drift_coefficients(ship))
+    plant = ShipPlant(ship, np.zeros(6), 1.0, loads=sea.wind_and_drift_coefficients(ship))
     stages = sea.build_weather_table_at_stages(1, 1.0, SUBSTEPS)[0]
     for _ in range(5000):
         plant.advance_by_one_sample(ZERO, stages)
@@ -235,7 +235,7 @@ def test_the_mean_load_is_what_the_plant_feels() -> None:
     """By the momentum that an enormous mass takes up in a current from the quarter."""
     ship, sea = with_drag(), flowing(0.75, -2.2)
     still = replace(ship, M=1e9 * ship.M)
-    plant = Plant(still, np.zeros(6), 1.0, loads=sea.wind_and_drift_coefficients(ship))
+    plant = ShipPlant(still, np.zeros(6), 1.0, loads=sea.wind_and_drift_coefficients(ship))
     plant.advance_by_one_sample(ZERO, sea.build_weather_table_at_stages(1, 1.0, SUBSTEPS)[0])
     np.testing.assert_allclose(
         still.M @ plant.state[:3], compute_mean_weather_force(ship, sea), rtol=1e-6
@@ -255,6 +255,6 @@ def test_a_mismatch_of_damping_is_one_of_drag_too() -> None:
 
 def test_a_ship_with_drag_needs_the_weather_that_moves_with_it() -> None:
     """Three columns have no velocity of the water."""
-    plant = Plant(with_drag(), START, 0.3)
+    plant = ShipPlant(with_drag(), START, 0.3)
     with pytest.raises(ValueError, match="9 columns"):
         plant.advance_by_one_sample(ZERO, np.zeros((2 * SUBSTEPS + 1, 3)))

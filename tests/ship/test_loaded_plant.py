@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Current, Environment
-from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.ship.plant import SUBSTEPS, ShipPlant
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather import Sea, WaveDrift, Wind
 from tests.ship.conftest import flowing, rotation
@@ -35,7 +35,7 @@ def simulate(
     ship: Vessel, sea: Environment, steps: int, sample_s: float, substeps: int
 ) -> np.ndarray:
     """The state after the given samples under a third of the limits."""
-    plant = Plant(ship, START, sample_s, substeps, loads=sea.wind_and_drift_coefficients(ship))
+    plant = ShipPlant(ship, START, sample_s, substeps, loads=sea.wind_and_drift_coefficients(ship))
     for stages in sea.build_weather_table_at_stages(steps, sample_s, substeps):
         plant.advance_by_one_sample(0.3 * ship.tau_max, stages)
     return plant.state
@@ -99,7 +99,7 @@ def test_port_and_starboard_are_alike_in_all_weather(hull: Vessel) -> None:
     )
     tau, both = 0.3 * hull.tau_max, np.concatenate([flip, flip])
     loads = sea.wind_and_drift_coefficients(hull)
-    plant, other = (Plant(hull, start, 0.3, loads=loads) for start in (START, both * START))
+    plant, other = (ShipPlant(hull, start, 0.3, loads=loads) for start in (START, both * START))
     tables = (of.build_weather_table_at_stages(60, 0.3, SUBSTEPS) for of in (sea, mirrored))
     for stages, mirrored_stages in zip(*tables, strict=True):
         plant.advance_by_one_sample(tau, stages)
@@ -124,7 +124,7 @@ def test_weather_of_no_strength_is_no_weather(hull: Vessel) -> None:
 def test_a_table_of_another_width_is_refused(hull: Vessel, columns: int) -> None:
     stages = np.zeros((2 * SUBSTEPS + 1, columns))
     for width, loads in ((3, None), (9, np.zeros(6))):
-        plant = Plant(hull, START, 0.3, loads=loads)
+        plant = ShipPlant(hull, START, 0.3, loads=loads)
         if columns == width:
             plant.advance_by_one_sample(np.zeros(3), stages)
         else:
@@ -135,7 +135,7 @@ def test_a_table_of_another_width_is_refused(hull: Vessel, columns: int) -> None
 @pytest.mark.parametrize("name", ["supply_fs99", "supply_mss", "supply_tmr"])
 def test_a_free_ship_ends_up_drifting_with_the_current(name: str) -> None:
     ship, weather = load_vessel(name), flowing(0.75, 2.0)
-    plant = Plant(ship, np.zeros(6), 3.0, loads=weather.wind_and_drift_coefficients(ship))
+    plant = ShipPlant(ship, np.zeros(6), 3.0, loads=weather.wind_and_drift_coefficients(ship))
     # 12 000 s are 100 of the longest time constants; the table of one sample serves for all.
     stages = weather.build_weather_table_at_stages(1, 3.0, SUBSTEPS)[0]
     for _ in range(4000):

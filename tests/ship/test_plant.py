@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.environment import Environment, SensorNoise
-from dpbench.ship.plant import SUBSTEPS, Plant, Sensors
+from dpbench.ship.plant import SUBSTEPS, Sensors, ShipPlant
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather import FirstOrderMotion, Sea
 from tests.ship.conftest import CALM, linear_vessel, rotation
@@ -36,7 +36,7 @@ def simulate(
     substeps: int = SUBSTEPS,
 ) -> np.ndarray:
     """States (steps + 1, 6) at the samples."""
-    plant = Plant(ship, state, sample_s, substeps)
+    plant = ShipPlant(ship, state, sample_s, substeps)
     table = sea.build_weather_table_at_stages(steps, sample_s, substeps)
     states = [plant.state.copy()]
     for stages in table:
@@ -121,11 +121,11 @@ def test_kinetic_energy_changes_by_work_less_dissipation(name: str) -> None:
 def test_the_plant_has_no_preferred_compass_direction(angle_rad: float) -> None:
     ship = linear_vessel("supply_mss")
     R, start, tau = rotation(angle_rad), turning(ship), 0.2 * ship.tau_max
-    straight = Plant(ship, start, SAMPLE_S)
+    straight = ShipPlant(ship, start, SAMPLE_S)
     turned_start = start.copy()
     turned_start[3:] = R @ start[3:]
     turned_start[5] += angle_rad
-    turned = Plant(ship, turned_start, SAMPLE_S)
+    turned = ShipPlant(ship, turned_start, SAMPLE_S)
     for stages in weather(ship).build_weather_table_at_stages(100, SAMPLE_S, SUBSTEPS):
         straight.advance_by_one_sample(tau, stages)
         turned.advance_by_one_sample(tau, np.ascontiguousarray(stages @ R.T))
@@ -166,7 +166,10 @@ def test_ten_sub_steps_leave_less_than_a_nanometre_per_sample(name: str) -> None
 def test_a_sample_has_ten_sub_steps_unless_stated() -> None:
     """A plant that states none takes 21 rows of weather a sample, as one with ten does."""
     ship = linear_vessel("osv")
-    default, ten = Plant(ship, turning(ship), SAMPLE_S), Plant(ship, turning(ship), SAMPLE_S, 10)
+    default, ten = (
+        ShipPlant(ship, turning(ship), SAMPLE_S),
+        ShipPlant(ship, turning(ship), SAMPLE_S, 10),
+    )
     stages = weather(ship).build_weather_table_at_stages(1, SAMPLE_S, 10)[0]
     for plant in (default, ten):
         plant.advance_by_one_sample(0.3 * ship.tau_max, stages)
@@ -176,7 +179,7 @@ def test_a_sample_has_ten_sub_steps_unless_stated() -> None:
 def test_the_start_state_is_copied() -> None:
     ship = load_vessel("supply_fs99")
     start = np.zeros(6)
-    plant = Plant(ship, start, SAMPLE_S)
+    plant = ShipPlant(ship, start, SAMPLE_S)
     plant.advance_by_one_sample(
         ship.tau_max, CALM.build_weather_table_at_stages(1, SAMPLE_S, SUBSTEPS)[0]
     )

@@ -240,6 +240,11 @@ class RunRecord:
         return self.files if "scenario" in self.files else None
 
     @property
+    def is_of_own_plant(self) -> bool:
+        """True if the run is a closed loop of a `LinearMPC`, whose plant is no ship."""
+        return bool(self.files) and self.mode == "closed_loop" and "scenario" not in self.files
+
+    @property
     def commands_thrusters(self) -> bool:
         """True if the controller commands thrusters instead of three forces."""
         scenario = (self.scenario_documents or {}).get("scenario")

@@ -99,7 +99,11 @@ def find_ship_results(records: Records) -> list[ShipResult]:
 
     Of several runs in a scenario the one with the longest exactly solved loop counts.
     """
-    with_ship = [run for run in records.all_runs if run.scenario or run.exact_steps > 0.0]
+    with_ship = [
+        run
+        for run in records.all_runs
+        if (run.scenario or run.exact_steps > 0.0) and not run.is_of_own_plant
+    ]
     by_ship = group_by_key(with_ship, _make_ship_key)
     tuned = {key[:-1] for key in by_ship if key[-1] is not None}
     longest = [

@@ -25,7 +25,7 @@ from dpbench.bench.record.disturbance import compute_disturbance_metrics
 from dpbench.bench.record.raw_log import COUNTERS, FOOTPRINT, PHASES, AnswerLog, RawLog
 from dpbench.bench.run.assemble import adapt_scenario_to_cell
 from dpbench.bench.run.exact_loop import ExactLoop, build_problem_at_rest, compute_station_metrics
-from dpbench.bench.run.formulation import QPBuilder
+from dpbench.bench.run.formulation import Case, QPBuilder
 from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, Refresh, Units
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Optimum
 from dpbench.qp.referee.referee import (
@@ -42,6 +42,7 @@ from dpbench.qp.residuals import (
 )
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.controllers.controller import MetricGroup
+from dpbench.scenario.plants.linear_mpc import LinearMPC
 from dpbench.scenario.scenario import Scenario, build_or_reuse_scenario
 
 Columns = dict[str, NDArray[Any]]
@@ -198,11 +199,15 @@ def read_recorded_answer(log: AnswerLog, r: int, k: int) -> Solution:
     return Solution(Status(int(log.status[r, k])), log.z[r, k], log.y[r, k], log.y_box[r, k])
 
 
-def evaluate_loop_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCell:
-    """Evaluate a closed loop's raw log; return its step columns and control metrics."""
-    scenario = adapt_scenario_to_cell(
-        cell, build_or_reuse_scenario(cell.scenario).truncate(cell.steps)
-    )
+def evaluate_loop_log(
+    cell: Cell, log: RawLog, exact: ExactLoop, mpc: LinearMPC | None = None
+) -> EvaluatedCell:
+    """Evaluate a closed loop's raw log; return its step columns and control metrics.
+
+    mpc : the problem of a plant that is no ship, which has no columns and metrics of a ship.
+    """
+    case = build_or_reuse_scenario(cell.scenario) if mpc is None else mpc
+    scenario = adapt_scenario_to_cell(cell, case.truncate(cell.steps))
     scaled = QPBuilder(scenario)
     own = scaled if cell.units == "scaled" else QPBuilder(scenario, cell.units)
     done = int(log.done[0])
@@ -218,26 +223,47 @@ def evaluate_loop_log(cell: Cell, log: RawLog, exact: ExactLoop) -> EvaluatedCel
         "fallback": log.flags[:done, 0].astype(bool),
         "unconverged": log.flags[:done, 1].astype(bool),
         "clipped": log.flags[:done, 2].astype(bool),
-        "state": log.state[: done + 1].copy(),
-        "tau": log.tau[:done].copy(),
-        "command": scenario.controller.convert_commands_to_ship_force(log.command[:done]).copy(),
     }
     if not done:
         return EvaluatedCell(columns, {})
-    thrust = log.thrust[:done]
-    columns |= compute_used_thrust_and_power_shares(scenario, thrust) | _make_allocation_columns(
-        scenario, scaled, own, log
-    )
+    metrics = {"sample_s": scenario.sample_s, "first_sample": 0.0, "every_sample": 1.0}
     columns |= _evaluate_backup_columns(cell, scenario, log)
-    applied = scenario.controller.select_applied_commands(columns["tau"], thrust)
-    metrics = compute_control_metrics(scenario, columns["state"], applied, scaled.reference, exact)
-    for group in scenario.controller.metric_groups:
-        metrics |= METRICS[group](scenario, scaled, columns, thrust)
-    metrics |= compute_station_metrics(scenario, exact, cell.steps)
-    metrics |= {"sample_s": scenario.sample_s, "first_sample": 0.0, "every_sample": 1.0}
+    if isinstance(scenario, Scenario):
+        thrust = log.thrust[:done]
+        columns |= _make_ship_columns(scenario, log) | _make_allocation_columns(
+            scenario, scaled, own, log
+        )
+        metrics |= _compute_ship_metrics(scenario, scaled, columns, thrust, exact)
+        metrics |= compute_station_metrics(scenario, exact, cell.steps)
+    else:
+        metrics |= scenario.problem.horizons_by_name
     metrics["matrix_steps"] = float(matrix_steps)
     metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
     return EvaluatedCell(columns, metrics)
+
+
+def _make_ship_columns(scenario: Scenario, log: RawLog) -> Columns:
+    """Return a ship's states, forces, commands and used thrust by name, of all recorded steps."""
+    done = int(log.done[0])
+    to_force = scenario.controller.convert_commands_to_ship_force
+    return {
+        "state": log.state[: done + 1].copy(),
+        "tau": log.tau[:done].copy(),
+        "command": to_force(log.command[:done]).copy(),
+        **compute_used_thrust_and_power_shares(scenario, log.thrust[:done]),
+    }
+
+
+def _compute_ship_metrics(
+    scenario: Scenario, qps: QPBuilder, columns: Columns, thrust: Matrix, exact: ExactLoop
+) -> dict[str, float]:
+    """Return control metrics of a ship, with those of its controller's kind."""
+    controller = scenario.controller
+    applied = controller.select_applied_commands(columns["tau"], thrust)
+    metrics = compute_control_metrics(scenario, columns["state"], applied, qps.reference, exact)
+    for group in controller.metric_groups:
+        metrics |= METRICS[group](scenario, qps, columns, thrust)
+    return metrics
 
 
 def _make_evaluator_and_rebuilder(
@@ -282,7 +308,7 @@ def _make_allocation_columns(
     return columns | {f"{SECOND_QP_PREFIX}{name}": column for name, column in evaluated.items()}
 
 
-def _evaluate_backup_columns(cell: Cell, scenario: Scenario, log: RawLog) -> Columns:
+def _evaluate_backup_columns(cell: Cell, scenario: Case, log: RawLog) -> Columns:
     """Return the step columns of the backup solver's answers and their use; none without it."""
     answers = log.backup
     if answers is None:

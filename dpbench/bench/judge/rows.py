@@ -66,7 +66,7 @@ def make_step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
             "fallback": rules.mask_unusable_steps(steps),
         }
     steps["counts"] = np.ones(len(steps["k"]), dtype=np.bool_)
-    delay = make_delay_of_cell(cell, build_or_reuse_scenario(cell.scenario).sample_s)
+    delay = make_delay_of_cell(cell, _find_sample_s(cell, evaluated))
     steps |= _backup_step_columns(columns)
     waited_ns: Ints = steps["total_ns"]
     if "backup" in steps:
@@ -76,7 +76,8 @@ def make_step_columns(cell: Cell, evaluated: EvaluatedCell) -> StepColumns:
         ready_ns = columns[f"{BACKUP_PREFIX}ready_ns"]
         steps["late"] |= ready_ns > delay.budget_ns
         steps["backup_failed"] |= ready_ns > delay.sample_ns
-    return steps | _ship_columns(columns)
+    steps |= {name: columns[name] for name in ("fallback", "unconverged", "clipped")}
+    return steps | _ship_columns(columns) if "state" in columns else steps
 
 
 def _select_columns_by_prefix(columns: Columns, prefix: str) -> Columns:
@@ -157,8 +158,7 @@ def _ship_columns(columns: Columns) -> StepColumns:
     """Return pose, velocity, force and command of the ship in each step of a closed loop."""
     state, tau = columns["state"][:-1], columns["tau"].astype(np.float64)
     change = tau - shift_forces_by_one_step(tau)
-    ship = {name: columns[name] for name in ("fallback", "unconverged", "clipped")}
-    ship |= {name: state[:, i] for i, name in enumerate(_STATE)}
+    ship = {name: state[:, i] for i, name in enumerate(_STATE)}
     for i, axis in enumerate(AXIS_FORCES):
         ship[f"tau_{axis}"] = tau[:, i]
         ship[f"dtau_{axis}"] = change[:, i]
@@ -208,7 +208,7 @@ def make_run_row(
         "generic_build": library.build.generic,
         "form": outcome.form,
         **_size_columns(cell, outcome),
-        "deadline_s": _deadline_of_cell_s(cell),
+        "deadline_s": _deadline_of_cell_s(cell, evaluated),
         "outcome": outcome.outcome,
         "outcome_detail": outcome.detail,
         "process_peak_bytes": np.nan if outcome.peak_bytes is None else outcome.peak_bytes,
@@ -241,11 +241,19 @@ def make_run_row(
     return row
 
 
-def _deadline_of_cell_s(cell: Cell) -> float:
+def _deadline_of_cell_s(cell: Cell, evaluated: EvaluatedCell | None) -> float:
     """Return the time budget of a step [s]; NaN in a replay, which has none."""
     if cell.mode == "replay":
         return float("nan")
-    return cell.deadline_s or build_or_reuse_scenario(cell.scenario).sample_s
+    return cell.deadline_s or _find_sample_s(cell, evaluated)
+
+
+def _find_sample_s(cell: Cell, evaluated: EvaluatedCell | None) -> float:
+    """Return the sample [s] of a closed loop; that of a `LinearMPC` is among its metrics alone."""
+    measured = {} if evaluated is None else evaluated.metrics
+    if "sample_s" in measured:
+        return measured["sample_s"]
+    return build_or_reuse_scenario(cell.scenario).sample_s
 
 
 def _size_columns(cell: Cell, outcome: Outcome) -> dict[str, Any]:

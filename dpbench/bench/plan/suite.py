@@ -80,6 +80,12 @@ Fallback = Annotated[
 Slowdown = Annotated[float, AfterValidator(_require_slowdown_0_or_from_1)]
 
 
+SHORTEST_S, LONGEST_S = 1e-4, 1e6
+"""Samples [s] of a sequence that are taken for its deadline."""
+P99_SHARE = 0.01
+"""Share of the deadline that the p99 of a step may take, where nothing else is said."""
+
+
 class RequirementsTable(FileModel):
     """Requirements of a controller on a solver: errors, failed steps, step time, deadline."""
 
@@ -390,7 +396,7 @@ def build_sequence_suite(path: str | Path, meta: Mapping[str, object] | None = N
     """Build a suite that replays one sequence of QPs through every solver.
 
     A found worst case, as in `meta` of the sequence, is also replayed in the mode of its solver:
-    another route or policy has other iterations, or none.
+    another route or policy has other iterations, or none. The deadline is the sample in `meta`.
     """
     calls: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
     meta = meta or {}
@@ -405,7 +411,21 @@ def build_sequence_suite(path: str | Path, meta: Mapping[str, object] | None = N
         report = _make_report_table_of_worst_step(meta)
     tables = [RecordedTable.model_validate({"sequence": str(path)} | call) for call in calls]
     title = f"Recorded sequence {Path(path).name}"
-    return SuiteFile(title=title, baseline_law=False, recorded=tables, report=report)
+    return SuiteFile(
+        title=title,
+        baseline_law=False,
+        recorded=tables,
+        requirements=_make_requirements_of_sample(meta.get("sample_s")),
+        report=report,
+    )
+
+
+def _make_requirements_of_sample(sample_s: object) -> RequirementsTable:
+    """Return the requirements of QPs that follow each other by a sample [s], if it is known."""
+    if not isinstance(sample_s, float) or not SHORTEST_S <= sample_s <= LONGEST_S:
+        return RequirementsTable()
+    deadline_ms = 1e3 * sample_s
+    return RequirementsTable(deadline_ms=deadline_ms, p99_ms=P99_SHARE * deadline_ms)
 
 
 def _make_report_table_of_worst_step(meta: Mapping[str, object]) -> ReportTable:

@@ -66,19 +66,22 @@ def make_loop_layout(
     allocation: tuple[int, int] | None = None,
     *,
     backup: bool = False,
+    states: int = 6,
+    inputs: int = 3,
 ) -> Layout:
     """Return type and shape of every array that records a closed loop of `steps` steps.
 
     n, m : of the QPs; n_theta : length of [θ; 1]; n_f : of the forces of commanded thrusters.
     allocation : n and m of the second QP of a cascade, (0, 0) where it has none; None for no
         cascade.
+    states, inputs : of the plant; a ship's state, and the force on it.
     """
     layout = _make_answer_layout(1, steps, n, m) | {
         "theta": ("f8", (steps, n_theta)),
-        "state": ("f8", (steps + 1, 6)),
-        "tau": ("f8", (steps, 3)),
+        "state": ("f8", (steps + 1, states)),
+        "tau": ("f8", (steps, inputs)),
         "thrust": ("f8", (steps, n_f)),
-        "command": ("f8", (steps, n_f if n_f and allocation is None else 3)),
+        "command": ("f8", (steps, n_f if n_f and allocation is None else inputs)),
         "flags": ("u1", (steps, 3)),
         "latency_ns": ("i8", (steps,)),
         "counters": ("f8", (1, len(COUNTERS))),

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 from dpbench.bench.record.cell import Cell, Formulation
 from dpbench.bench.record.raw_log import (
@@ -17,6 +18,7 @@ from dpbench.bench.run.closed_loop import ClosedLoopSetup
 from dpbench.bench.run.exact_loop import build_problem_at_rest
 from dpbench.bench.run.formulation import (
     BoxFormulation,
+    Case,
     QPBuilder,
     build_loop_formulation,
     formulate_sequence,
@@ -25,6 +27,8 @@ from dpbench.bench.run.slow_computer import make_delay_of_cell, read_process_usa
 from dpbench.bench.run.timed_solver import STEP_SHARE, ResumedSolver, TimedSolver
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
+from dpbench.scenario.plants.contract import PlantMaker
+from dpbench.scenario.plants.linear_mpc import LinearMPC
 from dpbench.scenario.scenario import Scenario
 from dpbench.solvers.contract import Route, Workspace
 from dpbench.solvers.open import open_workspace
@@ -37,17 +41,19 @@ clock = time.perf_counter_ns
 
 def build_closed_loop_setup(
     cell: Cell,
-    scenario: Scenario,
+    scenario: Case,
     workspace: Workspace,
     new_log: NewLog,
     limit_ns: int,
     *,
     hung: Sequence[int] = (),
+    plant: PlantMaker | None = None,
 ) -> ClosedLoopSetup:
     """Build what a closed-loop run needs: QP builder, timed solver, log, backup, time limits.
 
     `hung` are steps in which an earlier process hung, whose log `new_log` opens; for a step that is
-    there twice, the backup and the second solver of a cascade hung too. InputError for "sparse"
+    there twice, the backup and the second solver of a cascade hung too. `plant` makes a plant of
+    one's own, which replaces the scenario's ship. InputError for "sparse"
     without stages, an impossible delay, or a backup or second workspace that cannot be opened.
     """
     scenario = adapt_scenario_to_cell(cell, scenario)
@@ -56,7 +62,13 @@ def build_closed_loop_setup(
     if delay.is_simulated and why:
         raise InputError("closed loop", "slowdown", cell.slowdown, f"0 ({why})")
     builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
-    layout = make_loop_layout(scenario.steps, *builder.sizes, backup=bool(cell.backup))
+    layout = make_loop_layout(
+        scenario.steps,
+        *builder.sizes,
+        backup=bool(cell.backup),
+        states=builder.states,
+        inputs=builder.inputs,
+    )
     log = new_log(layout)
     formulated = build_loop_formulation(
         cell.formulation, builder, build_problem_at_rest(builder.condensed)
@@ -77,6 +89,7 @@ def build_closed_loop_setup(
     setup = ClosedLoopSetup(
         scenario, builder, solver, log, cell.fallback, limit_ns, clock, delay, read_process_usage
     )
+    setup.plant = plant
     if log.backup is not None:
         limit_s = None if limit_ns == NO_LIMIT_NS else STEP_SHARE * limit_ns * 1e-9
         second_solver = TimedSolver(open_backup_workspace(cell.backup, limit_s), formulated, clock)
@@ -103,9 +116,12 @@ def open_backup_workspace(solver: str, step_limit_s: float | None) -> Workspace:
     return workspace
 
 
-def adapt_scenario_to_cell(cell: Cell, scenario: Scenario) -> Scenario:
+AnyCase = TypeVar("AnyCase", Scenario, LinearMPC, Case)
+
+
+def adapt_scenario_to_cell(cell: Cell, scenario: AnyCase) -> AnyCase:
     """Return the scenario, with the unconstrained law as controller where the run requests it."""
-    if cell.formulation != "none":
+    if cell.formulation != "none" or isinstance(scenario, LinearMPC):
         return scenario
     return replace(scenario, controller=scenario.controller.adapt_to_baseline_law())
 

@@ -17,22 +17,22 @@ import numpy as np
 from dpbench.arrays import Indices, Matrix, Vector
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.run.backup import FALLBACKS, Backup, FallbackPolicy, LoopWithBackup
-from dpbench.bench.run.formulation import QPBuilder
+from dpbench.bench.run.formulation import Case, QPBuilder
 from dpbench.bench.run.slow_computer import (
     ComputationalDelay,
     SlowComputer,
     Usage,
     return_zero_usage,
 )
+from dpbench.bench.run.steered import Steered, build_steered_system
 from dpbench.bench.run.timed_solver import Clock, RunLimit, TimedSolver, is_usable, record_answer
 from dpbench.mpc.law import UnconstrainedLaw
 from dpbench.qp.program import QPStep
 from dpbench.scenario.controllers.controller import Controller, ThrusterControl
 from dpbench.scenario.controllers.kinds import CascadeController
-from dpbench.scenario.scenario import Scenario
+from dpbench.scenario.plants.contract import PlantMaker
 from dpbench.ship.environment import WeatherDraw
-from dpbench.ship.layout import AXES, POSE
-from dpbench.ship.plant import SUBSTEPS, Plant, Sensors
+from dpbench.ship.layout import AXES
 
 Emit = Callable[[int, Vector, Vector], QPStep]
 SolverReplacement = LoopWithBackup | SlowComputer
@@ -184,10 +184,10 @@ class ClosedLoopSetup:
     the run. `delay` is that of a slow computer, None where the ship waits for each answer; `usage`
     counts preemptions there.
     `allocating` is the solver of a cascade's second QP; `drawn` the precomputed weather; `backup`
-    the second solver.
+    the second solver; `plant` makes a plant of one's own in place of the scenario's ship.
     """
 
-    scenario: Scenario
+    scenario: Case
     builder: QPBuilder
     solver: TimedSolver
     log: RawLog
@@ -199,41 +199,48 @@ class ClosedLoopSetup:
     allocating: TimedSolver | None = None
     drawn: WeatherDraw | None = None
     backup: Backup | None = None
+    plant: PlantMaker | None = None
 
 
 def record_closed_loop(setup: ClosedLoopSetup) -> bool:
-    """Run a closed loop and record every step; return False when the time limit stopped it."""
+    """Run a closed loop and record every step; return False when the time limit stopped it.
+
+    PlantError where a plant of one's own fails.
+    """
+    steered, own = build_steered_system(setup.scenario, setup.plant, setup.drawn)
+    try:
+        return _record_steps(setup, steered)
+    finally:
+        if own is not None:
+            own.close()
+
+
+def _record_steps(setup: ClosedLoopSetup, steered: Steered) -> bool:
+    """Steer a system through all steps and record each; return False at the time limit."""
     scenario, builder, log = setup.scenario, setup.builder, setup.log
     clock, steps = setup.clock, scenario.steps
-    plant = _build_plant(scenario)
-    weather = scenario.environment
-    sea = weather.build_weather_table_at_stages(steps, scenario.sample_s, SUBSTEPS, setup.drawn)
-    sensors, estimator = Sensors(weather, steps, scenario.sample_s), scenario.estimator()
     solver, law, emit = _choose_solver_fallback_and_emitter(setup)
     formulate, answer, moves = solver.formulate, solver.answer, builder.condensed.moves
-    state, reference = plant.state, builder.reference
-    model = builder.condensed.control.model
-    theta, pose = model.theta, slice(model.n_x - model.n_y, model.n_x)
-    # The augmented state [Δν, Δη, y]: what changed in the ship's state, and the pose itself.
-    change, at_x, at_u = slice(0, pose.start), theta.x, theta.u_prev
-    x, u = np.zeros(model.n_x), np.zeros(model.n_u)
+    reference, model = builder.reference, builder.condensed.control.model
+    theta = model.theta
+    at_x, at_u = theta.x, theta.u_prev
+    x, u = np.zeros(model.n_x), steered.first_input.copy()
     limit, limits = scenario.controller.make_increment_limiter(), builder.limits
     actuation = build_actuation(scenario.controller, builder, log, setup.allocating, clock, u)
     tau, command, applied = actuation.tau, actuation.command, actuation.applied
     act, commanded = actuation.apply_input_of_step, scenario.controller.commanded_thrusters
     trips = {} if commanded is None else dict(commanded.trips)
     actuation.prepare()
-    sense, estimate = sensors.measure_state, estimator.update_and_return_state
+    measure, advance = steered.write_model_state, steered.advance
     log.counters[:] = np.nan
     log.setup_once_ns[0] = solver.prepare()
     log.theta[:, theta.y_ref], log.theta[:, theta.one] = reference[:steps], 1.0
-    log.state[0] = state
+    log.state[0] = steered.state
     run_limit = RunLimit(clock(), setup.limit_ns)
     log.started[0] = 1
     for k in range(steps):
         t0 = clock()
-        x[pose] = estimate(sense(state, k), tau)[POSE]
-        x[change] = estimator.change
+        measure(k, tau, x)
         if k in trips:
             actuation.set_tripped_forces_to_zero(trips[k])
         log.theta[k, at_x], log.theta[k, at_u] = x, u
@@ -255,8 +262,8 @@ def record_closed_loop(setup: ClosedLoopSetup) -> bool:
         record_answer(log, 0, k, solution, solver.waited_ns)
         # As the overhead is what neither solver takes.
         t3 += act(k)
-        plant.advance_by_one_sample(command, sea[k])
-        log.state[k + 1] = state
+        advance(k, command)
+        log.state[k + 1] = steered.state
         t4 = clock()
         log.times[0, k] = (t2 - t1, *solver.phases_ns, t4 - t0 - (t3 - t2))
         log.matrix_updates[0] = solver.matrix_updates
@@ -285,14 +292,3 @@ def _choose_solver_fallback_and_emitter(
         return solver, law, builder.emit
     both = LoopWithBackup(solver, backup, law, builder.emit)
     return both, both, both.emit
-
-
-def _build_plant(scenario: Scenario) -> Plant:
-    """Return the simulated ship of a scenario in its initial state, with weather and actuators."""
-    return Plant(
-        scenario.true_ship,
-        scenario.first_state,
-        scenario.sample_s,
-        loads=scenario.environment.wind_and_drift_coefficients(scenario.vessel),
-        actuators=scenario.actuators,
-    )

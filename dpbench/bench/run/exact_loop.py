@@ -19,7 +19,7 @@ from dpbench.bench.record.cell import DEFAULT_FALLBACK
 from dpbench.bench.record.npz import open_arrays, write_arrays_uncompressed
 from dpbench.bench.record.raw_log import RawLog, make_loop_layout
 from dpbench.bench.run.closed_loop import ClosedLoopSetup, record_closed_loop
-from dpbench.bench.run.formulation import BoxFormulation, QPBuilder
+from dpbench.bench.run.formulation import BoxFormulation, Case, QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver
 from dpbench.errors import CertificateError, InputError, ResultsError
 from dpbench.mpc.condense import UnitSystem
@@ -28,6 +28,8 @@ from dpbench.qp.program import QPSequence, QPStep, QuadraticProgram, SparseEquiv
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Kind, Optimum
 from dpbench.qp.referee.referee import Referee, get_shared_referee
 from dpbench.qp.solution import Solution, Status
+from dpbench.scenario.plants.contract import PlantMaker
+from dpbench.scenario.plants.linear_mpc import LinearMPC
 from dpbench.scenario.scenario import Scenario, resolve_to_scenario
 from dpbench.ship.environment import WeatherDraw
 from dpbench.ship.froude import Froude
@@ -192,24 +194,32 @@ def _arrays_to_optima(stored: Mapping[str, NDArray[Any]], name: str) -> list[Opt
     ]
 
 
-def solve_loop_exactly(scenario: Scenario, report: StepReport | None = None) -> ExactLoop:
+def solve_loop_exactly(
+    scenario: Case, report: StepReport | None = None, *, plant: PlantMaker | None = None
+) -> ExactLoop:
     """Run a scenario's closed loop with the certified optimum of every step; return its record.
 
     report : called with the steps done and the steps of the loop, after each.
+    plant : makes a plant of one's own, an instance for this loop, which replaces the ship.
 
     Where a step has no feasible point, or nothing can be proven, the loop follows its last plan.
     """
     builder = QPBuilder(scenario)
-    log = RawLog.in_memory(make_loop_layout(scenario.steps, *builder.sizes))
+    layout = make_loop_layout(
+        scenario.steps, *builder.sizes, states=builder.states, inputs=builder.inputs
+    )
+    log = RawLog.in_memory(layout)
     base = build_problem_at_rest(builder.condensed)
     workspace, second = ExactWorkspace(report, scenario.steps), ExactWorkspace()
     clock = time.perf_counter_ns
     timed_solver = TimedSolver(workspace, BoxFormulation(base), clock)
-    drawn = scenario.environment.draw_wind_and_waves_at_stages(
-        scenario.steps, scenario.sample_s, SUBSTEPS
-    )
+    drawn: WeatherDraw = {}
+    if isinstance(scenario, Scenario):
+        drawn = scenario.environment.draw_wind_and_waves_at_stages(
+            scenario.steps, scenario.sample_s, SUBSTEPS
+        )
     setup = ClosedLoopSetup(scenario, builder, timed_solver, log, DEFAULT_FALLBACK, 2**62, clock)
-    setup.drawn = drawn
+    setup.drawn, setup.plant = drawn, plant
     if builder.allocation is not None:
         setup.allocating = TimedSolver(
             second, BoxFormulation(builder.allocation.make_qp_of_zero_demand()), clock
@@ -264,7 +274,7 @@ def build_problem_at_rest(builder: CondensedQP) -> QuadraticProgram:
 
 
 def rebuild_sequence(
-    scenario: Scenario,
+    scenario: Case,
     exact: ExactLoop,
     *,
     units: UnitSystem = "scaled",
@@ -306,12 +316,12 @@ def rebuild_sequence(
             **scenario.problem.horizons_by_name,
         },
         sparse_equivalent=sparse,
-        documents={**scenario.files},
+        documents={**scenario.files} if isinstance(scenario, Scenario) else {},
     )
 
 
 def _rebuild_allocation_steps(
-    scenario: Scenario, exact: ExactLoop, builder: QPBuilder, steps: range
+    scenario: Case, exact: ExactLoop, builder: QPBuilder, steps: range
 ) -> tuple[list[QPStep], QuadraticProgram]:
     """Return a cascade's thrust-allocation QPs, and the problem of the first."""
     allocation, demand = builder.allocation, exact.demand
@@ -322,7 +332,7 @@ def _rebuild_allocation_steps(
     return emitted, allocation.problem(emitted[0])
 
 
-def _choose_si_units(scenario: Scenario, part: Part) -> Units:
+def _choose_si_units(scenario: Case, part: Part) -> Units:
     """Return what 1 is in SI of the scaled QPs of a scenario's controller or allocation."""
     allocation = scenario.controller.make_allocation_qp_builder("si")
     if part == "allocation" and allocation is not None:
@@ -331,7 +341,7 @@ def _choose_si_units(scenario: Scenario, part: Part) -> Units:
 
 
 def _rebuild_sparse_sequence(
-    scenario: Scenario, theta: Matrix, units: UnitSystem, first: int, name: str
+    scenario: Case, theta: Matrix, units: UnitSystem, first: int, name: str
 ) -> SparseEquivalent:
     """Return the sparse-form QPs of recorded parameters θ (K, 16), and the map back to z."""
     builder = QPBuilder(scenario, units, sparse=True)
@@ -354,11 +364,16 @@ def _stack_matrices(matrices: list[Matrix | None]) -> Floats | None:
 
 
 def record_sequence(
-    scenario: Scenario | str | Path, *, units: UnitSystem = "scaled", part: Part = "controller"
+    scenario: Case | str | Path,
+    *,
+    units: UnitSystem = "scaled",
+    part: Part = "controller",
+    plant: PlantMaker | None = None,
 ) -> QPSequence:
     """Solve a scenario's loop exactly and return the QPs of its controller or allocation.
 
-    scenario : an object, a name or a TOML file. CertificateError where nothing is proven of a step.
+    scenario : an object, a name or a TOML file, or a `LinearMPC`. plant : as of `run_closed_loop`.
+    CertificateError where nothing is proven of a step.
 
     Examples
     --------
@@ -366,10 +381,10 @@ def record_sequence(
     >>> record_sequence(load_scenario("paper").truncate(5))
     <QPSequence paper: 5 QPs of 15 variables, 15 rows, constant matrices>
     """
-    scenario = resolve_to_scenario(scenario)
-    exact = solve_loop_exactly(scenario)
-    exact.require_certificates(scenario.name)
-    return rebuild_sequence(scenario, exact, units=units, part=part)
+    case = scenario if isinstance(scenario, LinearMPC) else resolve_to_scenario(scenario)
+    exact = solve_loop_exactly(case, plant=plant)
+    exact.require_certificates(case.name)
+    return rebuild_sequence(case, exact, units=units, part=part)
 
 
 def compute_station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) -> dict[str, float]:

@@ -25,7 +25,12 @@ from dpbench.mpc.staged_qp import StagedQP
 from dpbench.mpc.thrusters.allocation_qp import AllocationQP
 from dpbench.qp.program import CONSTANT, QPSequence, QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution
+from dpbench.scenario.plants.linear_mpc import LinearMPC
 from dpbench.scenario.scenario import Scenario
+from dpbench.ship.layout import AXES, STATE
+
+Case = Scenario | LinearMPC
+"""Task of a closed loop: a ship's scenario, or a linear MPC with a plant of one's own."""
 
 
 class QPBuilder:
@@ -34,11 +39,12 @@ class QPBuilder:
     Attributes
     ----------
     condensed, staged : builders of condensed and of sparse QPs; allocation : of a cascade's second.
-    reference (K + N_p, 3) : wanted pose; limits, thruster_limits (K) : of u and of thrusters.
+    reference (K + N_p, n_y) : wanted pose; limits, thruster_limits (K) : of u and of thrusters.
+    states, inputs : numbers of states and inputs of the plant.
     """
 
     def __init__(
-        self, scenario: Scenario, units: UnitSystem = "scaled", *, sparse: bool = False
+        self, scenario: Case, units: UnitSystem = "scaled", *, sparse: bool = False
     ) -> None:
         controller, steps = scenario.controller, scenario.steps
         self.condensed: CondensedQP = controller.make_condensed_qp_builder(units)
@@ -47,6 +53,9 @@ class QPBuilder:
             self.staged = controller.make_sparse_qp_builder(units, f"scenario {scenario.name}")
         self._emit = self.condensed.emit if self.staged is None else self.staged.emit
         N_p = controller.problem.N_p
+        self.states, self.inputs = STATE, AXES
+        if isinstance(scenario, LinearMPC):
+            self.states, self.inputs = scenario.model.n_x, scenario.model.n_u
         self.reference: Matrix = scenario.build_reference_table(steps + N_p)
         self._horizon = N_p if scenario.preview else 0
         self.allocation: AllocationQP | None = controller.make_allocation_qp_builder(units)

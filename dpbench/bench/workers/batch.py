@@ -171,7 +171,8 @@ class CellRun:
     def _has_steps(self, cell: BatchCell) -> bool:
         """Return whether a run ended with recorded steps to judge."""
         outcome = self.outcomes.get(cell.name)
-        if outcome is None or outcome.outcome == "lost":
+        # After a fault of the plant the recorded steps are no whole run of the solver.
+        if outcome is None or outcome.outcome in ("lost", "invalid"):
             return False
         return (self.folder / f"{cell.name}.raw").exists()
 

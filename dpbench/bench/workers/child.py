@@ -57,6 +57,7 @@ FORKSERVER_DIED = Outcome(
 KILLED_FORKSERVER = Outcome(
     "crashed", "the process that starts the workers was killed twice while it ran, then alone"
 )
+PLANT_FAULT = "the plant failed (its FMU), not the solver"
 _UNHEARD = 255  # The exit code that `multiprocessing` gives a process whose template died
 STARTS = 3  # Attempts to start a process whose template is killed meanwhile
 _DYING_S = 1.0  # For a process of which it is known that it was killed, until it is gone
@@ -252,6 +253,8 @@ class Child:
     def _diagnose_end(self) -> Outcome:
         """Return the outcome of a worker that wrote none, by its exit code and what it was at."""
         by_solver = self.notice.phase.blames_solver
+        if self._killed_for and self.notice.phase is Phase.PLANT:
+            return Outcome("invalid", f"{PLANT_FAULT}: {self._killed_for}")
         if self._killed_for:
             return Outcome("hung" if by_solver else "lost", self._killed_for)
         code = self.process.exitcode or 0
@@ -265,6 +268,8 @@ class Child:
             return Outcome("lost", "killed by SIGBUS: its log lost its room on the file system")
         if by_solver:
             return Outcome("crashed", self._describe_end(code))
+        if self.notice.phase is Phase.PLANT:
+            return Outcome("invalid", f"{PLANT_FAULT}: {self._describe_end(code)}")
         if not self.folder.exists():
             return Outcome("lost", f"its scratch folder {self.folder} went away")
         return Outcome("lost", self._describe_end(code))
@@ -276,6 +281,8 @@ class Child:
 
     def _describe_end(self, code: int) -> str:
         """Return why the process ended, in words, from its exit code and last output."""
+        if -code == signal.SIGALRM and self.notice.phase is Phase.PLANT:
+            return "one call ran beyond the limit of a cell and was ended"
         if code < 0:
             return f"killed by {_signal_name(-code)}"
         words = self.notice.exit_reason

@@ -45,17 +45,18 @@ _BY_SOLVERS = (
 
 
 class Phase(IntEnum):
-    """Phases of a worker process: starting, benchmark's own work, opening a solver, solving."""
+    """Phases of a worker process: starting, benchmark's own work, solver, plant of one's own."""
 
     STARTING = 0
     HARNESS = 1
     OPENING = 2
     SOLVER = 3
+    PLANT = 4
 
     @property
     def blames_solver(self) -> bool:
         """Return whether the solver is blamed for a process that ends in this phase."""
-        return self >= Phase.OPENING
+        return self in (Phase.OPENING, Phase.SOLVER)
 
 
 class Output:

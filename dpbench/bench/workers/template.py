@@ -20,7 +20,7 @@ from dpbench.mpc.move_limits import write_limited_command
 from dpbench.mpc.reference import shift_target_heading_near_start
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify
-from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.ship.plant import SUBSTEPS, ShipPlant
 from dpbench.ship.vessel import HullDrag, Vessel
 
 __all__ = ["worker"]
@@ -32,7 +32,7 @@ def _compile_kernels() -> None:
     ship = Vessel("", "", "", 1.0, np.eye(3), np.eye(3), -three, three, three)
     hull = HullDrag(along=1.0, across=1.0, centre_m=0.0, length_m=1.0, fading_mps=1.0)
     for drag, loads, columns in ((None, None, 3), (None, np.zeros(6), 9), (hull, np.zeros(6), 9)):
-        plant = Plant(replace(ship, drag=drag), np.zeros(6), 0.1, loads=loads)
+        plant = ShipPlant(replace(ship, drag=drag), np.zeros(6), 0.1, loads=loads)
         plant.advance_by_one_sample(three, np.zeros((2 * SUBSTEPS + 1, columns)))
     write_limited_command(three, three, three, -three, three, np.empty(3))
     shift_target_heading_near_start(three, three)

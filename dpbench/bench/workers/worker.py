@@ -49,6 +49,7 @@ from dpbench.bench.run.timed_solver import (
 )
 from dpbench.bench.sequences.source import choose_source_file, is_readable, read_replay
 from dpbench.bench.workers.orphans import has_children
+from dpbench.bench.workers.plant_watch import PlantWatch
 from dpbench.bench.workers.shared_status import (
     Phase,
     describe_truncated_output,
@@ -58,6 +59,7 @@ from dpbench.bench.workers.shared_status import (
 )
 from dpbench.errors import CertificateError, InputError
 from dpbench.qp.program import QPSequence
+from dpbench.scenario.plants.contract import PlantError
 from dpbench.scenario.scenario import build_or_reuse_scenario
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Workspace
@@ -229,11 +231,18 @@ def _run_closed_loop(
         return Outcome("refused", str(error))
     with open_arrays(source) as stored:
         setup.drawn = parse_stored_weather(stored)
-    before = read_disturbance_counters()
+    before, watch = read_disturbance_counters(), PlantWatch(Phase.SOLVER)
     set_phase(Phase.SOLVER)
-    with raise_at_step_limit(STEP_SHARE * cell.limit_s, clock):
-        complete = record_closed_loop(setup)
-    set_phase(Phase.HARNESS)
+    try:
+        with watch.observe(), raise_at_step_limit(STEP_SHARE * cell.limit_s, clock):
+            complete = record_closed_loop(setup)
+    except PlantError as error:
+        return Outcome("invalid", str(error))
+    finally:
+        set_phase(Phase.HARNESS)
+    if not complete and watch.spent_ns > 0.5 * limit_ns:
+        found = f"the plant took {watch.spent_ns * 1e-9:.3g} s of the {cell.limit_s:g} s of the run"
+        return Outcome("invalid", f"{found} (cell_limit_s), and stopped it")
     np.subtract(read_disturbance_counters(), before, out=setup.log.counters[0])
     stopped = "" if complete else f"with {int(setup.log.done[0])} steps"
     return _make_outcome(cell, workspace, setup.solver, stopped)
@@ -407,7 +416,8 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
     cell, part = Cell.from_json(text), path.with_suffix(".part.npz")
     try:
         if not is_readable(cell, path):
-            choose_source_file(cell, _make_step_report()).make_file(part)
+            with PlantWatch(Phase.HARNESS, cell.limit_s).observe():
+                choose_source_file(cell, _make_step_report()).make_file(part)
             part.replace(path)
     except (CertificateError, InputError) as error:
         write_outcome(folder / f"{name}.json", Outcome("invalid", str(error)))

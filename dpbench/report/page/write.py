@@ -189,6 +189,7 @@ def _describe_experiment(
 ABOUT = (
     "Quadratic-programming solvers in the predictive controller of a dynamically positioned ship"
 )
+ABOUT_OWN_PLANT = "Quadratic-programming solvers in a model predictive controller"
 _STATES = ("var(--good)", "var(--near)", "var(--warn)", "var(--late)", "var(--bad)", "var(--none)")
 _HUES = [hue for hue in style.FAMILY_COLOURS.values() if hue not in style.STATE_COLOURS]
 FILES = {
@@ -243,6 +244,7 @@ def make_page_html(
     experiments = describe_experiments(data)
     numpy = results.machine.get("versions", {}).get("numpy", "")
     started = results.suite.get("started_utc", "")[:10]
+    is_of_own_plant = any(run.is_of_own_plant for run in data.records.runs)
     block = ""
     if not light:
         document = make_page_document(data, results, recommendation, experiments)
@@ -254,7 +256,7 @@ def make_page_html(
         ["\n".join(read_page_file(f"scripts/{name}.js") for name in SCRIPTS)],
         title=f"dpbench: {results.suite.get('name', folder.name)}",
         subtitle=str(results.suite.get("title", "")),
-        about=ABOUT,
+        about=ABOUT_OWN_PLANT if is_of_own_plant else ABOUT,
         sections=[*above, *(topic for topic in topics if topic is not lead), last],
         parts={section.id: section for section in shown if section.in_topic},
         texts={section.id: section.text(data) for section in shown},

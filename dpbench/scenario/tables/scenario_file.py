@@ -32,10 +32,79 @@ class EstimatorTable(FileModel):
     """Peak period the filter reckons with [s]; by default that of the waves of the weather."""
 
 
-class PlantTable(FileModel):
-    """Differences of the true ship from the controller's model of it."""
+class FmuInputsTable(FileModel):
+    """Inputs of an FMU that are the force on the ship, in any unit that the FMU declares."""
 
-    later_keys: ClassVar[frozenset[str]] = frozenset({"thruster_lag_s"})
+    surge: str
+    """Input that is the force ahead."""
+    sway: str
+    """Input that is the force to starboard."""
+    yaw: str
+    """Input that is the turning moment, clockwise."""
+
+
+class FmuOutputsTable(FileModel):
+    """Outputs of an FMU that are the state of the ship, in any unit that the FMU declares."""
+
+    north: str
+    """Output that is the position north."""
+    east: str
+    """Output that is the position east."""
+    heading: str
+    """Output that is the heading, clockwise from north; it may wrap."""
+    surge: str
+    """Output that is the speed ahead, over ground."""
+    sway: str
+    """Output that is the speed to starboard, over ground."""
+    yaw: str
+    """Output that is the rate of turn, clockwise."""
+
+
+class FmuStartTable(FileModel):
+    """Variables of an FMU that take the start of the scenario before initialisation."""
+
+    north: str | None = None
+    """Variable of the position north at the start."""
+    east: str | None = None
+    """Variable of the position east at the start."""
+    heading: str | None = None
+    """Variable of the heading at the start."""
+    surge: str | None = None
+    """Variable of the speed ahead at the start."""
+    sway: str | None = None
+    """Variable of the speed to starboard at the start."""
+    yaw: str | None = None
+    """Variable of the rate of turn at the start."""
+
+
+class FmuTable(FileModel):
+    """Co-simulation FMU (2.0 or 3.0) that is steered in place of dpbench's own ship.
+
+    It is code: it runs with all rights of the user. Every run has an instance of its own.
+    """
+
+    later_keys: ClassVar[frozenset[str]] = frozenset({"sha256"})
+
+    file: str
+    """The FMU, looked for beside this file first."""
+    step_s: keys.Seconds | None = None
+    """Communication step of the FMU [s], a whole fraction of the sample; by default the sample."""
+    inputs: FmuInputsTable
+    """Names of its inputs."""
+    outputs: FmuOutputsTable
+    """Names of its outputs."""
+    start: FmuStartTable = FmuStartTable()
+    """Names of the variables of its start; without them it has to start where the scenario does."""
+    parameters: dict[str, keys.Number] = {}
+    """Values of its parameters, in its units."""
+    sha256: str = ""
+    """SHA-256 of the file, entered when the scenario is read; any other file is refused."""
+
+
+class PlantTable(FileModel):
+    """Differences of the true ship from the controller's model of it, or an FMU in its place."""
+
+    later_keys: ClassVar[frozenset[str]] = frozenset({"thruster_lag_s", "fmu"})
 
     mass_percent: keys.Percent = 0.0
     """Excess of M of the true ship [%]."""
@@ -47,6 +116,15 @@ class PlantTable(FileModel):
     """Samples by which a command arrives late."""
     thruster_lag_s: keys.NotNegative = 0.0
     """Time constant [s] with which commanded thrusters follow their commands."""
+    fmu: FmuTable | None = None
+    """FMU in place of dpbench's own ship; its weather is its own."""
+
+    @model_validator(mode="after")
+    def _refuse_mismatch_of_fmu(self) -> PlantTable:
+        """Return the table itself; ValueError for a mismatch of a ship that an FMU replaces."""
+        if self.fmu is not None and (self.mass_percent or self.damping_percent):
+            raise ValueError("mass_percent and damping_percent of 0 where fmu replaces the ship")
+        return self
 
 
 class FaultTable(FileModel):

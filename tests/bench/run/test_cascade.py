@@ -37,7 +37,7 @@ from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.qp.solution import Solution, Status
 from dpbench.scenario.scenario import Scenario, build_scenario_from_documents, load_scenario
-from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.ship.plant import SUBSTEPS, ShipPlant
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.function import FunctionWorkspace
 from tests.bench.run.loops import limit_violations
@@ -139,7 +139,7 @@ def allocated_forces(case: Scenario, demand: np.ndarray, f: np.ndarray) -> np.nd
 def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) -> None:
     assert case.controller.commanded_thrusters is not None
     T_e = case.controller.commanded_thrusters.thrusters.T_e
-    plant = Plant(case.true_ship, case.first_state, case.sample_s)
+    plant = ShipPlant(case.true_ship, case.first_state, case.sample_s)
     sea = case.environment.build_weather_table_at_stages(case.steps, case.sample_s, SUBSTEPS)
     f, previous = np.zeros(6), case.first_state
     for k in range(12):

@@ -16,7 +16,7 @@ from dpbench.bench.run.exact_loop import ExactLoop, solve_loop_exactly
 from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
 from dpbench.scenario.scenario import Scenario, build_scenario_from_documents, load_scenario
 from dpbench.ship.actuators import Actuators, CommandedThrusters
-from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.ship.plant import SUBSTEPS, ShipPlant
 from dpbench.solvers.open import open_workspace
 from tests.bench.run.loops import limit_violations, run_loop
 
@@ -79,7 +79,7 @@ def test_the_loop_is_the_one_written_out_here(case: Scenario, exact: ExactLoop) 
         case.controller.commanded_thrusters.rows.G,
     )
     model, du, n_f, N_c = control.model, control.du_max, 7, 3
-    plant = Plant(case.true_ship, case.first_state, case.sample_s)
+    plant = ShipPlant(case.true_ship, case.first_state, case.sample_s)
     sea = plain.environment.build_weather_table_at_stages(case.steps, case.sample_s, SUBSTEPS)
     f, previous = np.zeros(n_f), case.first_state
     for k in range(12):

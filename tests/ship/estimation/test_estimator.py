@@ -17,7 +17,7 @@ from dpbench.ship.estimation.observer import (
     build_matrix_of_sample_change,
     write_model_change_of_sample,
 )
-from dpbench.ship.plant import SUBSTEPS, Plant
+from dpbench.ship.plant import SUBSTEPS, ShipPlant
 from tests.ship.conftest import linear_vessel
 
 SAMPLE_S = 0.3
@@ -46,7 +46,7 @@ def turning_ship(
     """States, estimates and changes (steps, 6) of a ship that is steered to a heading."""
     sea = Environment(BIAS, NOTHING, np.ones(3), NOTHING)
     table = sea.build_weather_table_at_stages(1, SAMPLE_S, SUBSTEPS)[0]
-    plant, tau = Plant(SHIP, START, SAMPLE_S), np.zeros(3)
+    plant, tau = ShipPlant(SHIP, START, SAMPLE_S), np.zeros(3)
     estimator.start_from_state(START)
     states, estimates, changes = np.empty((3, steps, 6))
     for k in range(steps):
@@ -136,7 +136,7 @@ def test_the_change_by_the_model_is_that_of_the_ship() -> None:
         1, SAMPLE_S, SUBSTEPS
     )[0]
     before = np.array([0.4, -0.3, 0.0, 3.0, 4.0, heading])
-    plant = Plant(ship, before, SAMPLE_S)
+    plant = ShipPlant(ship, before, SAMPLE_S)
     plant.advance_by_one_sample(tau, table)
     change = np.empty(6)
     write_model_change_of_sample(

@@ -1,0 +1,1 @@
+"""Plants other than dpbench's own ship: the contract, a linear MPC for them, and FMUs."""
