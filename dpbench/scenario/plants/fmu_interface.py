@@ -48,7 +48,7 @@ class FmuVariables:
 
 @dataclass(frozen=True, eq=False)
 class FmuInterface:
-    """What an instance of an FMU needs: version, names, and the variables that dpbench uses.
+    """Needs of an instance of an FMU: version, names, and the variables that dpbench uses.
 
     inputs, outputs : force (3,) and state (6,) of the ship; start : entries of the state that are
     set, with their variables; parameters : variables, with their values.

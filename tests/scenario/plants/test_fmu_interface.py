@@ -1,4 +1,4 @@
-"""What a scenario names of an FMU is checked as it is read: one line with file, key and remedy."""
+"""The FMU of a scenario is checked as it is read: one line with file, key and what is allowed."""
 
 import zipfile
 from pathlib import Path
