@@ -72,7 +72,7 @@ def _write_tables(folder: Path, runs: pd.DataFrame, steps: Sequence[pd.DataFrame
         for part in steps:
             if len(part):
                 file.add(pa.Table.from_pandas(part, FILE_SCHEMA, preserve_index=False))
-        public.write(runs_from_frame(runs), file)
+        public.write(runs_from_frame(runs), file, public.read_last_part_number())
     finally:
         file.close()
         file.path.unlink(missing_ok=True)

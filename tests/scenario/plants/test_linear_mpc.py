@@ -180,7 +180,9 @@ class WrappingShip(OwnShip):
 
 def test_a_heading_that_wraps_is_unwrapped() -> None:
     calm = load_scenario("paper").with_keys({"environment.amplitude_kN": [0.0, 0.0, 0.0]})
-    own, theirs = (solve_loop_exactly(calm.truncate(8), plant=ship) for ship in (OwnShip, WrappingShip))
+    own, theirs = (
+        solve_loop_exactly(calm.truncate(8), plant=ship) for ship in (OwnShip, WrappingShip)
+    )
     turned = theirs.state - own.state
     assert np.abs(turned - turned[0]).max() < 1e-12
     np.testing.assert_allclose(theirs.tau, own.tau, atol=1e-6)
