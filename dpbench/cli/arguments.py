@@ -225,6 +225,18 @@ def _add_worst_case_arguments(worst_case: Command) -> None:
     option("--solver-module", "FILE.py", "a plug-in that brings the solver")
 
 
+def _add_iteration_bound_arguments(bound: Command) -> None:
+    """Add the arguments of `dpbench iteration-bound` to its parser."""
+    option = partial(_add_option, bound)
+    bound.add_argument("axes", metavar="AXES", help="surge or sway-yaw")
+    option("--scenario", "N", "whose controller (default: paper)", default="paper")
+    option(
+        "--box", "FACTOR", "of the box of parameters (1)", type=float, dest="factor", default=1.0
+    )
+    limit = "time after which the proof stops (600)"
+    option("--limit", "SECONDS", limit, type=float, dest="limit_s", default=600.0)
+
+
 def _add_check_arguments(check: Command) -> None:
     """Add the arguments of `dpbench check` to its parser."""
     file = (
@@ -414,6 +426,12 @@ _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
         _add_worst_case_arguments,
         "search for a solver's slowest or least accurate step",
         None,
+    ),
+    "iteration-bound": (
+        _add_iteration_bound_arguments,
+        "prove the largest number of iterations of paper_active_set in a box",
+        "Exit code: 0 proved; 1 the time was too short, or the C library takes other iterations; "
+        "2 bad input.",
     ),
     "tune": (
         _add_tune_arguments,

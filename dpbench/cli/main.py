@@ -361,6 +361,17 @@ def _find_worst_case(arguments: argparse.Namespace) -> int:
     return INTERRUPTED if worst_case.search.stopped == "interrupted" else 0
 
 
+def _prove_iteration_bound(arguments: argparse.Namespace) -> int:
+    """Prove and print a bound (`dpbench iteration-bound`); return the exit code."""
+    from dpbench.bench.worst_case.iteration_bound import prove_iteration_bound
+    from dpbench.cli.terminal import ProgressBar, print_wrapped
+
+    with ProgressBar() as bar:
+        bound = prove_iteration_bound(**_collect_options(arguments), progress=bar)
+    print_wrapped(bound.lines)
+    return 0 if bound.is_complete and not bound.differing else 1
+
+
 def _tune_controller(arguments: argparse.Namespace) -> int:
     """Search a scenario's weights and horizons (`dpbench tune`); return the exit code."""
     from dpbench.cli.terminal import ProgressBar, print_wrapped
@@ -471,6 +482,7 @@ _CALLS = {
     "compare": _compare_folders,
     "export": _export_qps,
     "worst-case": _find_worst_case,
+    "iteration-bound": _prove_iteration_bound,
     "tune": _tune_controller,
     "tune-solver": _tune_solver,
     "codegen": _generate_controller,
