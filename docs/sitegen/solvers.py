@@ -3,7 +3,15 @@
 import tomllib
 from pathlib import Path
 
-from dpbench.solvers.contract import NOT_OFFERED, POLICIES, Route, RouteRecord, SolverRecord
+from dpbench.solvers.contract import (
+    DEFAULT,
+    NOT_OFFERED,
+    POLICIES,
+    TOLERANCES,
+    Route,
+    RouteRecord,
+    SolverRecord,
+)
 from dpbench.solvers.settings import (
     find_options_of_preset,
     has_distinct_tolerance_presets,
@@ -89,6 +97,9 @@ def _facts(row: SolverRecord) -> str:
         "solves without allocating": row.project.allocation_free,
         "single precision": row.project.single_precision,
     }
+    if row.choose_instead:
+        better = f"[{row.choose_instead}]({row.choose_instead}.md)"
+        rows.append(("choose instead", f"{better}; suite `standard` leaves this one out", ""))
     rows += [(what, prose(fact.value), prose(fact.source)) for what, fact in stated.items()]
     return table(("", "", "where its project says so"), rows)
 
@@ -132,11 +143,15 @@ def _faults(can: RouteRecord) -> list[str]:
 
 
 def _settings(row: SolverRecord) -> str:
+    same, names = "", list_preset_names(row.name)
     if not has_distinct_tolerance_presets(row.name):
-        return "It has no tolerance to set: all levels are the same.\n"
+        same = "It has no tolerance to set: all levels are the same.\n"
+        names = tuple(name for name in names if name not in TOLERANCES)
+        if names == (DEFAULT,):
+            return same
     rows = []
-    for name in list_preset_names(row.name):
+    for name in names:
         keys = find_options_of_preset(name, row.name).items()
         options = ", ".join(code(f"{key}={value!r}") for key, value in keys)
         rows.append((code(name), options or "the library's own defaults"))
-    return table(("settings", "what they set"), rows)
+    return same + ("\n" if same else "") + table(("settings", "what they set"), rows)

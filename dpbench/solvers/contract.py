@@ -308,6 +308,8 @@ class SolverRecord:
     needs_modules : further libraries that it imports, which isolation must not hide.
     build : reads how the installed library was built, where that decides its speed.
     time_limit : its option that ends a solve after so many seconds; "" without one.
+    choose_instead : a solver of the same code that is never the worse choice; "" for none. Suites
+        may leave out what has one.
     """
 
     name: str
@@ -324,6 +326,7 @@ class SolverRecord:
     needs_modules: tuple[str, ...] = ()
     build: Callable[[], Build] = Build
     time_limit: str = ""
+    choose_instead: str = ""
 
     @property
     def default_route(self) -> Route:

@@ -139,7 +139,7 @@ def _refuse_text_and_limits_below_zero(
     for key, value in settings.items():
         if not isinstance(default := defaults.get(key), Real) or isinstance(default, bool):
             continue
-        below = "iter" in key and isinstance(value, Real) and value < 0
+        below = "iter" in key.lower() and isinstance(value, Real) and value < 0
         if isinstance(value, str) or below:
             allowed = "0 or more" if below else "a number"
             raise SettingsError(f"settings of {solver}", key, repr(value)[:80], allowed)

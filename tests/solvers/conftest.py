@@ -35,7 +35,8 @@ TIGHTEST = {"qpax": {"solver_tol": 1e-6}}
 LARGEST = {"qpax": 2e-3}
 
 LIMIT_KEY = {"daqp": "iter_limit", "proxqp": "max_iter", "proxqp_sparse": "max_iter"}
-LIMIT_KEY |= {"sip": "max_iterations"}
+LIMIT_KEY |= {"sip": "max_iterations", "superadmm": "maxIter"}
+LIMIT_KEY |= {"elastiqp": "max_iter", "elastiqp_pdal": "max_outer_iter"}
 """The key of the iteration limit where the tolerance levels set none."""
 # It has a limit, and counts the same for the two problems of the test.
 UNLIMITED = {"qpax"}

@@ -16,7 +16,7 @@ from dpbench.solvers.settings import (
     list_preset_names,
     resolve_settings_to_options,
 )
-from dpbench.solvers.table import TABLE
+from dpbench.solvers.table import TABLE, find_solver_availability
 from tests.solvers.conftest import solve_qp
 
 # Names that the libraries keep no list of, with a value each may take.
@@ -198,3 +198,16 @@ def test_a_number_that_does_not_fit_is_refused(value):
     """Clarabel's limit of iterations is an unsigned integer of 32 bits."""
     with pytest.raises(SettingsError, match=r"settings of clarabel: max_iter: found .*: a int"):
         resolve_settings_to_options({"max_iter": value}, NATIVE["clarabel"])
+
+
+def test_presets_of_qpoases_are_settings_that_change_its_steps(sequence):
+    """The name of a preset says which options of qpOASES it sets; both reach the optimum."""
+    if not find_solver_availability("qpoases").ok:
+        pytest.skip("casadi is not installed")
+    exact = certify(sequence.base).z
+    for name, atol in (("reliable", 1e-9), ("mpc", 1e-6)):
+        assert set(find_options_of_preset(name, "qpoases")) <= set(NATIVE["qpoases"].list_options())
+        answer = solve("qpoases", name, sequence.base)
+        assert answer.status is Status.SOLVED
+        np.testing.assert_allclose(answer.z, exact, rtol=0, atol=atol)
+    assert not has_distinct_tolerance_presets("qpoases")

@@ -27,8 +27,9 @@ from dpbench.solvers.table import (
 from tests.solvers.conftest import run_program
 
 PROMISED = (
-    "clarabel cvxopt daqp ecos highs hpipm hpipm_ocp jaxopt kvxopt osqp piqp piqp_multistage "
-    "piqp_sparse proxqp proxqp_sparse pyqpmad qoco qpalm qpax qpoases qtqp quadprog scs sip"
+    "clarabel cvxopt daqp ecos elastiqp elastiqp_pdal highs hpipm hpipm_ocp jaxopt kvxopt osqp "
+    "piqp piqp_multistage piqp_sparse proxqp proxqp_sparse pyqpmad qoco qpalm qpax qpoases qtqp "
+    "quadprog scs sip superadmm"
 )
 
 
@@ -144,6 +145,12 @@ def test_settings_in_c_have_the_names_of_the_options():
     fields = text.split(f"}} {in_c.struct};")[0].rsplit("typedef struct", 1)[1]
     for option in {key for level in row.levels.values() for key in level}:
         assert re.search(rf"\b{option};", fields), option
+
+
+def test_a_solver_to_choose_instead_is_of_the_table_and_chosen_itself():
+    for row in TABLE.values():
+        if row.choose_instead:
+            assert not TABLE[row.choose_instead].choose_instead
 
 
 def test_isolation_comes_before_qpsolvers():

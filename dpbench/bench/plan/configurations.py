@@ -193,11 +193,12 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     """Return the solvers of a suite, or those of `only` where some are chosen.
 
     A solver with options of one's own is a text such as `osqp[rho=1.6]`. "all" leaves out those of
-    an optional extra that is not installed. UnknownNameError for an unknown solver; SettingsError
+    an optional extra that is not installed, and what the suite does not want as superseded.
+    UnknownNameError for an unknown solver; SettingsError
     for options that a solver does not have; InputError for a baseline of the report, or solvers of
     a table, that the suite has not.
     """
-    named = _resolve_solvers("solvers", suite.solvers)
+    named = _resolve_solvers("solvers", suite.solvers, superseded=suite.superseded)
     for kind, tables in (("closed_loop", suite.closed_loop), ("replay", suite.replay)):
         key = f"{kind}.solvers"
         for table in tables:
@@ -225,29 +226,31 @@ def _is_choice_among(choice: str, names: Sequence[str]) -> bool:
     return choice in names or split_into_solver_and_options_text(choice)[0] in names
 
 
-def _resolve_solvers(key: str, names: Sequence[str]) -> list[str]:
+def _resolve_solvers(key: str, names: Sequence[str], *, superseded: bool = True) -> list[str]:
     """Return the solvers that an entry of the suite names; an InputError names the entry."""
     try:
-        return _expand_solver_choices(names)
+        return _expand_solver_choices(names, superseded=superseded)
     except InputError as error:
         place = f"{key}: {error.key}" if error.key else key
         raise type(error)("suite", place, error.found, error.allowed) from None
 
 
-def _expand_solver_choices(names: Sequence[str]) -> list[str]:
+def _expand_solver_choices(names: Sequence[str], *, superseded: bool = True) -> list[str]:
     """Return choices of solvers without repeats, with "all" and grids of settings expanded."""
     chosen: list[str] = []
     for name in names:
         if name == "all":
-            chosen += _list_default_solvers()
+            chosen += list_default_solvers(superseded=superseded)
         else:
             find_solver_record(split_into_solver_and_options_text(name)[0])
             chosen += expand_choice_over_option_grid(name)
     return list(dict.fromkeys(chosen))
 
 
-def name_solvers_of_suite(choices: Sequence[str]) -> list[str]:
+def name_solvers_of_suite(choices: Sequence[str], *, superseded: bool = True) -> list[str]:
     """Return the names of the solvers that a suite lists, without options, "all" expanded.
+
+    superseded : as of the suite.
 
     >>> name_solvers_of_suite(["daqp", "osqp[rho=[0.1,1]]"])
     ['daqp', 'osqp']
@@ -255,15 +258,19 @@ def name_solvers_of_suite(choices: Sequence[str]) -> list[str]:
     named: list[str] = []
     for choice in choices:
         if choice == "all":
-            named += _list_default_solvers()
+            named += list_default_solvers(superseded=superseded)
         else:
             named.append(split_into_solver_and_options_text(choice)[0])
     return list(dict.fromkeys(named))
 
 
-def _list_default_solvers() -> list[str]:
-    """Return the solvers of "all": neither the baseline law nor those of a missing extra."""
-    return [s for s in list_all_solver_names() if s != BASELINE_LAW and _is_default_solver(s)]
+def list_default_solvers(*, superseded: bool = True) -> list[str]:
+    """Return the solvers of "all": neither the baseline law nor those of a missing extra.
+
+    superseded : whether those are included for which another of the same code is chosen instead.
+    """
+    names = [s for s in list_all_solver_names() if s != BASELINE_LAW and _is_default_solver(s)]
+    return [s for s in names if superseded or not find_solver_record(s).choose_instead]
 
 
 def _is_default_solver(solver: str) -> bool:

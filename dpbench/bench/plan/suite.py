@@ -296,6 +296,8 @@ class SuiteFile(FileModel):
     """The suite in words."""
     solvers: Annotated[list[str], Field(min_length=1)] = ["all"]
     """Solvers that run; all: every one that is installed."""
+    superseded: bool = True
+    """Solvers whose record names another of the same code to choose instead run too, with `all`."""
     baseline_law: bool = True
     """Closed loops with the clipped unconstrained law as a baseline."""
     calibration: bool = False

@@ -231,7 +231,10 @@ def _fill_statement(
             for solver in [v.configuration.solver]
         ],
         selection=describe_selection(
-            name_solvers_of_suite(results.suite.get("solvers", [])),
+            name_solvers_of_suite(
+                results.suite.get("solvers", []),
+                superseded=bool(results.suite.get("superseded", True)),
+            ),
             [str(name) for name in versions],
         ),
         machine_state=describe_disturbance(sum_disturbances(select_timed_replays(records))),

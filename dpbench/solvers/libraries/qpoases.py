@@ -16,8 +16,33 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, NativeAdapter
-from dpbench.solvers.contract import RouteRecord, SolverRecord, make_project_facts
+from dpbench.solvers.contract import Levels, RouteRecord, SolverRecord, make_project_facts
 from dpbench.solvers.libraries.native_workspace import NativeWorkspace, Point
+
+EPS = 2.221e-16  # of Constants.hpp
+_MPC = {
+    "enableRamping": False,
+    "enableFarBounds": True,
+    "enableFlippingBounds": False,
+    "enableRegularisation": True,
+    "enableNZCTests": False,
+    "enableDriftCorrection": 0,
+    "enableEqualities": True,
+    "terminationTolerance": 1e9 * EPS,
+    "initialStatusBounds": "inactive",
+    "numRegularisationSteps": 1,
+    "numRefinementSteps": 0,
+}
+# What Options::setToReliable and setToMPC set beyond setToDefault (Options.cpp); casadi has no
+# option for the presets themselves.
+LEVELS: Levels = {
+    "reliable": {
+        "enableFullLITests": True,
+        "enableCholeskyRefactorisation": 1,
+        "numRefinementSteps": 2,
+    },
+    "mpc": _MPC,
+}
 
 RECORD = SolverRecord(
     name="qpoases",
@@ -39,7 +64,7 @@ RECORD = SolverRecord(
             },
         )
     },
-    levels={},
+    levels=LEVELS,
     project=make_project_facts(
         licence=("LGPL-2.1-or-later", "qpOASES source, head of each file"),
         language=("C++", "qpOASES manual, Introduction"),

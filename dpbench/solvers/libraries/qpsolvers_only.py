@@ -71,6 +71,7 @@ KVXOPT = replace(
     record=replace(
         CVXOPT.record,
         name="kvxopt",
+        choose_instead="cvxopt",
         distribution="kvxopt",
         module="kvxopt",
         project=make_project_facts(

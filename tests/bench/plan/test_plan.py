@@ -151,3 +151,14 @@ def test_a_baseline_that_the_suite_does_not_run_is_refused() -> None:
     with pytest.raises(InputError, match=r"report.baseline: found 'scs'; allowed: .*daqp, osqp"):
         choose_solvers(suite, None)
     assert choose_solvers(suite.model_copy(update={"report": ReportTable()}), ["osqp"]) == ["osqp"]
+
+
+def test_superseded_solvers_run_where_a_suite_wants_them_or_names_them() -> None:
+    """Suite `standard` leaves them out, `full` does not; what one names runs."""
+    superseded = {"elastiqp_pdal", "kvxopt"}
+    for name, expected in (("standard", set()), ("full", superseded)):
+        _, suite = load_path_and_suite(name)
+        assert superseded & set(choose_solvers(suite, None)) == expected
+    named = SuiteFile(title="x", solvers=["kvxopt", "daqp"], superseded=False, baseline_law=False)
+    assert choose_solvers(named, None) == ["kvxopt", "daqp"]
+    assert choose_solvers(load_path_and_suite("standard")[1], ["kvxopt"]) == ["kvxopt"]

@@ -94,6 +94,16 @@ def test_limits_that_cross_are_never_solved(solver, sequence):
         assert solutions[1].claimed
 
 
+@pytest.mark.parametrize("solver", HERE)
+def test_limits_that_cross_alone_are_never_solved(solver):
+    """A single row, 2 ≤ z ≤ 1."""
+    faults = TABLE[solver].get_route_record("native").faults
+    qp = QuadraticProgram([[1.0]], [0.0], [[1.0]], [2.0], [1.0], [-9.0], [9.0])
+    limit = {"max_iter": 50, "max_iter_in": 50} if solver.startswith("proxqp") else "default"
+    answer = solve_qp(opened(solver, settings=limit), qp)
+    assert answer.claimed == ("solved despite limits that cross alone" in faults)
+
+
 class Panic(BaseException):
     """As raised by Rust libraries, which do not derive theirs from Exception."""
 
