@@ -73,7 +73,11 @@ def _page(row: SolverRecord) -> str:
         parts += [f"## Route {code(route)}\n", f"How it is run {ROUTES[route]}.\n"]
         parts += [_abilities(row, route, can), *_faults(can)]
     parts += ["## Settings\n", _settings(row)]
-    known = PITFALLS.get(row.name, [])
+    known = [
+        f"Of steps that end as `{status.name}`: {text}."
+        for status, text in row.known_failures.items()
+    ]
+    known += PITFALLS.get(row.name, [])
     if known:
         parts += ["## What to know before you use it\n"]
         parts += ["\n".join(f"- {prose(text)}" for text in known), ""]

@@ -34,6 +34,7 @@ from dpbench.bench.judge.calibration import is_within_tolerance
 from dpbench.bench.judge.rules import LEAST_STRETCH
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.bench.record.result_folder import MachineDescription
+from dpbench.qp.residuals import TRUE_TOL
 from dpbench.report.formats import (
     MISSING,
     describe_wait,
@@ -284,8 +285,17 @@ _ENDINGS: dict[str, str] = read_words(__file__)["endings"]
 
 
 def _describe_ending(status: str, run: RunRecord) -> str:
-    """Return in words what ended failed steps of a run; of inaccurate answers, its iterations."""
+    """Return in words what ended failed steps of a run, and what is known of its solver's.
+
+    Of inaccurate answers, the iterations.
+    """
     ending = _ENDINGS.get(status, f"status {status}")
+    record = find_solver_record_or_none(run.configuration.solver)
+    known = (
+        {} if record is None else {key.name: text for key, text in record.known_failures.items()}
+    )
+    if status in known:
+        return f"{ending} (known of {run.configuration.solver}: {known[status]})"
     if status == "INACCURATE" and not isnan(run.iterations_max):
         return f"{ending} after at most {format_count(run.iterations_max)} iterations"
     return ending
@@ -343,9 +353,16 @@ def describe_longest_wait(records: Records, run: RunRecord | None) -> str:
 
 
 def describe_answer(steps: RunSteps, at: int) -> str:
-    """Return words on a solver's answer at one step: claimed solved or not, true or not."""
-    claimed = "claimed" if steps.claimed[at] else "not claimed"
-    return f"{claimed}, {'true' if steps.true[at] else 'not true'}"
+    """Return words on a solver's answer at one step: claimed solved or not, true or not.
+
+    A claim of a QP without an optimum, or beyond the limits, is stated by its violation.
+    """
+    claimed, violation = "claimed" if steps.claimed[at] else "not claimed", steps.violation[at]
+    if steps.true[at]:
+        return f"{claimed}, true"
+    if steps.claimed[at] and (isnan(steps.error[at]) or violation > TRUE_TOL) and violation > 0.0:
+        return f"claimed, violates a limit by {format_error(violation)}"
+    return f"{claimed}, not true"
 
 
 def name_experiment(row: RunRecord) -> str:

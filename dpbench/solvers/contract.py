@@ -24,7 +24,7 @@ from typing import Literal
 from dpbench.arrays import Vector
 from dpbench.errors import DpbenchError, ShapeError, SituationError
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
-from dpbench.qp.solution import Solution
+from dpbench.qp.solution import Solution, Status
 
 Route = Literal["qpsolvers", "native"]
 Policy = Literal["fresh", "reuse", "warm"]
@@ -167,6 +167,9 @@ NAN_FAULTS = {
     **NAN_IGNORED,
 }
 
+# What a known failure of some libraries is.
+INFEASIBLE_CALLED_ERROR = "it answers infeasible QPs so"
+
 DEFAULT, MID, HIGH = "default", "mid", "high"
 TOLERANCES = {"low": 1e-3, MID: 1e-6, HIGH: 1e-9}
 LEVELS = (DEFAULT, *TOLERANCES)
@@ -308,6 +311,8 @@ class SolverRecord:
     needs_modules : further libraries that it imports, which isolation must not hide.
     build : reads how the installed library was built, where that decides its speed.
     time_limit : its option that ends a solve after so many seconds; "" without one.
+    known_failures : what is known of failing steps by the status reported, SOLVED for claims that
+        do not hold; shown where such a step is.
     choose_instead : a solver of the same code that is never the worse choice; "" for none. Suites
         may leave out what has one.
     """
@@ -326,6 +331,7 @@ class SolverRecord:
     needs_modules: tuple[str, ...] = ()
     build: Callable[[], Build] = Build
     time_limit: str = ""
+    known_failures: Mapping[Status, str] = field(default_factory=dict)
     choose_instead: str = ""
 
     @property

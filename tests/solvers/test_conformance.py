@@ -2,6 +2,7 @@
 
 import gc
 import time
+from math import isfinite
 
 import numpy as np
 import psutil
@@ -13,6 +14,7 @@ from dpbench.errors import ShapeError
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
+from dpbench.solvers.contract import INFEASIBLE_CALLED_ERROR
 from dpbench.solvers.table import TABLE
 
 INF = np.inf
@@ -207,6 +209,18 @@ def test_infeasible_problems_are_not_claimed_solved(configuration, solve_qp):
     if answer.status is Status.UNKNOWN:
         # Without a reason for the failure there is no iterate either, which a ship could follow.
         assert np.isnan(answer.z).all()
+
+
+def test_known_failures_are_those_of_the_library(configuration, solve_qp):
+    """Infeasible QPs by 1, and by less than the tolerance on limits."""
+    known = TABLE[configuration.solver].known_failures
+    wide = solve_qp(configuration.open("default"), INFEASIBLE)
+    if known.get(Status.NUMERICAL_ERROR) == INFEASIBLE_CALLED_ERROR:
+        assert wide.status is Status.NUMERICAL_ERROR
+    if Status.SOLVED in known:
+        narrow = problem(TWO, [-6, -6], [[1, 1]], [2 + 5e-7], [3], [-1, -1], [1, 1])
+        assert solve_qp(configuration.open("default"), narrow).claimed
+        assert not isfinite(certify(narrow).bound)
 
 
 def spoil(step, fault):

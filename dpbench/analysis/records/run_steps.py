@@ -32,6 +32,7 @@ class CountingRows:
     total_ns: Floats
     iterations: Floats
     error_move: Floats
+    primal: Floats
     n_active: Floats
     known: Flags
     true: Flags
@@ -59,7 +60,17 @@ class CountingRows:
 _COUNTING_FLAGS = ("true", "claimed", "late", "fallback", "clipped")
 _INTS = ("repeat", "k")
 COUNTING_COLUMNS = (
-    *("run_id", "repeat", "k", "counts", "total_ns", "iterations", "error_move", "n_active"),
+    *(
+        "run_id",
+        "repeat",
+        "k",
+        "counts",
+        "total_ns",
+        "iterations",
+        "error_move",
+        "primal",
+        "n_active",
+    ),
     *("certificate", "status", "fallback", "unconverged", *_COUNTING_FLAGS[:3], "clipped"),
 )
 
@@ -98,7 +109,8 @@ class RunSteps:
     """Steps (K,) of one run merged over its repetitions, rising in k.
 
     time_ns, raw_ns : least and largest time; error, iterations : the largest, NaN without one.
-    n_active : active limits at the optimum.
+    violation : largest of a limit, scaled, of the last round; n_active : active limits at the
+        optimum.
     claimed, true, failed, late, fallback, clipped : of the last round; an answer without a known
         right one counts as true.
     status : of the round of the largest error, else of the last; rounds : how many there are.
@@ -109,6 +121,7 @@ class RunSteps:
     raw_ns: Floats
     error: Floats
     iterations: Floats
+    violation: Floats
     n_active: Floats
     claimed: Flags
     true: Flags
@@ -151,6 +164,7 @@ def _merge_repetitions(rows: CountingRows) -> RunSteps:
         raw_ns=_reduce_repetitions_by_step(np.fmax, at, len(steps), rows.total_ns),
         error=error,
         iterations=_reduce_repetitions_by_step(np.fmax, at, len(steps), rows.iterations),
+        violation=rows.primal[last],
         n_active=_reduce_repetitions_by_step(np.fmax, at, len(steps), rows.n_active),
         true=(rows.true | ~rows.known)[last],
         **flags,

@@ -12,6 +12,7 @@ from dpbench.solvers.adapter import (
     list_public_settings_attributes,
 )
 from dpbench.solvers.contract import (
+    INFEASIBLE_CALLED_ERROR,
     NAN_FAULTS,
     Options,
     RouteRecord,
@@ -272,6 +273,7 @@ SIP = QpsolversAdapter(
         # It orders its matrices with the AMD of CVXOPT.
         needs_modules=("cvxopt",),
         time_limit="time_limit",
+        known_failures={Status.NUMERICAL_ERROR: INFEASIBLE_CALLED_ERROR},
     ),
     "native",
     read_sip_status,

@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dpbench.analysis.times.paired_times import (
@@ -15,6 +16,7 @@ from dpbench.analysis.verdict.verdict import judge_solvers, sort_fastest_first
 from dpbench.report.formats import strip_markdown
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.verdict_text import (
+    describe_answer,
     describe_finding,
     describe_findings,
     describe_main_reason,
@@ -89,6 +91,39 @@ def test_an_inaccurate_answer_is_named_with_the_most_iterations(
     finding = Finding("failed", tuple(records.view().runs), 8.0, 2, status="INACCURATE")
     ended = f"ended by an answer that the solver calls inaccurate{after}"
     assert describe_finding(finding).endswith(ended)
+
+
+@pytest.mark.parametrize(
+    ("solver", "after"), [("sip", " (known of sip: it answers infeasible QPs so)"), ("piqp", "")]
+)
+def test_what_is_known_of_a_failure_stands_where_it_is_met(
+    solver: str, after: str, records: Any
+) -> None:
+    records.replay(solver)
+    finding = Finding("failed", tuple(records.view().runs), 8.0, 2, status="NUMERICAL_ERROR")
+    assert describe_finding(finding).endswith(f"ended by a numerical error{after}")
+
+
+@pytest.mark.parametrize(
+    ("error", "violation", "words"),
+    [
+        (math.nan, 1e-6, "claimed, violates a limit by 1.0e-06"),  # of an infeasible QP
+        (0.5, 0.02, "claimed, violates a limit by 0.020"),
+        (0.5, 1e-6, "claimed, not true"),
+        (math.nan, 0.0, "claimed, not true"),
+    ],
+)
+def test_a_claim_beyond_the_limits_is_stated_by_its_violation(
+    error: float, violation: float, words: str, records: Any
+) -> None:
+    records.replay("daqp")
+    view = records.view()
+    ((_, steps, _),) = view.yield_merged_and_raw_steps(view.runs)
+    step = steps.select_steps(np.array([0]))
+    flags = {"claimed": np.array([True]), "true": np.array([False])}
+    numbers = {"error": np.array([error]), "violation": np.array([violation])}
+    assert describe_answer(replace(step, **flags, **numbers), 0) == words
+    assert describe_answer(replace(step, **numbers, true=np.array([True])), 0).endswith(", true")
 
 
 @pytest.mark.parametrize(

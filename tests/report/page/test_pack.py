@@ -174,6 +174,7 @@ def _long(count: int, seed: int = 1) -> RunSteps:
         raw_ns=rng.lognormal(10.0, 0.5, count),
         error=rng.lognormal(-20.0, 2.0, count),
         iterations=rng.integers(1, 30, count).astype(float),
+        violation=np.zeros(count),
         n_active=np.zeros(count),
         **flags,
         status=np.full(count, "SOLVED", dtype=object),
