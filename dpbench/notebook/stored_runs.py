@@ -29,6 +29,14 @@ def add_runs(out: str | Path, runs: Sequence[Run]) -> Path:
     ------
     InputError : for a replay: its times would be compared with those of a campaign, which
         interleaves solvers.
+
+    Examples
+    --------
+    >>> from dpbench import replay
+    >>> timed = replay("paper-30-5", "daqp", repeats=1)
+    >>> add_runs("results/smoke", [timed])  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    dpbench.errors.InputError: `runs`: found a replay, daqp (qpsolvers, fresh); allowed: ...
     """
     folder = Path(out)
     for run in runs:

@@ -30,6 +30,7 @@ class Plant(Protocol):
 
     Examples
     --------
+    >>> import numpy as np
     >>> class Integrator:
     ...     def __init__(self):
     ...         self.state = np.zeros(1)
