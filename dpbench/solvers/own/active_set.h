@@ -48,11 +48,8 @@ typedef struct {
 } active_set_view;
 
 typedef struct active_set active_set;
-struct active_set {
+struct active_set { /* what is used most comes first: on Arm its offsets are shorter instructions */
     int n, m;         /* variables, rows of A */
-    int warm;         /* 1: start from the active set of the step before */
-    int block;        /* variables of a control increment, by which hildreth.c moves its start */
-    int stale;        /* 1: there is no set to start from */
     int count;        /* active rows */
     int iterations;   /* of the last solve: rows brought in or dropped */
     /* The step: written by the caller before a solve. */
@@ -61,8 +58,15 @@ struct active_set {
     /* The answer. */
     as_real *z;   /* n+m: z, then A z */
     as_real *lam; /* n+m */
+    /* Memory from step to step, and scratch. */
+    as_real *base;       /* n: −P⁻¹q, the optimum without limits */
+    as_real *L;          /* n(n+1)/2: Cholesky factor of H_WW, rows packed, 1/L_kk on it */
+    int *active;         /* n: W, the active rows as they came */
+    int *side;           /* n+m: +1 active at high, −1 at low, 0 not active */
+    as_real *R, *T;      /* n, indexed as `active` */
+    as_real *r, *e, *z_low, *lam_low, *r_low; /* n */
+    as_real *from, *to;  /* n: of one part */
     /* Constants of P and A: may lie in read-only memory. */
-    const as_real *P;    /* n × n */
     const as_real *G;    /* n+m × n, row i is (P⁻¹ c_i)ᵀ; the first n rows are P⁻¹ */
     const as_real *unit; /* n+m: 1/√H_ii, the length of a row in the norm of P⁻¹ */
     const as_real *a;    /* entries of A that are not zero, row after row */
@@ -73,18 +77,14 @@ struct active_set {
     const int *order;    /* n: variables that P couples, part after part, then the rest */
     const int *sizes;    /* n: at the first variable of a part of this order, how many it has */
     const as_real *blocks; /* P⁻¹ of each part, one after the other: outside of them it is zero */
+    const as_real *P;    /* n × n */
     int coupled;         /* how many variables P couples with others */
+    int warm;            /* 1: start from the active set of the step before */
+    int block;           /* variables of a control increment, by which hildreth.c moves its start */
+    int stale;           /* 1: there is no set to start from */
     as_real longest, steepest, largest, widest; /* max √H_ii, Σ|P| of a row, max |A|, Σ|P⁻¹| of a row */
-    as_real loss;     /* of a gradient of size 1, by rounding in P⁻¹ */
-    /* Memory from step to step, and scratch. */
-    as_real *base;              /* n: −P⁻¹q, the optimum without limits */
-    as_real *L;                 /* n(n+1)/2: Cholesky factor of H_WW, rows packed, 1/L_kk on it */
-    int *active;                /* n: W, the active rows as they came */
-    int *side;                  /* n+m: +1 active at high, −1 at low, 0 not active */
-    as_real *R, *T;             /* n, indexed as `active` */
-    as_real *r, *e, *z_low, *lam_low, *r_low; /* n */
-    as_real *from, *to;         /* n: of one part */
-    active_set_view found;      /* not on the stack, which is short on small computers */
+    as_real loss;        /* of a gradient of size 1, by rounding in P⁻¹ */
+    active_set_view found; /* not on the stack, which is short on small computers */
     int (*refine)(active_set *, int); /* set by active_set_place; 0: no answer is refined */
 };
 

@@ -10,6 +10,10 @@
 /* One unit of compilation, as in active_set_setup.c. */
 #include "active_set.c"
 
+#ifdef FOR_SIZE
+#pragma clang attribute push(__attribute__((cold, minsize)), apply_to = function)
+#endif
+
 #define CONTRADICTION ROUNDING_OF(1e-9) /* no rounding is above this share of refined values */
 #define STEEP REAL(1e-4)                /* an active row nearer to the others leans on them */
 #define LOST ROUNDING_OF(3e-8)          /* a gradient that rounding changed by less needs no refinement */
@@ -398,3 +402,7 @@ static int refine_answer(active_set *s, int ending) {
 }
 
 void active_set_let_refine(active_set *s) { s->refine = refine_answer; }
+
+#ifdef FOR_SIZE
+#pragma clang attribute pop
+#endif

@@ -40,15 +40,15 @@ class ActiveSet(ctypes.Structure):
     """The structure `active_set` of `active_set.h`."""
 
     _fields_ = [
-        *_pair_field_names_with_type(INTEGER, "n m warm block stale count iterations"),
+        *_pair_field_names_with_type(INTEGER, "n m count iterations"),
         *_pair_field_names_with_type(
-            POINTER, "q low high z lam P G unit a column first parent rest order sizes blocks"
+            POINTER, "q low high z lam base L active side R T r e z_low lam_low r_low from to"
         ),
-        *_pair_field_names_with_type(INTEGER, "coupled"),
+        *_pair_field_names_with_type(
+            POINTER, "G unit a column first parent rest order sizes blocks P"
+        ),
+        *_pair_field_names_with_type(INTEGER, "coupled warm block stale"),
         *_pair_field_names_with_type(REAL, "longest steepest largest widest loss"),
-        *_pair_field_names_with_type(
-            POINTER, "base L active side R T r e z_low lam_low r_low from to"
-        ),
         ("found", View),
         *_pair_field_names_with_type(POINTER, "refine"),
     ]
