@@ -286,7 +286,7 @@ static int has_crossed_limits(const active_set *s, int i) {
     return !(s->low[i] <= s->high[i]) || (s->low[i] == s->high[i] && is_infinite(s->low[i]));
 }
 
-static int has_wrong_sign(const active_set *s, int i, as_real lam) {
+SELDOM static int has_wrong_sign(const active_set *s, int i, as_real lam) {
     return (s->side[i] > 0 ? lam < 0 : lam > 0) && s->low[i] < s->high[i];
 }
 
@@ -302,58 +302,6 @@ static void append_row(active_set *s, int i, int side, as_real d) {
     L[w] = 1 / root(d);
     s->active[w] = i;
     s->side[i] = side;
-}
-
-/* The rotation that zeroes what is right of the diagonal in row r, given what is on it, in T too. */
-SELDOM static void rotate(active_set *s, int r, as_real x, as_real *last) {
-    const as_real y = 1 / factor_row(s, r + 1)[r + 1], h = root(x * x + y * y);
-    const as_real p = s->r_low[r] = x / h, q = s->e[r] = y / h, next = s->T[r + 1];
-    factor_row(s, r)[r] = 1 / h;
-    s->T[r] = p * *last + q * next;
-    *last = p * next - q * *last;
-}
-
-/* Drop the k-th active row: plane rotations make the factor triangular again, two rows at a time. T,
- * L⁻¹ of something, becomes that of the same without this row. */
-SELDOM static void drop_row(active_set *s, int k) {
-    const int w = --s->count, i = s->active[k];
-    s->side[i] = NEITHER;
-    s->lam[i] = 0;
-    as_real last = s->T[k];
-    for (int r = k; r < w; r++) s->active[r] = s->active[r + 1];
-    for (int r = k; r < w; r += 2) {
-        const int both = r + 1 < w; /* else the second one is the first */
-        as_real *to = factor_row(s, r), *from = to + r + 1, *second = both ? from + r + 2 : from;
-        as_real *const second_to = both ? from : to;
-        for (int c = 0; c < k; c++) {
-            to[c] = from[c];
-            second_to[c] = second[c];
-        }
-        as_real x = from[k], z = second[k];
-        for (int c = k; c < r; c++) {
-            const as_real y = from[c + 1], v = second[c + 1], p = s->r_low[c], q = s->e[c];
-            to[c] = p * x + q * y;
-            second_to[c] = p * z + q * v;
-            x = p * y - q * x;
-            z = p * v - q * z;
-        }
-        rotate(s, r, x, &last);
-        if (!both) return;
-        const as_real y = second[r + 1], p = s->r_low[r], q = s->e[r];
-        second_to[r] = p * z + q * y;
-        rotate(s, r + 1, p * y - q * z, &last);
-    }
-}
-
-/* T := H_Wj */
-static void write_entries(active_set *s, int j) {
-    for (int k = 0; k < s->count; k++) s->T[k] = entry(s, s->active[k], j);
-}
-
-/* R := L⁻ᵀT, where T = L⁻¹H_Wj the combination of active rows that is row j but for a rest */
-static void write_combination(active_set *s) {
-    copy(s->R, s->T, s->count);
-    substitute_backward(s->L, s->R, s->count);
 }
 
 /* Refine the combination R of active rows for row j, and T, once; returns the square of the distance
@@ -375,63 +323,90 @@ SELDOM static as_real refine_combination(active_set *s, int j) {
     }
 }
 
-/* ---- the start ----------------------------------------------------------------------------- */
-
-static void clear_set(active_set *s) {
-    for (int i = 0; i < s->n + s->m; i++) {
-        s->side[i] = NEITHER;
-        s->lam[i] = 0;
-    }
-    s->count = 0;
+/* T := H_Wj */
+static void write_entries(active_set *s, int j) {
+    for (int k = 0; k < s->count; k++) s->T[k] = entry(s, s->active[k], j);
 }
 
-/* Make row i active with a multiplier, unless it is, has no such limit, or leans on the others. */
-SELDOM static void add_to_start(active_set *s, int i, int side, as_real lam) {
-    if (s->side[i] != NEITHER || s->count == s->n || is_infinite(side > 0 ? s->high[i] : s->low[i]))
-        return;
-    write_entries(s, i);
-    substitute_forward(s->L, s->T, s->count);
-    const as_real square = entry(s, i, i), d = square - dot(s->T, s->T, s->count);
-    if (d <= CLOSE * square) return;
-    append_row(s, i, side, d);
-    s->lam[i] = lam;
+/* R := L⁻ᵀT */
+static void write_combination(active_set *s) {
+    copy(s->R, s->T, s->count);
+    substitute_backward(s->L, s->R, s->count);
 }
 
-/* Factorise the set anew, without rows that lost their limit or lean on the others now. */
-SELDOM static void renew_set(active_set *s) {
-    const int w = s->count;
-    s->count = 0;
-    for (int k = 0; k < w; k++) {
-        const int i = s->active[k], side = s->side[i];
-        const as_real lam = s->lam[i];
-        s->side[i] = NEITHER;
-        s->lam[i] = 0;
-        add_to_start(s, i, side, lam);
-    }
-}
-
-SELDOM static void add_equalities(active_set *s) {
-    for (int i = 0; i < s->n + s->m; i++)
-        if (s->low[i] == s->high[i]) add_to_start(s, i, 1, 0);
-}
-
-/* R := the multipliers of eq. 31, L⁻ᵀT; returns how many have the wrong sign. */
-static int solve_multipliers(active_set *s) {
-    int wrong = 0;
+/* R := the combination of active rows that is row j but for a rest, T = L⁻¹H_Wj given; returns the
+ * square of the length of that rest in the norm of P⁻¹, of that of row j. */
+static as_real split(active_set *s, int j, as_real square) {
+    const int w = s->count, whole = w == s->n; /* n rows combine every other one: d is rounding */
+    const as_real d = square - dot(s->T, s->T, w);
     write_combination(s);
-    for (int k = 0; k < s->count; k++) wrong += has_wrong_sign(s, s->active[k], s->R[k]);
-    return wrong;
+    if (w > 0 && (whole ? size_of(d) > DEPENDENT * square : d < CLOSE * square))
+        return refine_combination(s, j);
+    return d;
 }
 
-/* The same, with T := L⁻¹(C_W base − g) first; −1 if a limit is infinite. */
-static int start_multipliers(active_set *s) {
+static void leave(active_set *s, int i) {
+    s->side[i] = NEITHER;
+    s->lam[i] = 0;
+}
+
+/* Drop the k-th active row: plane rotations make the factor triangular again. T, L⁻¹ of something,
+ * becomes that of the same without this row. */
+SELDOM static void drop_row(active_set *s, int k) {
+    const int w = --s->count;
+    as_real last = s->T[k], *to = factor_row(s, k), *p = s->r_low, *q = s->e;
+    leave(s, s->active[k]);
+    for (int r = k; r < w; r++) {
+        const as_real *from = to + r + 1;
+        as_real x = from[k], y = 1 / from[r + 1], next = s->T[r + 1];
+        s->active[r] = s->active[r + 1];
+        copy(to, from, k);
+        for (int c = k; c < r; c++) {
+            const as_real v = from[c + 1];
+            to[c] = p[c] * x + q[c] * v;
+            x = p[c] * v - q[c] * x;
+        }
+        const as_real h = root(x * x + y * y);
+        p[r] = x /= h;
+        q[r] = y /= h;
+        to[r] = 1 / h;
+        s->T[r] = x * last + y * next;
+        last = x * next - y * last;
+        to += r + 1;
+    }
+}
+
+/* ---- multipliers --------------------------------------------------------------------------- */
+
+/* T := L⁻¹(C_W x − g): with x = base L⁻ᵀT are the multipliers of eq. 31. Returns a place in W whose
+ * limit is infinite, −1 if none is. */
+static int write_distances(active_set *s, const as_real *x) {
     for (int k = 0; k < s->count; k++) {
         const as_real g = limit_of(s, s->active[k]);
-        if (is_infinite(g)) return -1;
-        s->T[k] = row_times(s, s->active[k], s->base) - g;
+        if (is_infinite(g)) return k;
+        s->T[k] = row_times(s, s->active[k], x) - g;
     }
     substitute_forward(s->L, s->T, s->count);
-    return solve_multipliers(s);
+    return -1;
+}
+
+/* λ_W −= t R */
+static void advance(active_set *s, as_real t) {
+    for (int k = 0; k < s->count; k++) s->lam[s->active[k]] -= t * s->R[k];
+}
+
+/* The active row whose multiplier is first to reach zero as `advance` goes up to t, and t := when; −1
+ * if none does. `part`: a smaller share of a row in R is rounding. */
+static int find_blocking(const active_set *s, as_real side, as_real part, as_real *t) {
+    int blocking = -1;
+    for (int k = 0; k < s->count; k++) {
+        const int i = s->active[k];
+        const as_real a = (s->side[i] > 0 ? side : -side) * s->R[k], lam = s->side[i] > 0 ? s->lam[i] : -s->lam[i];
+        if (!(a > part * s->unit[i]) || !(lam < a * *t) || s->low[i] == s->high[i]) continue;
+        blocking = k;
+        *t = larger(lam / a, 0);
+    }
+    return blocking;
 }
 
 /* Take λ towards eq. 31, dropping the row whose multiplier is first to reach zero, until all signs
@@ -443,30 +418,40 @@ static int start_multipliers(active_set *s) {
  *       the way, λ₂ after 1/(1 + 2) = ⅓ of it. It is dropped there      5/3   0
  *     and eq. 31 asks for 1 of row 0 alone: no row has to come in       1     0     (0, −2) */
 static void restore_signs(active_set *s) {
-    int wrong = start_multipliers(s);
-    if (wrong < 0) {
-        renew_set(s);
-        wrong = start_multipliers(s);
-    }
-    for (; wrong > 0; wrong = solve_multipliers(s)) {
-        int drop = 0;
-        as_real least = 2; /* more than any share */
-        for (int k = 0; k < s->count; k++) {
-            if (!has_wrong_sign(s, s->active[k], s->R[k])) continue;
-            const as_real lam = size_of(s->lam[s->active[k]]),
-                          share = lam / (lam + size_of(s->R[k]));
-            if (share >= least) continue;
-            drop = k;
-            least = share;
-        }
+    for (int k; (k = write_distances(s, s->base)) >= 0;) drop_row(s, k);
+    for (;; s->iterations++) {
+        int wrong = 0;
+        as_real t = 1;
+        write_combination(s);
+        for (int k = 0; k < s->count; k++) wrong += has_wrong_sign(s, s->active[k], s->R[k]);
+        if (!wrong) break;
         for (int k = 0; k < s->count; k++) {
             as_real *lam = s->lam + s->active[k];
-            *lam += least * (s->R[k] - *lam);
+            if (has_wrong_sign(s, s->active[k], *lam)) *lam = 0; /* its limits were equal */
+            s->R[k] = *lam - s->R[k];
         }
-        drop_row(s, drop);
-        s->iterations++;
+        const int k = find_blocking(s, 1, 0, &t);
+        advance(s, t);
+        if (k < 0) return;
+        drop_row(s, k);
     }
     for (int k = 0; k < s->count; k++) s->lam[s->active[k]] = s->R[k];
+}
+
+/* Make row i active on a side unless it leans on the active ones. */
+SELDOM static void add_to_start(active_set *s, int i, int side) {
+    const as_real square = entry(s, i, i);
+    if (s->count == s->n) return;
+    write_entries(s, i);
+    substitute_forward(s->L, s->T, s->count);
+    const as_real d = square - dot(s->T, s->T, s->count);
+    if (d > CLOSE * square) append_row(s, i, side, d);
+}
+
+/* First, so that no row is brought in that they make superfluous. */
+SELDOM static void add_equalities(active_set *s) {
+    for (int i = 0; i < s->n + s->m; i++)
+        if (s->low[i] == s->high[i] && s->side[i] == NEITHER) add_to_start(s, i, 1);
 }
 
 /* z = base − Σ λ_i P⁻¹c_i and the values of the rows (eq. 32) */
@@ -543,51 +528,28 @@ SELDOM static int write_ray(active_set *s, int j, as_real side) {
     return CONTRADICTED;
 }
 
-/* The active row whose multiplier is first to reach zero as that of row j rises, and when; −1 if
- * none does. A share that is rounding counts only where row j has a part of its own: a step that
- * nothing else ends would have no end. */
-static int find_blocking(const active_set *s, int j, as_real side, int dependent, as_real *when) {
-    int blocking = -1;
-    for (int k = 0; k < s->count; k++) {
-        const int i = s->active[k];
-        const as_real a = side * s->R[k];
-        if (!(a * REAL(s->side[i]) > 0) || s->low[i] == s->high[i]) continue;
-        if (dependent && size_of(a) * s->unit[j] < NO_PART * s->unit[i]) continue;
-        const as_real t = larger(s->lam[i] / a, 0);
-        if (blocking < 0 || t < *when) {
-            blocking = k;
-            *when = t;
-        }
-    }
-    return blocking;
-}
-
-/* Raise the multiplier of row j, T = H_Wj given, beyond its limit on side `which` by `gap`, until it is met. A
- * dependent row that nothing blocks contradicts the active ones if gap is more than `allowed`; if it
- * is not, rounding decides. */
+/* Raise the multiplier of row j, T = H_Wj given, beyond its limit on side `which` by `gap`, until it is met. A dependent
+ * row that nothing blocks contradicts the active ones if gap is more than `allowed`; if it is not,
+ * rounding decides. */
 static int activate(active_set *s, int j, int which, as_real gap, as_real allowed) {
     const as_real side = REAL(which), square = entry(s, j, j);
     as_real lam = 0;
     substitute_forward(s->L, s->T, s->count);
     while (s->iterations < ITERATIONS_PER_ROW * (s->n + s->m)) {
         s->iterations++;
-        const int whole = s->count == s->n; /* n rows combine every other one: d is rounding */
-        as_real d = square - dot(s->T, s->T, s->count), t = 0;
-        write_combination(s);
-        if (s->count > 0 && (whole ? size_of(d) > DEPENDENT * square : d < CLOSE * square))
-            d = refine_combination(s, j);
-        const int dependent = whole || d <= DEPENDENT * DEPENDENT * square;
-        const int blocking = find_blocking(s, j, side, dependent, &t);
+        const as_real d = split(s, j, square);
+        const int whole = s->count == s->n, dependent = whole || d <= DEPENDENT * DEPENDENT * square;
+        as_real t = dependent ? 1 / TINY : gap / d;
+        /* A step that nothing else ends would have no end: no row blocks it by rounding. */
+        const int blocking = find_blocking(s, side, dependent ? NO_PART / s->unit[j] : 0, &t);
         if (dependent && blocking < 0) {
             if (!(gap * s->unit[j] > allowed)) return DOUBTFUL;
             if (whole) refine_combination(s, j);
             return write_ray(s, j, side);
         }
-        const int full = !dependent && (blocking < 0 || gap / d <= t);
-        if (full) t = gap / d;
-        for (int k = 0; k < s->count; k++) s->lam[s->active[k]] -= t * side * s->R[k];
+        advance(s, t * side);
         lam += t * side;
-        if (full) {
+        if (blocking < 0) {
             s->lam[j] = lam;
             append_row(s, j, which, d);
             return OPTIMAL;
@@ -647,19 +609,19 @@ static int is_settled(const active_set *s, as_real size, int moved) {
 
 /* Move z and λ so that what the active rows miss by rounding is corrected. */
 SELDOM static void settle(active_set *s) {
+    write_distances(s, s->z);
+    write_combination(s);
+    advance(s, -1);
     for (int k = 0; k < s->count; k++)
-        s->R[k] = s->z[s->active[k]] - limit_of(s, s->active[k]);
-    substitute_forward(s->L, s->R, s->count);
-    substitute_backward(s->L, s->R, s->count);
-    for (int k = 0; k < s->count; k++) {
-        s->lam[s->active[k]] += s->R[k];
         add_scaled(s->z, -s->R[k], inverse_row(s, s->active[k]), s->n);
-    }
     write_row_values(s);
 }
 
 static int search(active_set *s) {
-    if (s->stale || !s->warm) clear_set(s);
+    if (s->stale || !s->warm) {
+        for (int i = 0; i < s->n + s->m; i++) leave(s, i);
+        s->count = 0;
+    }
     s->stale = s->iterations = 0;
     const as_real square = write_base(s);
     if (is_infinite(square)) return ACTIVE_SET_NOT_FINITE;

@@ -117,6 +117,19 @@ static int write_rows(active_set *s, const as_real *A) {
     return ACTIVE_SET_OK;
 }
 
+/* Factorise the set anew, without rows that lean on the others now. */
+static void renew_set(active_set *s) {
+    const int w = s->count;
+    s->count = 0;
+    for (int k = 0; k < w; k++) {
+        const int i = s->active[k], side = s->side[i];
+        const as_real lam = s->lam[i];
+        leave(s, i);
+        add_to_start(s, i, side);
+        if (s->side[i] != NEITHER) s->lam[i] = lam;
+    }
+}
+
 int active_set_replace_rows(active_set *s, const as_real *A) {
     const int refused = write_rows(s, A);
     if (refused == ACTIVE_SET_OK && s->warm && !s->stale) renew_set(s);
