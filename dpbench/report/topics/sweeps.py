@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import group_by_key
 from dpbench.analysis.suites.slowdown import group_delayed_loops
 from dpbench.analysis.times.contrasts import (
     Sweep,
@@ -35,7 +36,6 @@ def build_horizon_topic(records: Records, requirements: Requirements) -> Topic |
             rows.append(
                 {
                     "configuration": name,
-                    "build": swept.build or MISSING,
                     **_format_growth(swept),
                     f"largest horizon, {limit}": _format_longest_horizons(
                         sweep, swept, requirements.p99_ns
@@ -51,7 +51,7 @@ def build_horizon_topic(records: Records, requirements: Requirements) -> Topic |
                 limit=requirements.p99_ms * 1e3,
             )
             figures.append(Figure(f"horizon-{sweep.name}", chart, "Hollow: answers fail there."))
-            tables.append(Table.from_rows(rows, sweep.name, text_columns=2))
+            tables.append(Table.from_rows(rows, sweep.name))
     if not figures:
         return None
     wording = (
@@ -59,8 +59,19 @@ def build_horizon_topic(records: Records, requirements: Requirements) -> Topic |
         "Median step time at the fewest and at the most variables, and the longest horizon with "
         "right answers within the limit. ≥: no longer one has a p99; ?: the 95 % interval of a p99 "
         "holds the limit.",
+        *_list_builds(all_sweeps),
     )
     return Topic("horizon", "Longer horizons", wording, tuple(figures), tuple(tables))
+
+
+def _list_builds(sweeps: Sequence[Sweep]) -> list[str]:
+    """Return a line with the builds of the solvers' libraries; none where no build is known."""
+    built = (s for sweep in sweeps for s in sweep.best_configurations if s.build)
+    builds = [
+        f"{join_with_and(list(dict.fromkeys(s.configuration.solver for s in alike)))} ({build})"
+        for build, alike in group_by_key(built, lambda s: s.build).items()
+    ]
+    return [f"Builds of the libraries: {', '.join(builds)}."] if builds else []
 
 
 def _format_growth(swept: SweptConfiguration) -> dict[str, str]:
