@@ -433,6 +433,13 @@ _COMMANDS: dict[str, tuple[Callable[[Command], None], str, str | None]] = {
         "Exit code: 0 proved; 1 the time was too short, or the C library takes other iterations; "
         "2 bad input.",
     ),
+    "active-sets": (
+        lambda visited: visited.add_argument(
+            "names", nargs="+", metavar="NAME", help="a scenario, or a sequence or its .npz"
+        ),
+        "count the active sets that a controller's QPs visit",
+        None,
+    ),
     "tune": (
         _add_tune_arguments,
         "search for weights and horizons that hold a ship with margin",

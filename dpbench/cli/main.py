@@ -372,6 +372,30 @@ def _prove_iteration_bound(arguments: argparse.Namespace) -> int:
     return 0 if bound.is_complete and not bound.differing else 1
 
 
+def _count_active_sets(arguments: argparse.Namespace) -> None:
+    """Print how many active sets QPs visit (`dpbench active-sets`)."""
+    from dpbench.analysis.suites.active_sets import count_visited_sets_of
+    from dpbench.cli.terminal import make_console, make_report_table
+    from dpbench.report.formats import Table, format_count, format_share
+
+    rows = [
+        {
+            "QPs": visited.name,
+            "n": str(visited.n),
+            "steps": str(visited.steps),
+            "sets": str(visited.sets),
+            "seen once": str(visited.once),
+            "unseen mass": f"{format_share(visited.unseen_mass)} ± {visited.unseen_error:.1%}",
+            "most active": str(visited.most_active),
+            "table, bytes": format_count(visited.table_bytes),
+        }
+        for visited in map(count_visited_sets_of, arguments.names)
+    ]
+    note = "Unseen mass: share of further steps whose set was not visited (Good-Turing)."
+    screen = make_console()
+    screen.print(make_report_table(Table.from_rows(rows, "Active sets visited", note=note), screen))
+
+
 def _tune_controller(arguments: argparse.Namespace) -> int:
     """Search a scenario's weights and horizons (`dpbench tune`); return the exit code."""
     from dpbench.cli.terminal import ProgressBar, print_wrapped
@@ -483,6 +507,7 @@ _CALLS = {
     "export": _export_qps,
     "worst-case": _find_worst_case,
     "iteration-bound": _prove_iteration_bound,
+    "active-sets": _count_active_sets,
     "tune": _tune_controller,
     "tune-solver": _tune_solver,
     "codegen": _generate_controller,

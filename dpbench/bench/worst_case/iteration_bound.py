@@ -173,7 +173,7 @@ class IterationBound:
 
     @property
     def is_complete(self) -> bool:
-        """Whether every path was followed to its end, so that the bound holds."""
+        """Return whether every path was followed to its end, so that the bound holds."""
         return self.open_share == 0.0
 
     @property

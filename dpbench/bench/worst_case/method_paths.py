@@ -73,7 +73,7 @@ class Incoming:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Where the method is after some iterations, for all parameters of a region.
+    """State of the method after some iterations, for all parameters of a region.
 
     active : rows, as they came; multipliers : (len(active), d + 1), positive at an upper limit.
     look : None before a look; incoming : None between two rows; done : the method has ended.

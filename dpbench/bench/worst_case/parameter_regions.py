@@ -35,7 +35,7 @@ class Region:
 
     @property
     def is_thin(self) -> bool:
-        """Whether the region's point lies less than `WIDTH` / 2 from a boundary."""
+        """Return whether the region's point lies less than `WIDTH` / 2 from a boundary."""
         return bool((self.inside @ self.G.T - self.h > -WIDTH / 2).any())
 
     def contains(self, points: Matrix) -> Vector:

@@ -37,6 +37,17 @@ PAPER_ACTIVE_SET = SolverRecord(
     ),
     needs_strict_convexity=True,
 )
+ACTIVE_SET_MEMORY = replace(
+    PAPER_ACTIVE_SET,
+    name="active_set_memory",
+    method="affine laws of the active sets found before, else the paper's method",
+    project=make_project_facts(
+        licence=LICENCE,
+        language=("Python around C99", "dpbench, solvers/own/active_set_memory.py"),
+    ),
+    # In Python a stored law takes longer than the paper's method in C: what it saves is iterations.
+    choose_instead="paper_active_set",
+)
 HILDRETH = replace(
     PAPER_ACTIVE_SET,
     name="hildreth",
@@ -72,6 +83,13 @@ def _open_paper_active_set_solver(
     return PaperActiveSetWorkspace(record.name, "native", policy)
 
 
+def _open_solver_with_memory(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
+    """Return the paper's method behind a memory of active sets, which has no options."""
+    from dpbench.solvers.own.active_set_memory import ActiveSetMemoryWorkspace
+
+    return ActiveSetMemoryWorkspace(record.name, "native", policy)
+
+
 def _open_hildreth_solver(record: SolverRecord, policy: Policy, options: Options) -> Workspace:
     """Return dpbench's solver by Hildreth's dual method, with the given options."""
     from dpbench.solvers.own.hildreth import HildrethSettings, HildrethWorkspace
@@ -92,6 +110,7 @@ OWN = {
     adapter.record.name: adapter
     for adapter in (
         NativeAdapter(PAPER_ACTIVE_SET, _open_paper_active_set_solver, lambda: ()),
+        NativeAdapter(ACTIVE_SET_MEMORY, _open_solver_with_memory, lambda: ()),
         NativeAdapter(
             HILDRETH, _open_hildreth_solver, lambda: ("max_iter", "eps_change", "eps_row")
         ),

@@ -95,7 +95,7 @@ def test_surge_of_the_paper_near_its_setpoint() -> None:
 
 
 def test_a_proof_that_was_stopped_is_no_bound() -> None:
-    """What is left open is said, and the exit code is that of an unfinished proof."""
+    """The part left open is said, and the exit code is that of an unfinished proof."""
     bound = prove_iteration_bound("sway-yaw", factor=0.01, limit_s=0.05)
     assert not bound.is_complete and bound.open_share > 0.0
     assert "no bound" in bound.lines[0] and "is open" in bound.lines[0]
