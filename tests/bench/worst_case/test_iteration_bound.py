@@ -50,7 +50,8 @@ def make_random_qp(rng: np.random.Generator, n: int, m: int, d: int) -> Parametr
     return ParametricQP(root @ root.T + 0.1 * np.eye(n), C, q, -limits, limits)
 
 
-@settings(max_examples=25)
+@pytest.mark.slow
+@settings(max_examples=12)
 @given(st.integers(0, 10**6), st.integers(1, 4), st.integers(0, 3), st.integers(1, 2))
 def test_paths_take_as_many_iterations_as_the_library(seed: int, n: int, m: int, d: int) -> None:
     """Every random parameter is in a region, whose path has the iterations of the C library."""
@@ -86,14 +87,15 @@ def test_a_cut_is_empty_only_where_no_ball_fits(seed: int, d: int) -> None:
 
 
 @pytest.mark.slow
-def test_surge_of_the_paper_near_its_setpoint() -> None:
+def test_sway_and_yaw_of_the_paper_near_their_setpoint() -> None:
     """The proof ends, no search finds more, and the C library takes what is proved, everywhere."""
-    bound = prove_iteration_bound("surge", factor=0.001)
+    bound = prove_iteration_bound("sway-yaw", factor=0.004)
     assert bound.is_complete and bound.differing == 0 and bound.compared > 4096
     assert 0 < bound.searched <= bound.bound
     assert "at most" in bound.lines[0] and "no bound" not in bound.lines[0]
 
 
+@pytest.mark.slow
 def test_a_proof_that_was_stopped_is_no_bound() -> None:
     """The part left open is said, and the exit code is that of an unfinished proof."""
     bound = prove_iteration_bound("sway-yaw", factor=0.01, limit_s=0.05)
@@ -110,7 +112,6 @@ def test_a_proof_that_was_stopped_is_no_bound() -> None:
         {"axes": "surge", "limit_s": float("nan")},
         {"axes": "surge", "scenario": "thrusters"},
         {"axes": "surge", "scenario": "thruster_loss_soft"},
-        {"axes": "surge", "scenario": "three_forces@osv"},
     ],
     ids=str,
 )
