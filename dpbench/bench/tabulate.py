@@ -1,5 +1,6 @@
 """The two tables of a campaign, made of all parts row group by row group."""
 
+import json
 from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -112,16 +113,30 @@ def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str)
         for planned in cells
         for settings in (planned.cell.settings, *planned.alias_settings)
     }
-    names = (*_SELECTION_COLUMNS, "outcome")
+    names = (*_SELECTION_COLUMNS, "outcome", "run_id")
     rows = PublicTables(out).read_rows(names)
     values = zip(*(rows[name].to_pylist() for name in names), strict=True)
-    others = [row for *row, outcome in values if outcome != "refused" and tuple(row) not in asked]
+    others = {
+        run_id: row
+        for *row, outcome, run_id in values
+        if outcome != "refused" and tuple(row) not in asked
+    }
     if others:
-        first = dict(zip(_SELECTION_COLUMNS, others[0], strict=True))
+        first = dict(zip(_SELECTION_COLUMNS, next(iter(others.values())), strict=True))
         place = first["sequence"] or first["scenario"]
         example = f"{first['solver']} in {place}, {first['steps_planned']} steps"
         found = f"{out} with {len(others)} finished runs that were not requested, as of {example}"
+        if added := len(others.keys() & _read_added_run_ids(out)):
+            found += f" ({added} of add_runs, to be added again afterwards)"
         raise InputError("`out`", "", found, remedy)
+
+
+def _read_added_run_ids(out: Path) -> set[str]:
+    """Return the ids of the runs that `add_runs` added to a result folder."""
+    try:
+        return set(json.loads((out / "suite.json").read_text(encoding="utf-8"))["added_runs"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
 
 
 def _selection_key(cell: Cell) -> tuple[object, ...]:

@@ -32,7 +32,11 @@ class JudgedRun(Protocol):
 
     @property
     def scenario(self) -> Scenario | None:
-        """Scenario of a closed loop; None where recorded QPs were solved instead."""
+        """Scenario of a ship's closed loop; None of a replay and of a plant that is no ship."""
+
+    @property
+    def signals(self) -> pd.DataFrame | None:
+        """Outputs, references and inputs of a `LinearMPC` over time; None of other runs."""
 
 
 class RunPlots:
@@ -47,9 +51,14 @@ class RunPlots:
         self._run = run
 
     def __repr__(self) -> str:
-        return "<figures: steps()" + (
-            ", ship(), errors(), forces()>" if self._run.scenario else ">"
-        )
+        if self._run.scenario:
+            return "<figures: steps(), ship(), errors(), forces()>"
+        return "<figures: steps(), signals()>" if self._has_signals else "<figures: steps()>"
+
+    @property
+    def _has_signals(self) -> bool:
+        """Return whether the run is a closed loop of a `LinearMPC`."""
+        return self._run.signals is not None
 
     def steps(self, *others: JudgedRun, backend: Backend = "altair") -> Any:
         """Plot step time, error of the first move and iterations over the steps.
@@ -67,6 +76,29 @@ class RunPlots:
         from dpbench.report.charts.steps import draw_step_strips
 
         return draw_step_strips(*tables, limit)
+
+    def signals(self, *others: JudgedRun, backend: Backend = "altair") -> Any:
+        """Plot outputs with their references, and inputs, of a `LinearMPC` over time.
+
+        Raises InputError for a run without them, or runs with signals of other names.
+        """
+        from dpbench.report.charts.ship_tables import make_signal_panels
+
+        runs = (self._run, *others)
+        names = [_list_signals(run) for run in runs]
+        if names.count(names[0]) != len(names):
+            found = " and ".join(", ".join(one) for one in names if one != names[0])
+            raise InputError("plot", "run", found, f"runs with {', '.join(names[0])}")
+        laws = [
+            replace(law, steps=run.signals)
+            for law, run in zip(_convert_to_labelled_curves(runs), runs, strict=True)
+        ]
+        laws, panels = make_signal_panels(laws)
+        if _is_matplotlib_chosen(backend):
+            return _import_matplotlib_charts().draw_panels(panels)
+        from dpbench.report.charts.ship import draw_signals
+
+        return draw_signals(panels, laws)
 
     def ship(self, *others: JudgedRun, backend: Backend = "altair") -> Any:
         """Plot the ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
@@ -117,12 +149,28 @@ class RunPlots:
         for run in (self._run, *others):
             _require_run(run, "`run_closed_loop`")
             if run.scenario is None or scenario is None:
-                raise InputError("plot", "run", "a replay", "a closed loop; a replay has no ship")
+                raise InputError("plot", "run", *_describe_missing_ship(run))
             if run.scenario.files != scenario.files:
                 found = f"{scenario.name} and {run.scenario.name}"
                 raise InputError("plot", "run", found, "closed loops of one scenario")
         assert scenario is not None, "of a closed loop"
         return scenario
+
+
+def _describe_missing_ship(run: JudgedRun) -> tuple[str, str]:
+    """Return what was found, and what is allowed, where a figure needs a ship."""
+    if run.signals is None:
+        return "a replay", "a closed loop; a replay has no ship"
+    found = "a closed loop of a plant of one's own, which has no ship"
+    return found, "a ship's closed loop; `run.plot.signals()` plots the plant"
+
+
+def _list_signals(run: JudgedRun) -> list[str]:
+    """Return the columns of a run's signals; InputError for a run without."""
+    _require_run(run, "`run_closed_loop`")
+    if run.signals is None:
+        raise InputError("plot", "run", f"{run.label} without signals", "loops of a `LinearMPC`")
+    return [*map(str, run.signals)]
 
 
 class ResultPlots:

@@ -102,7 +102,7 @@ class Run:
 
     @property
     def plot(self) -> RunPlots:
-        """Plots of the run: `steps()`, and of a closed loop `ship()`, `errors()` and `forces()`."""
+        """Plots: `steps()`; of a ship `ship()`, `errors()`, `forces()`; of a plant `signals()`."""
         return RunPlots(self)
 
     def __repr__(self) -> str:

@@ -14,6 +14,7 @@ from dpbench.bench.record.result_folder import load_results, lock_for_writing, w
 from dpbench.bench.record.step_table import FILE_SCHEMA, runs_from_frame
 from dpbench.errors import InputError
 from dpbench.notebook.runs import Run
+from dpbench.report.formats import plural
 from dpbench.report.write import write_report
 
 _OF_LIBRARY = ("solver_version", "build", "generic_build")
@@ -28,7 +29,7 @@ def add_runs(out: str | Path, runs: Sequence[Run]) -> Path:
     Raises
     ------
     InputError : for a replay: its times would be compared with those of a campaign, which
-        interleaves solvers.
+        interleaves solvers; or for a loop of another length than those of its name.
 
     Examples
     --------
@@ -45,6 +46,7 @@ def add_runs(out: str | Path, runs: Sequence[Run]) -> Path:
             raise InputError("`runs`", "", f"a replay, {run.label}", allowed)
     with lock_for_writing(folder):
         stored = load_results(folder)
+        _refuse_other_lengths(runs, stored.runs, folder)
         placed = [_place_run(run, stored.runs, stored.machine["id"]) for run in runs]
         new = {str(row["run_id"]) for row, _ in placed}
         kept_runs = stored.runs[~stored.runs["run_id"].isin(new)]
@@ -53,9 +55,31 @@ def add_runs(out: str | Path, runs: Sequence[Run]) -> Path:
         table = pd.concat([kept_runs, rows], ignore_index=True)
         count = _write_tables(folder, table, [kept_steps, *(steps for _, steps in placed)])
         suite = json.loads((folder / "suite.json").read_text(encoding="utf-8"))
-        sizes = {"run_rows": len(table), "step_rows": count}
-        write_json(folder / "suite.json", suite | sizes)
+        added = sorted(new.union(suite.get("added_runs", [])))
+        changes = {"run_rows": len(table), "step_rows": count, "added_runs": added}
+        write_json(folder / "suite.json", suite | changes)
     return write_report(folder)
+
+
+def _refuse_other_lengths(runs: Sequence[Run], stored: pd.DataFrame, folder: Path) -> None:
+    """Raise InputError for a loop of another length than those of its name.
+
+    They are the closed loops in the folder and in `runs`, and replays of a sequence of that name
+    that has no scenario, such as that of a `LinearMPC`.
+    """
+    usual = stored[stored["study"] == ""]
+    names = usual["scenario"].where(usual["scenario"] != "", usual["sequence"])
+    alike = (usual["mode"] == "closed_loop") | (usual["scenario"] == "")
+    planned = usual[alike]["steps_planned"].groupby(names).unique()
+    lengths = {str(name): {int(steps) for steps in found} for name, found in planned.items()}
+    for run in runs:
+        name, steps = str(run.summary["scenario"]), int(run.summary["steps_planned"])
+        known = lengths.setdefault(name, {steps})
+        if steps not in known:
+            found = f"a closed loop {name} of {plural(steps, 'step')}"
+            others = " and ".join(map(str, sorted(known)))
+            allowed = f"{others} steps, as others of that name in {folder}; or another name"
+            raise InputError("`runs`", "", found, allowed)
 
 
 def _place_run(

@@ -41,5 +41,15 @@ def test_loops_of_an_own_plant_join_the_replays_of_its_qps(tmp_path: Path) -> No
     assert results.suite["requirements"]["deadline_ms"] == 100.0
     text = (out / "report.md").read_text(encoding="utf-8")
     assert "Ship: not run" not in text
+    assert "no replay has their QPs" not in text
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "other plants, disturbances and tunings" in page
+    assert "other ships" not in page
+    short = run_closed_loop(mpc, "daqp", plant=Cart, steps=5)
+    with pytest.raises(InputError, match="closed loop cart of 5 steps; allowed: 12 steps"):
+        add_runs(out, [short])
+    # A campaign would remove the loop without a word, so it names it.
+    with pytest.raises(InputError, match=r"1 finished runs .*\(1 of add_runs, to be added again"):
+        run_campaign(sequence=path, out=out, solvers=["daqp"], settings=["default"])
     with pytest.raises(InputError, match="a replay, daqp"):
         add_runs(out, [replay(sequence, "daqp", repeats=1)])

@@ -129,6 +129,7 @@ class SuiteDescription(TypedDict, total=False):
     wall_s: float
     run_rows: Required[int]
     step_rows: Required[int]
+    added_runs: list[str]  # run_id of each loop of `add_runs`
     lost_cells: int
     lost_designs: int
     remarks: list[str]

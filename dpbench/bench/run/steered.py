@@ -129,8 +129,18 @@ class ObservedPlant:
     """
 
     def __init__(self, make: PlantMaker, size: int) -> None:
+        if not callable(make):
+            maker = type(make).__name__
+            found = f"an object of class {maker}"
+            allowed = f"a class or a function that makes a plant, such as plant={maker}"
+            raise TypeError(f"plant: found {found}; allowed: {allowed}")
         self._plant: Plant = self._call(make)
         self.name = str(getattr(self._plant, "name", f"plant {type(self._plant).__name__}"))
+        # A property that raises AttributeError is present, and its own error is shown.
+        for member in ("state", "step", "measure"):
+            if member not in dir(self._plant) and not hasattr(self._plant, member):
+                sentence = f"{member} is missing; a plant has state, step(u) and measure()"
+                raise PlantError(self.name, sentence)
         self._shape = (size,)
         self.state = self._checked("state", self._plant.state)
 

@@ -77,6 +77,12 @@ def draw_steps_together(runs: Sequence[Law], error_limit: float) -> Any:
     return style.set_style(chart, "Step by step", wording)
 
 
+def draw_signals(panels: Sequence[Panel], laws: Sequence[Law]) -> Any:
+    """Return a chart of the outputs and inputs of a plant that is no ship, over time."""
+    wording = "Outputs with their references, and inputs, against time."
+    return style.set_style(_stack_panels(panels, laws), "Outputs and inputs", wording)
+
+
 def _stack_panels(panels: Sequence[Panel], laws: Sequence[Law], over: str = TIME) -> Any:
     """Return a chart of panels one below the other, over the same time or steps."""
     drawn = [_draw_panel(panel, laws, over if panel is panels[-1] else "") for panel in panels]

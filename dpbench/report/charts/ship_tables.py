@@ -123,6 +123,22 @@ def make_step_panels(runs: Sequence[Law], error_limit: float) -> list[Panel]:
     return panels
 
 
+def make_signal_panels(runs: Sequence[Law]) -> tuple[list[Law], list[Panel]]:
+    """Return the curves, with the reference first, and panels of outputs and inputs over time.
+
+    runs : with steps of the columns t_s, each output, `<output>_reference`, and each input.
+    """
+    table = runs[0].steps
+    outputs = {f"{name}_reference": name for name in table if f"{name}_reference" in table}
+    reference = Law("reference", table[["t_s", *outputs]].rename(columns=outputs))
+    panels = []
+    for name in table.columns.drop(["t_s", *outputs]):
+        drawn = [*([reference] if name in reference.steps else ()), *runs]
+        values = _tabulate_by_law_over_time(drawn, lambda law, n=name: law.steps[n])
+        panels.append(Panel(str(name), values))
+    return [reference, *runs], panels
+
+
 def _make_axis_panels(
     laws: Sequence[Law], column: str, sign: str, low: Vector, high: Vector
 ) -> list[Panel]:

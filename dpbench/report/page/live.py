@@ -85,8 +85,9 @@ def _draw_empty_step_charts(data: PageData) -> Charts:
     forces = pd.DataFrame(columns=["k", "force", "share"])
     no_steps = pd.DataFrame(columns=list(STEP_COLUMNS))
     charts = {"strips": draw_step_strips(no_steps, forces, data.requirements.error_move)}
-    if _find_replayed_configurations(data):
-        charts["strips_replay"] = draw_step_strips(no_steps, None, data.requirements.error_move)
+    if any(run.mode == "replay" or run.is_of_own_plant for run in data.runs.values()):
+        limit = data.requirements.error_move
+        charts["strips_without_forces"] = draw_step_strips(no_steps, None, limit)
     return charts
 
 

@@ -284,8 +284,9 @@ def describe_speed_margin(data: PageData, chosen: Verdict) -> str:
 
 def _yield_untimed_loops_sentences(data: PageData) -> Iterator[str]:
     """Yield a sentence that names judged closed loops whose QPs no replay timed, if any."""
-    judged = [run for run in data.records.runs if run.units == "scaled" and run.scenario]
-    replayed = {run.scenario for run in judged if run.mode == "replay"}
+    judged = [run for run in data.records.runs if run.units == "scaled"]
+    # A sequence from a file has no scenario; that of a `LinearMPC` has the problem's name.
+    replayed = {run.scenario or run.sequence for run in judged if run.mode == "replay"}
     loops = dict.fromkeys(run.scenario for run in judged if run.mode == "closed_loop")
     if untimed := [name for name in loops if name not in replayed]:
         yield f"Not timed, as no replay has their QPs: {join_with_and(untimed)}."

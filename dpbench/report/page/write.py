@@ -177,6 +177,8 @@ def _describe_experiment(
         }
     if run is None:
         return wording
+    if run.is_of_own_plant:
+        wording["own_plant"] = True
     if not experiment.study:
         wording |= {"source": run.export_argument, "first": run.first_step}
     scenario = data.build_scenario_of_run(run) if run.scenario else None

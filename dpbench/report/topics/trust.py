@@ -37,8 +37,8 @@ UNSEEN = "not visible"
 LEAST_CONFIGURATIONS = 4
 """Configurations with two rounds from which their spread is stated."""
 COVERED = (
-    "Not covered at all: other ships, weather and tunings than these; times on an embedded target; "
-    "steps harder than those that were run.",
+    "Not covered at all: other {} than these; times on an embedded target; steps harder than those "
+    "that were run."
 )
 
 
@@ -127,11 +127,13 @@ def build_trust_topic(records: Records) -> Topic | None:
         *(list_disturbance_facts(disturbance) if disturbance.seconds > 0 else ()),
         *list_switching_solvers(timed),
     ]
+    is_of_own_plant = any(run.is_of_own_plant for run in records.runs)
+    others = "plants, disturbances" if is_of_own_plant else "ships, weather"
     return Topic(
         id="trust",
         title="Can I believe the times",
         short="Trust",
-        lines=(*lines, *COVERED),
+        lines=(*lines, COVERED.format(f"{others} and tunings")),
         figures=tuple(figures),
         tables=(Table(("machine", ""), tuple(data)),),
     )

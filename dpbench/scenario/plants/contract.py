@@ -26,7 +26,8 @@ class Plant(Protocol):
 
     Of a ship: `u` (3,) is the force in surge, sway and yaw [N, N, N·m]; `state` and the measurement
     are [u, v, r, n, e, ψ] (6,) in m/s, m/s, rad/s, m, m, rad, where ψ may wrap. Of a `LinearMPC`:
-    `u` (n_u,), `state` and the measurement (n_x,) are those of its model, in its units.
+    `u` (n_u,) and `state` (n_x,) are those of its model, in its units; `measure()` returns all n_x
+    states, measured or estimated, not the n_y outputs.
 
     Examples
     --------

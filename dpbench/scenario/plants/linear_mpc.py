@@ -51,7 +51,7 @@ class LinearMPC:
     sample_s, steps : length [s] and number of the samples of a run.
     prediction_horizon, control_horizon : N_p and N_c, samples and planned moves.
     output_weight, increment_weight : Q and R; a vector is the diagonal.
-    u_min, u_max, du_max : (n_u,) limits of u, and of its change in one sample.
+    u_min, u_max, du_max : (n_u,) limits of u, and of its change in one sample; all finite.
     reference : (n_y,) or, over time, (K, n_y), whose last row is kept; the plan sees none ahead.
     u_start : (n_u,) input before the first sample; zero by default.
     terminal : "riccati" adds the cost beyond the horizon.
@@ -107,7 +107,11 @@ class LinearMPC:
         start = np.zeros(model.n_u) if self.u_start is None else self.u_start
         object.__setattr__(self, "first_input", self._vector("u_start", start, model.n_u))
         for key, count, letter in (("inputs", model.n_u, "u"), ("outputs", model.n_y, "y")):
-            names = tuple(getattr(self, key)) or tuple(f"{letter}{i}" for i in range(count))
+            given = getattr(self, key)
+            if isinstance(given, str):
+                allowed = f"a sequence of names, such as ({given!r},)"
+                raise InputError(self.name, key, repr(given), allowed)
+            names = tuple(given) or tuple(f"{letter}{i}" for i in range(count))
             if len(names) != count or len(set(names)) != count:
                 raise InputError(self.name, key, names, f"{count} different names")
             object.__setattr__(self, key, names)
@@ -202,9 +206,11 @@ class LinearMPC:
 def _to_array(name: str, key: str, values: ArrayLike, dimensions: int) -> Matrix:
     """Return values as an array of finite numbers; InputError, naming the key, for others."""
     array = np.array(values, dtype=np.float64, ndmin=1)
-    if array.ndim != dimensions or not np.isfinite(array).all():
+    if array.ndim != dimensions:
         expected = f"finite numbers, {dimensions}-dimensional"
         raise ShapeError.from_shapes(name, key, array.shape, expected)
+    if len(wrong := array[~np.isfinite(array)]):
+        raise InputError(name, key, f"the value {wrong[0]}", "finite numbers")
     return array
 
 

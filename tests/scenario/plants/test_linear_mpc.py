@@ -89,8 +89,24 @@ def test_a_loop_reaches_its_reference_within_all_limits(formulation: Any) -> Non
     for name in ("n_m", "tau_x_N", "tau_n_Nm"):
         assert run.steps[name].isna().all()
     assert "ship" not in run._repr_html_()
-    with pytest.raises(InputError, match="has no ship"):
-        run.plot.ship()
+    for draw in (run.plot.ship, run.plot.errors, run.plot.forces):
+        with pytest.raises(InputError, match=r"plant of one's own, which has no ship; .*signals"):
+            draw()
+
+
+def test_its_signals_are_plotted_with_their_reference() -> None:
+    run = run_closed_loop(LinearMPC(**GIVEN).truncate(5), "daqp", plant=Cart)
+    assert repr(run.plot) == "<figures: steps(), signals()>"
+    position, force = run.plot.signals(run).to_dict(validate=False)["vconcat"]
+    assert position["encoding"]["y"]["title"] == "position_m"
+    assert force["encoding"]["y"]["title"] == "force_N"
+    both = {"daqp (qpsolvers, fresh) #1", "daqp (qpsolvers, fresh) #2"}
+    sets = run.plot.signals(run).to_dict(validate=False)["datasets"]
+    labels = [{row["law"] for row in sets[panel["data"]["name"]]} for panel in (position, force)]
+    assert labels == [{"reference", *both}, both]
+    other = LinearMPC(**GIVEN | {"outputs": ("x_m",)}).truncate(5)
+    with pytest.raises(InputError, match=r"x_m.*allowed: runs with t_s, position_m"):
+        run.plot.signals(run_closed_loop(other, "daqp", plant=Cart))
 
 
 def test_its_sequence_is_replayed() -> None:
@@ -100,6 +116,10 @@ def test_its_sequence_is_replayed() -> None:
     run = replay(sequence, "daqp", repeats=1)
     assert run.summary["true_share"] == 1.0
     assert run.signals is None
+    with pytest.raises(InputError, match="found a replay"):
+        run.plot.ship()
+    with pytest.raises(InputError, match="without signals; allowed: loops of a `LinearMPC`"):
+        run.plot.signals()
 
 
 def test_a_continuous_model_is_held_over_the_sample() -> None:
@@ -124,6 +144,8 @@ def test_a_reference_over_time_keeps_its_last_row() -> None:
         ({"reference": [1.0, 2.0]}, "cart: reference: found"),
         ({"control_horizon": 20}, "N_c"),
         ({"A": [[np.nan]]}, "cart: A: .*finite"),
+        ({"du_max": [np.inf]}, "cart: du_max: found the value inf; allowed: finite numbers"),
+        ({"inputs": "force_N"}, r"found 'force_N'; .*sequence of names, such as \('force_N',\)"),
         ({"sample_s": 0.0}, "cart: sample_s: found 0.0"),
         ({"inputs": ("a", "b")}, "cart: inputs: .*1 different names"),
         ({"name": "../cart"}, "a name without a folder"),
@@ -145,6 +167,15 @@ def test_a_plant_that_does_not_fit_is_named() -> None:
 
     with pytest.raises(PlantError, match=r"plant Short: measure\(\) has shape \(1,\), not \(2,\)"):
         run_closed_loop(mpc, "daqp", plant=Short)
+
+    class Blind:
+        def step(self, u: Vector) -> None:
+            """Do nothing."""
+
+    with pytest.raises(PlantError, match="plant Blind: state is missing; a plant has state, step"):
+        run_closed_loop(mpc, "daqp", plant=Blind)  # type: ignore[arg-type] # is no plant
+    with pytest.raises(TypeError, match=r"an object of class Cart; .*such as plant=Cart"):
+        run_closed_loop(mpc, "daqp", plant=Cart())  # type: ignore[arg-type] # is no maker
     with pytest.raises(PlantError, match="plant Cart: state is not finite"):
         run_closed_loop(mpc, "daqp", plant=lambda: Cart(np.inf))
 

@@ -99,7 +99,7 @@ async function drawOne() {
   const drawn = run.t !== undefined && run.t !== null;
   $("figure-strips").hidden = $("strips-said").hidden = !drawn;
   $("strips-time").textContent = facts.experiments[state.p].mode === "replay"
-    ? "Dot: the fastest counted round, grey up to the largest timing. A replay steers no ship."
+    ? "Dot: the fastest counted round, grey up to the largest timing. A replay controls no plant."
     : "Dot: one timing a step, not timed alone; only replays compare times.";
   if (!drawn) { drawShip(null); return; }
   const view = await figureOf("strips");
@@ -330,8 +330,9 @@ function listenOne() {
 
 FIGURES.strips = {
   canvas: true,
-  // A replay has no forces, so no strip of them.
-  form: () => (facts.experiments[state.p].mode === "replay" ? "strips_replay" : "strips"),
+  // A replay and a plant that is no ship have no forces of a ship, so no strip of them.
+  form: () => (facts.experiments[state.p].mode === "replay" || facts.experiments[state.p].own_plant
+    ? "strips_without_forces" : "strips"),
   sized: (spec, width) => ({ ...spec, width: width - 78, autosize: { type: "pad", resize: true } }),
   picked: (datum, view, event) => select({ k: datum?.k ?? nearestStep(view, event) }),
 };
