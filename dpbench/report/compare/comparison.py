@@ -283,7 +283,10 @@ class Comparison:
         if self.worse:
             return "slower"
         disturbed = any("disturbed" in one.unjudged for one in self.shared)
-        shown = "faster" if "faster" in times else "no change shown"
+        shown = "faster" if "faster" in times else ""
+        if any(figure.change == "better" for figure in self.figures):
+            shown = f"better accuracy or control{', ' if shown else ''}{shown}"
+        shown = shown or "no change shown"
         shown = shown if times - {"not judged"} else f"{shown}, accuracy only"
         return f"{shown}, on a disturbed machine" if disturbed else shown
 

@@ -150,7 +150,7 @@ def build_settings_topic(records: Records) -> Topic | None:
     texts = [
         one.second
         + (f" at {one.variables:.0f} variables" if len(sizes) > 1 else "")
-        + f" takes {describe_paired_times([one])} as {one.first}"
+        + f" against {one.first} takes {describe_paired_times([one])}"
         for one in named[:MOST_RATIOS]
     ]
     more = len(named) - len(texts)
