@@ -63,7 +63,7 @@ from dpbench.report.words import read_words, render_document
 
 TERMINAL_NOTES = ("counted", "slower", "faster", "inconclusive", "next", "unanswered", "stopped")
 """Notes of the recommendation on a terminal."""
-BESIDE = ("settings", "embedded", "slowdown", "random", "consequence")
+BESIDE = ("settings", "embedded", "slowdown", "anytime", "random", "consequence")
 """Topics with a line of their own on a terminal where they are not the answer."""
 
 

@@ -311,6 +311,8 @@ class SolverRecord:
     needs_modules : further libraries that it imports, which isolation must not hide.
     build : reads how the installed library was built, where that decides its speed.
     time_limit : its option that ends a solve after so many seconds; "" without one.
+    iteration_limit : its option that ends a solve after so many iterations with the last iterate,
+        "" without one; limits_outer_iterations : whether that counts the outer ones alone.
     known_failures : what is known of failing steps by the status reported, SOLVED for claims that
         do not hold; shown where such a step is.
     choose_instead : a solver of the same code that is never the worse choice; "" for none. Suites
@@ -331,6 +333,8 @@ class SolverRecord:
     needs_modules: tuple[str, ...] = ()
     build: Callable[[], Build] = Build
     time_limit: str = ""
+    iteration_limit: str = ""
+    limits_outer_iterations: bool = False
     known_failures: Mapping[Status, str] = field(default_factory=dict)
     choose_instead: str = ""
 

@@ -34,14 +34,10 @@ TOLERANCE: dict[Family, float] = {
 TIGHTEST = {"qpax": {"solver_tol": 1e-6}}
 LARGEST = {"qpax": 2e-3}
 
-LIMIT_KEY = {"daqp": "iter_limit", "proxqp": "max_iter", "proxqp_sparse": "max_iter"}
-LIMIT_KEY |= {"sip": "max_iterations", "superadmm": "maxIter"}
-LIMIT_KEY |= {"elastiqp": "max_iter", "elastiqp_pdal": "max_outer_iter"}
-"""The key of the iteration limit where the tolerance levels set none."""
-# It has a limit, and counts the same for the two problems of the test.
-UNLIMITED = {"qpax"}
+# They count the same for the two problems that the test of recovery tells apart by their count.
+COUNTS_ALIKE = {"highs", "qpax", "qpoases"}
 # Where qpsolvers passes no status or no count on.
-SILENT = {(name, "qpsolvers") for name in ("clarabel", "daqp", "qtqp")}
+SILENT = {(name, "qpsolvers") for name in ("clarabel", "daqp", "highs", "qtqp")}
 
 
 class Configuration(NamedTuple):
@@ -57,9 +53,8 @@ class Configuration(NamedTuple):
 
     @property
     def limit_key(self) -> str:
-        """The option that limits its iterations; "" where none is known."""
-        named = (key for key in find_options_of_preset("high", self.solver) if "iter" in key)
-        return "" if self.solver in UNLIMITED else LIMIT_KEY.get(self.solver, next(named, ""))
+        """The option that limits its iterations; "" where there is none."""
+        return TABLE[self.solver].iteration_limit
 
     @property
     def record(self) -> RouteRecord:
@@ -76,7 +71,8 @@ class Configuration(NamedTuple):
         if settings is None:
             settings = TIGHTEST.get(self.solver, "high")
         if further:
-            settings = {**find_options_of_preset(str(settings), self.solver), **further}
+            preset = find_options_of_preset("high", self.solver)
+            settings = {**(preset if settings == "high" else settings), **further}
         return open_workspace(self.solver, route=self.route, policy=self.policy, settings=settings)
 
 
@@ -95,6 +91,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     limited = [a for a in ARMS if a.limit_key and (a.solver, a.route) not in SILENT]
     warm = [a for a in ARMS if a.policy == "warm"]
     kinds = {"configuration": ARMS, "limited_configuration": limited, "warm_configuration": warm}
+    kinds["recovering_configuration"] = [a for a in limited if a.solver not in COUNTS_ALIKE]
     for name in kinds.keys() & metafunc.fixturenames:
         metafunc.parametrize(name, kinds[name], ids=["-".join(a) for a in kinds[name]])
     if "installed" in metafunc.fixturenames:

@@ -115,6 +115,7 @@ class RunRecord:
     # control: `CONTROL_COLUMNS`
     fallbacks: Count
     latency_max_ns: float
+    unconverged: Count
     limit_violations: Count
     r_rms_m: float
     r_95_m: float

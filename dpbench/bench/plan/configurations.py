@@ -32,6 +32,7 @@ from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Options, Policy, Route
 from dpbench.solvers.own.adapters import UNCONSTRAINED_CLIPPED
 from dpbench.solvers.own_settings import (
+    decode_options_from_json,
     encode_options_as_json,
     expand_choice_over_option_grid,
     expand_option_grid,
@@ -41,6 +42,7 @@ from dpbench.solvers.own_settings import (
 )
 from dpbench.solvers.plugins import find_plugin
 from dpbench.solvers.settings import (
+    find_options_of_preset,
     has_distinct_tolerance_presets,
     has_preset_or_tolerance,
     list_preset_names,
@@ -75,6 +77,26 @@ class NamedSettings(NamedTuple):
 
 def list_settings_of_choice(choice: str, table: RunsTable, suite: SuiteFile) -> list[NamedSettings]:
     """Return the settings that a choice such as `osqp` or `osqp[rho=1.6]` runs with in a table."""
+    settings = _list_settings_without_limits(choice, table, suite)
+    if not table.iteration_limits:
+        return settings
+    solver, _ = split_into_solver_and_options_text(choice)
+    key = find_solver_record(solver).iteration_limit
+    limits = table.iteration_limits if key else []
+    return [_limit_iterations(own, solver, key, limit) for own in settings for limit in limits]
+
+
+def _limit_iterations(own: NamedSettings, solver: str, key: str, limit: int) -> NamedSettings:
+    """Return settings that end a solve after `limit` iterations, as `high[max_iter=5]`."""
+    options = decode_options_from_json(own.options) or find_options_of_preset(own.name, solver)
+    limited = encode_options_as_json({**options, key: limit})
+    return own._replace(name=f"{own.name}[{key}={limit}]", options=limited, alias=())
+
+
+def _list_settings_without_limits(
+    choice: str, table: RunsTable, suite: SuiteFile
+) -> list[NamedSettings]:
+    """Return the settings of a choice in a table before its limits of iterations."""
     solver, text = split_into_solver_and_options_text(choice)
     if text:
         return [NamedSettings(text, encode_options_as_json(parse_options_of_choice(choice)))]

@@ -38,6 +38,8 @@ class RunsTable(FileModel):
     """Routes to the solver, through its own interface or qpsolvers; default: each solver's own."""
     policies: list[Policy] = ["fresh"]
     """Policies: what is kept between two steps."""
+    iteration_limits: list[Annotated[int, Field(ge=1)]] = []
+    """Limits of iterations: each of the settings with each limit, for solvers that have one."""
 
 
 class ReplicatesTable(FileModel):

@@ -6,11 +6,13 @@ from dataclasses import replace
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.anytime import find_iteration_limit
 from dpbench.analysis.suites.embedded import EmbeddedResults
 from dpbench.analysis.suites.study import Study, find_studies
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.bench.design import Designs
 from dpbench.report.page.section import Topic
+from dpbench.report.topics.anytime import build_anytime_topic
 from dpbench.report.topics.capability import build_capability_topic, build_consequence_topic
 from dpbench.report.topics.embedded import build_embedded_topic
 from dpbench.report.topics.paper import build_paper_topic
@@ -50,6 +52,7 @@ def build_topics(
         build_worst_case_topic(records),
         build_horizon_topic(records, requirements),
         build_slowdown_topic(records),
+        build_anytime_topic(records, requirements),
         build_study_topic(find_studies(records) if known is None else known),
         build_random_topic(records),
         build_consequence_topic(records),
@@ -68,7 +71,9 @@ def build_topics(
     topics = [topic for topic in candidates if topic is not None]
     question = _find_id_of_leading_topic(records, [topic.id for topic in topics])
     topics = [replace(topic, leads=topic.id == question) for topic in topics]
-    hidden = ("loops", *(_CONTRASTS if replays else ()))
+    hidden = ["loops", *(_CONTRASTS if replays else ())]
+    if question == "anytime":
+        hidden.append("settings")
     shown = [topic for topic in topics if topic.leads or topic.id not in hidden]
     return sorted(shown, key=lambda topic: not topic.leads)
 
@@ -82,6 +87,8 @@ def _find_id_of_leading_topic(records: Records, topics: Sequence[str]) -> str:
     for name in ("worst-case", "conclusion"):
         if name in topics:
             return name
+    if "anytime" in topics and all(find_iteration_limit(run) for run in records.runs):
+        return "anytime"
     if not records.runs:
         requested = ("study", "slowdown", "random", "consequence", "capability", "trust")
         return next((id for id in requested if id in topics), "")

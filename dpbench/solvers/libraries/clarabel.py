@@ -40,6 +40,7 @@ RECORD = SolverRecord(
         language=("Rust", "Clarabel, metadata of its distribution"),
         single_precision=("yes, generic in its float type", "Clarabel.rs source, algebra/floats"),
     ),
+    iteration_limit="max_iter",
     time_limit="time_limit",
 )
 

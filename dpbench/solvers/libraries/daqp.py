@@ -67,6 +67,7 @@ RECORD = SolverRecord(
             "DAQPSettings", "daqp_default_settings", "DAQP source, include/types.h and api.h"
         ),
     ),
+    iteration_limit="iter_limit",
     time_limit="time_limit",
     known_failures={
         Status.SOLVED: "it may violate limits by `primal_tol`, 1e-6 by default, so it claims QPs "

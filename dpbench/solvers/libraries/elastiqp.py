@@ -52,6 +52,7 @@ RECORD = SolverRecord(
         language=("C++, header-only on Eigen", "ElastiQP README, Overview"),
         allocation_free=("yes, up to some 160 variables", "ElastiQP source, test_das_alloc.cc"),
     ),
+    iteration_limit="max_iter",
 )
 PDAL_RECORD = replace(
     RECORD,
@@ -65,6 +66,8 @@ PDAL_RECORD = replace(
     project=replace(
         RECORD.project, allocation_free=make_project_facts(licence=None, language=None).licence
     ),
+    iteration_limit="max_outer_iter",
+    limits_outer_iterations=True,
 )
 
 STATUS = {

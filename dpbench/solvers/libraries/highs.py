@@ -48,6 +48,7 @@ RECORD = SolverRecord(
         licence=("MIT", "HiGHS, metadata of its distribution"),
         language=("C++, C interface", "HiGHS documentation, front page"),
     ),
+    iteration_limit="qp_iteration_limit",
     time_limit=TIME_LIMIT,
 )
 

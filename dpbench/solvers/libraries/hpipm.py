@@ -68,6 +68,7 @@ RECORD = SolverRecord(
         ),
         single_precision=("yes, routines s_*", "HPIPM source, s_dense_qp_ipm"),
     ),
+    iteration_limit="iter_max",
     build=lambda: load_hpipm().build,
     known_failures={
         Status.NUMERICAL_ERROR: INFEASIBLE_CALLED_ERROR,

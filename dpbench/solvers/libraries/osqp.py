@@ -73,6 +73,7 @@ RECORD = SolverRecord(
             "OSQPSettings", "osqp_set_default_settings", "OSQP source, osqp_api_types.h"
         ),
     ),
+    iteration_limit="max_iter",
     build=lambda: Build(f"algebra {import_module('osqp').default_algebra()}"),
     time_limit="time_limit",
 )

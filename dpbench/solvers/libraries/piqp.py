@@ -57,6 +57,7 @@ RECORD = SolverRecord(
         language=("C++14, C interface", "PIQP README, Features and Interfaces"),
         allocation_free=("yes, updates and re-solves", "PIQP README, Features"),
     ),
+    iteration_limit="max_iter",
     build=lambda: find_instruction_set_of_library("piqp.piqp_python"),
 )
 

@@ -78,6 +78,8 @@ RECORD = SolverRecord(
         licence=("BSD-2-Clause", "ProxSuite documentation, What is ProxSuite?"),
         language=("C++14", "ProxSuite README, main features"),
     ),
+    iteration_limit="max_iter",
+    limits_outer_iterations=True,
     build=lambda: find_instruction_set_of_library("proxsuite.proxsuite_pywrap"),
 )
 

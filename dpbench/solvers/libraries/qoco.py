@@ -39,6 +39,7 @@ RECORD = SolverRecord(
         c_code=("yes, by QOCOGEN", "QOCOGEN README"),
         allocation_free=("yes, generated code", "QOCOGEN README: static memory allocation only"),
     ),
+    iteration_limit="max_iters",
 )
 
 STATUS = {

@@ -60,6 +60,7 @@ RECORD = SolverRecord(
             "QPALMSettings", "qpalm_set_default_settings", "QPALM source, types.h"
         ),
     ),
+    iteration_limit="max_iter",
     time_limit="time_limit",
 )
 

@@ -70,6 +70,7 @@ RECORD = SolverRecord(
         language=("C++", "qpOASES manual, Introduction"),
         single_precision=("yes, __USE_SINGLE_PRECISION__", "qpOASES source, Constants.hpp"),
     ),
+    iteration_limit="nWSR",
     time_limit="CPUtime",
 )
 

@@ -61,6 +61,7 @@ CVXOPT = QpsolversAdapter(
             licence=("GPL-3.0-or-later", "CVXOPT, Copyright and license"),
             language=("Python and C", "CVXOPT, metadata of its distribution"),
         ),
+        iteration_limit="maxiters",
     ),
     "rows",
     read_coneqp_status,
@@ -133,6 +134,7 @@ ECOS = QpsolversAdapter(
             licence=("GPL-3.0", "ECOS, metadata of its distribution"),
             language=("C", "ECOS README"),
         ),
+        iteration_limit="max_iters",
         needs_strict_convexity=True,
     ),
     "rows",
@@ -207,6 +209,7 @@ QTQP = QpsolversAdapter(
             licence=("Apache-2.0", "QTQP, metadata of its distribution"),
             language=("Python", "QTQP README"),
         ),
+        iteration_limit="max_iter",
     ),
     "rows",
     read_qtqp_status,
@@ -270,6 +273,7 @@ SIP = QpsolversAdapter(
             language=("C++", "SIP QP README"),
             allocation_free=("yes, with Workspace::mem_assign", "SIP QP README"),
         ),
+        iteration_limit="max_iterations",
         # It orders its matrices with the AMD of CVXOPT.
         needs_modules=("cvxopt",),
         time_limit="time_limit",
@@ -310,6 +314,7 @@ QPAX = QpsolversAdapter(
         project=make_project_facts(
             licence=("MIT", "qpax README"), language=("Python on JAX", "qpax README")
         ),
+        iteration_limit="max_iter",
         needs_modules=("jax",),
     ),
     "rows",
@@ -352,6 +357,7 @@ JAXOPT = replace(
         project=make_project_facts(
             licence=("Apache-2.0", "JAXopt README"), language=("Python on JAX", "JAXopt README")
         ),
+        iteration_limit="maxiter",
     ),
     read_status=read_jaxopt_status,
     list_options=lambda: list_keyword_parameters("jaxopt", "BoxOSQP", *JAXOPT_STRUCTURE),

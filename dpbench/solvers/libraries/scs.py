@@ -44,6 +44,7 @@ RECORD = SolverRecord(
         single_precision=("yes, a flag of its build", "SCS source, scs.mk"),
         c_settings=CSettings("ScsSettings", "scs_set_default_settings", "SCS source, scs.h"),
     ),
+    iteration_limit="max_iters",
     time_limit="time_limit_secs",
 )
 

@@ -55,6 +55,7 @@ RECORD = SolverRecord(
         allocation_free=("no, it allocates at each call", "superADMM source, superADMM.c"),
         single_precision=("yes, USE_SINGLE_PRECISION", "superADMM source, superADMM.h"),
     ),
+    iteration_limit="maxIter",
     time_limit="timeLimit",
 )
 

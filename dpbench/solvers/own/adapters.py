@@ -56,6 +56,7 @@ HILDRETH = replace(
     routes={"native": replace(PAPER_ACTIVE_SET.get_route_record("native"), start="dual")},
     # Sweeps are cheap, and there are problems that take tens of thousands.
     levels=make_tolerance_presets("eps_row", max_iter=1_000_000),
+    iteration_limit="max_iter",
 )
 UNCONSTRAINED_CLIPPED = replace(
     PAPER_ACTIVE_SET,

@@ -9,6 +9,7 @@ from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import Cell
 from dpbench.errors import DpbenchError, InputError, PolicyError, SettingsError, UnknownNameError
+from dpbench.solvers.settings import find_options_of_preset
 
 OSQP = "osqp = { rho = 1.6, eps_abs = 1e-5 }"
 SUITE = """
@@ -68,6 +69,32 @@ def test_a_solver_is_chosen_with_settings_on_the_command_line(suite: str) -> Non
         ("osqp", "eps_abs=1e-5,rho=2", {"rho": 2, "eps_abs": 1e-5}),
         ("daqp", "default", "default"),
     ]
+
+
+def test_each_settings_run_at_each_limit_of_iterations(suite: str) -> None:
+    """By the option of each solver; one without such an option takes no part."""
+    text = Path(suite).read_text().replace('"daqp"]', '"daqp", "osqp[rho=2]", "paper_active_set"]')
+    Path(suite).write_text(f"{text}iteration_limits = [1, 50]\n")
+    cells = describe(RunRequest(suite).make_plan().cells)
+    default, mine = find_options_of_preset("default", "osqp"), {"rho": 1.6, "eps_abs": 1e-5}
+    assert [cell for cell in cells if cell[1].endswith("[max_iter=50]")] == [
+        ("osqp", "default[max_iter=50]", {**default, "max_iter": 50}),
+        ("osqp", "mine[max_iter=50]", {**mine, "max_iter": 50}),
+        ("osqp", "rho=2[max_iter=50]", {"rho": 2, "max_iter": 50}),
+    ]
+    assert [cell for cell in cells if cell[0] != "osqp"] == [
+        ("daqp", "default[iter_limit=1]", {"iter_limit": 1}),
+        ("daqp", "default[iter_limit=50]", {"iter_limit": 50}),
+    ]
+    assert len(cells) == 8
+
+
+def test_a_limit_of_iterations_replaces_that_of_a_preset(suite: str) -> None:
+    Path(suite).write_text(f"{Path(suite).read_text()}iteration_limits = [3]\n")
+    plan = RunRequest(suite, solvers=["osqp"], settings=["high"]).make_plan()
+    ((_, name, options),) = describe(plan.cells)
+    assert name == "high[max_iter=3]"
+    assert options == {**find_options_of_preset("high", "osqp"), "max_iter": 3}
 
 
 def test_settings_with_the_same_options_are_one_cell(suite: str) -> None:

@@ -22,6 +22,7 @@ from tests.report.page.test_html import checked
 TITLES = {
     "horizon": "Longer horizons",
     "slowdown": "Slower computers",
+    "anytime": "Answers stopped early",
     "random": "Random QPs",
     "consequence": "Consequence analysis",
     "formulations": "Formulations",
@@ -67,6 +68,12 @@ def _slow(records: Any) -> None:
         figures = {"closed_loop_cost": 101.0, "exact_cost": 100.0, "deadline_s": 0.3}
         late = {"latency_max_ns": 5e4 * slowdown, "deadline_misses": 2}
         records.loop("daqp", steps=30, slowdown=slowdown, **figures, **late)
+
+
+def _stopped(records: Any) -> None:
+    for limit in (1, 50):
+        options = {"settings": f"max_iter={limit}", "options": json.dumps({"max_iter": limit})}
+        records.loop("osqp", steps=30, exact_cost=100.0, unconverged=30, **options)
 
 
 def _horizon(records: Any) -> None:
@@ -123,6 +130,7 @@ KINDS: dict[str, tuple[Callable[[Any], None], str, set[str]]] = {
     "random": (_random, "random", set()),
     "consequence": (_consequence, "consequence", set()),
     "slow computers": (_slow, "slowdown", set()),
+    "stopped early": (_stopped, "anytime", set()),
     "horizons": (_horizon, "horizon", set()),
     "calibration": (_calibration, "trust", set()),
     "recorded": (_recorded, "race", set()),

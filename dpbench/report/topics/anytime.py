@@ -1,0 +1,152 @@
+"""Results of solvers that were stopped after a number of iterations."""
+
+import math
+
+import pandas as pd
+
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.suites.anytime import LimitedGroup, group_limited_runs
+from dpbench.analysis.verdict.requirements import MARGIN, Requirements, compute_cost_ratio
+from dpbench.analysis.verdict.verdict import find_solver_record_or_none
+from dpbench.report.charts.lines import draw_lines
+from dpbench.report.charts.style import FLOOR
+from dpbench.report.formats import (
+    MISSING,
+    Table,
+    format_count,
+    format_error,
+    join_with_and,
+    plural,
+    significant,
+)
+from dpbench.report.page.section import Figure, Topic
+
+
+def build_anytime_topic(records: Records, requirements: Requirements) -> Topic | None:
+    """Return the report's part on limits of iterations; None unless a configuration ran two."""
+    groups = group_limited_runs(records)
+    if not groups:
+        return None
+    loops = [group for group in groups if group.mode == "closed_loop"]
+    wording = (
+        *(map(_describe_loops, loops) if loops else map(_describe_errors, groups)),
+        "Each solver ends every solve after so many iterations, and the loop applies the last "
+        "iterate. One iteration of one method does not cost as much as one of another.",
+        *_describe_outer_limits(groups),
+    )
+    figures = (_draw_group(group, requirements) for group in groups)
+    return Topic(
+        "anytime",
+        "Answers stopped early",
+        wording,
+        tuple(figure for figure in figures if figure is not None),
+        tuple(map(_make_table, loops)),
+    )
+
+
+def _describe_loops(group: LimitedGroup) -> str:
+    """Return a sentence on how many configurations a few iterations suffice in a closed loop."""
+    least = {c.configuration.label: c.least_sufficient_limit for c in group.configurations}
+    first = min(least.values())
+    if math.isinf(first):
+        return f"In {group.problem} no configuration stays within {_SHARE} at any limit."
+    names = [name for name, limit in least.items() if limit == first]
+    named = join_with_and(names) if len(names) <= 4 else plural(len(names), "configuration")
+    never = sum(math.isinf(limit) for limit in least.values())
+    others = f"; {never} of {len(least)} stay so at no limit" if never else ""
+    return (
+        f"In {group.problem} {plural(first, 'iteration')} a step {'is' if first == 1 else 'are'} "
+        f"enough for {named} to stay within {_SHARE}{others}."
+    )
+
+
+def _describe_errors(group: LimitedGroup) -> str:
+    """Return a sentence on the errors of a replay at its largest limit."""
+    last = group.limits[-1]
+    errors = [c.runs[last].error_move_max for c in group.configurations if last in c.runs]
+    least, most = format_error(min(errors)), format_error(max(errors))
+    return (
+        f"In the replay of {group.problem} the largest error of the first move at "
+        f"{plural(last, 'iteration')} is {least} to {most}."
+    )
+
+
+_SHARE = f"{100 * MARGIN:g} % of the cost of the exactly solved loop"
+
+
+def _describe_outer_limits(groups: list[LimitedGroup]) -> list[str]:
+    """Return a sentence on solvers whose limit counts outer iterations; none without them."""
+    solvers = dict.fromkeys(c.configuration.solver for g in groups for c in g.configurations)
+    outer = [s for s in solvers if getattr(find_solver_record_or_none(s), _OUTER, False)]
+    return [f"The limit of {join_with_and(outer)} counts outer iterations."] if outer else []
+
+
+_OUTER = "limits_outer_iterations"
+
+
+def _draw_group(group: LimitedGroup, requirements: Requirements) -> Figure | None:
+    """Return the figure of a closed loop's cost, or of a replay's error, over the limit."""
+    steered = group.mode == "closed_loop"
+    limit = 1.0 + MARGIN if steered else requirements.error_move
+    points = [
+        {"name": one.configuration.label, "x": iterations, "y": y, "good": y <= limit}
+        for one in group.configurations
+        for iterations, run in one.runs.items()
+        if math.isfinite(y := compute_cost_ratio(run) if steered else run.error_move_max)
+    ]
+    if not points:
+        return None
+    table = pd.DataFrame(points)
+    table["y"] = table["y"].clip(lower=FLOOR)
+    name, quantity, caption = (
+        ("Cost of the loop", "cost over the exactly solved loop", "Dashed: 10 % more cost.")
+        if steered
+        else ("Error", "largest error of the first move", "Dashed: the largest error allowed.")
+    )
+    title = f"{name} over the limit of iterations, {group.problem}"
+    axes = ("limit of iterations", "d"), (quantity, "~g")
+    chart = draw_lines(table, title, *axes, limit=limit)
+    return Figure(f"anytime-{group.mode}-{group.problem}", chart, caption)
+
+
+_UNKNOWN = math.nan, math.nan
+
+
+def _make_table(group: LimitedGroup) -> Table:
+    """Return the table of a closed loop: the least limit that suffices, and the ship below it."""
+    rows, smallest = [], group.limits[0]
+    for one in sorted(group.configurations, key=lambda one: one.least_sufficient_limit):
+        enough = one.least_sufficient_limit
+        kept = one.runs.get(int(enough)) if math.isfinite(enough) else None
+        run = one.runs.get(smallest)
+        cost, off_m = (compute_cost_ratio(run), run.dev_position_max_m) if run else _UNKNOWN
+        rows.append(
+            {
+                "configuration": one.configuration.label,
+                "within 10 % of the cost from": f"{enough:g}" if kept else "none",
+                "unfinished steps there": _format_unfinished(kept),
+                "largest error there": _format_error(kept),
+                f"cost ratio at {smallest}": _format_number(cost),
+                f"off the exact loop at {smallest} [m]": _format_number(off_m),
+            }
+        )
+    note = "A step is unfinished where its solve ended at the limit and its iterate was applied."
+    return Table.from_rows(rows, group.problem, note=note)
+
+
+def _format_unfinished(run: RunRecord | None) -> str:
+    """Return the number of a run's steps with an unfinished iterate as text."""
+    if run is None:
+        return MISSING
+    return f"{format_count(run.unconverged)} of {format_count(run.steps_done)}"
+
+
+def _format_error(run: RunRecord | None) -> str:
+    """Return the largest error of the first move of a run as text; a dash without a run."""
+    return MISSING if run is None else format_error(run.error_move_max)
+
+
+def _format_number(value: float) -> str:
+    """Return a number in three digits; a dash for one that is not finite."""
+    return significant(value) if math.isfinite(value) else MISSING

@@ -1,0 +1,119 @@
+"""Answers stopped early: which limit of iterations suffices, by hand."""
+
+import json
+import math
+from typing import Any
+
+from dpbench.analysis.suites.anytime import group_limited_runs
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import judge_solvers
+from dpbench.report.own_settings_text import describe_own_settings
+from dpbench.report.topics.anytime import build_anytime_topic
+from dpbench.solvers.settings import find_options_of_preset
+
+COSTS = {
+    "osqp": {1: 250.0, 5: 108.0, 20: 112.0, 50: 100.0, 100: 100.0},
+    "piqp": {1: 130.0, 5: 101.0, 20: 100.0},
+    "daqp": {1: 900.0, 5: 120.0},
+}
+"""Cost of the loop by limit; the exactly solved loop costs 100."""
+KEYS = {"osqp": "max_iter", "piqp": "max_iter", "daqp": "iter_limit"}
+
+
+def limit(solver: str, iterations: int) -> dict[str, str]:
+    """Settings `high` of a solver with a limit of iterations."""
+    options = {**find_options_of_preset("high", solver), KEYS[solver]: iterations}
+    return {"settings": f"own {iterations}", "options": json.dumps(options)}
+
+
+def fill(records: Any) -> None:
+    """All loops of `COSTS`, and a replay of piqp at two limits."""
+    for solver, costs in COSTS.items():
+        for iterations, cost in costs.items():
+            figures = {"closed_loop_cost": cost, "exact_cost": 100.0, "unconverged": 7}
+            records.loop(solver, steps=120, error=0.5, **figures, **limit(solver, iterations))
+    for iterations, error in ((1, 0.5), (5, 0.0)):
+        records.replay("piqp", steps=30, error=error, **limit("piqp", iterations))
+
+
+def test_a_limit_suffices_if_all_larger_ones_do(records: Any) -> None:
+    """osqp is within 10 % at 5 iterations and not at 20."""
+    fill(records)
+    loops, replay = group_limited_runs(records.view())
+    assert {
+        one.configuration.label: one.least_sufficient_limit for one in loops.configurations
+    } == {
+        "osqp (qpsolvers fresh, high)": 50,
+        "piqp (qpsolvers fresh, high)": 5,
+        "daqp (qpsolvers fresh, high)": math.inf,
+    }
+    assert replay.mode == "replay" and replay.limits == [1, 5]
+
+
+def test_runs_without_a_limit_or_with_one_are_no_group(records: Any) -> None:
+    """The limit of a preset is none of the options of its run."""
+    records.loop("osqp", settings="high")
+    records.loop("osqp", settings="other", options='{"rho": 1.0}')
+    records.loop("piqp", **limit("piqp", 5))
+    records.loop("not known here", settings="own", options='{"max_iter": 5}')
+    view = records.view()
+    assert group_limited_runs(view) == []
+    assert build_anytime_topic(view, Requirements()) is None
+
+
+def test_the_topic_shows_least_limits_and_the_ship_at_the_smallest(records: Any) -> None:
+    fill(records)
+    topic = build_anytime_topic(records.view(), Requirements())
+    assert topic is not None
+    assert topic.lines[0] == (
+        "In paper 5 iterations a step are enough for piqp (qpsolvers fresh, high) to stay within "
+        "10 % of the cost of the exactly solved loop; 1 of 3 stay so at no limit."
+    )
+    (table,) = topic.tables
+    assert [(row[0].split()[0], *row[1:5]) for row in table.rows] == [
+        ("piqp", "5", "7 of 120", "0.50", "1.30"),
+        ("osqp", "50", "7 of 120", "0.50", "2.50"),
+        ("daqp", "none", "–", "–", "9.00"),
+    ]
+    assert [figure.name for figure in topic.figures] == [
+        "anytime-closed_loop-paper",
+        "anytime-replay-paper",
+    ]
+    costs, errors = (
+        {(row["x"], row["y"], row["good"]) for row in data}
+        for figure in topic.figures
+        for data in figure.chart.to_dict()["datasets"].values()
+        if len(data) > 1
+    )
+    assert {(5, 1.08, True), (20, 1.12, False), (1, 9.0, False)} < costs and len(costs) == 10
+    # An error of zero is drawn at the floor of the logarithmic axis.
+    assert errors == {(1, 0.5, False), (5, 1e-16, True)}
+
+
+def test_replays_alone_have_their_errors(records: Any) -> None:
+    for solver, error in (("osqp", 0.02), ("piqp", 0.5)):
+        for iterations in (1, 5):
+            records.replay(solver, steps=30, error=error, **limit(solver, iterations))
+    assert records.ending()["answer"] == (
+        "In the replay of paper the largest error of the first move at 5 iterations is 0.020 to "
+        "0.50."
+    )
+
+
+def test_it_is_the_answer_of_a_page_of_limited_runs_alone(records: Any) -> None:
+    fill(records)
+    assert records.ending()["answer"].startswith("In paper 5 iterations a step are enough for piqp")
+    records.loop("daqp")
+    assert not records.ending().get("answer", "").startswith("In paper 5 iterations")
+
+
+def test_limits_alone_have_no_best_settings(records: Any) -> None:
+    """The largest limit would be at the edge of the grid, to be widened."""
+    fill(records)
+    verdicts = judge_solvers(records.view(), Requirements())
+    assert not any(line.startswith("Best of") for line in describe_own_settings(verdicts))
+    for rho, iterations in ((0.1, 5), (1.0, 5), (1.0, 50), (2.0, 50)):
+        options = json.dumps({"rho": rho, "max_iter": iterations})
+        records.loop("osqp", settings=f"{rho} {iterations}", options=options)
+    lines = describe_own_settings(judge_solvers(records.view(), Requirements()))
+    assert [line[:9] for line in lines if line.startswith("Best of")] == ["Best of 4"]
