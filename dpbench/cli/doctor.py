@@ -2,6 +2,7 @@
 
 from dpbench.bench.judge.calibration import time_dummy_solvers
 from dpbench.bench.record.disturbance import QUIET_RULE
+from dpbench.bench.record.energy import find_energy_counters
 from dpbench.bench.record.machine import describe_machine
 from dpbench.cli.terminal import wrap_paragraph
 from dpbench.report import verdict_text as verdict
@@ -24,6 +25,7 @@ def describe_machine_and_clock(*, offline: bool) -> list[str]:
     available = ((name, find_solver_availability(name)) for name in list_all_solver_names())
     builds = [f"{name} {here.build.text}" for name, here in available if here.build.text]
     loads = ", ".join(f"{load:.2f}" for load in machine["load_average"])
+    without = find_energy_counters().missing
     facts = [
         *verdict.list_machine_facts(machine),
         ("memory", f"{machine['memory_GiB']} GiB"),
@@ -31,6 +33,7 @@ def describe_machine_and_clock(*, offline: bool) -> list[str]:
         ("versions", ", ".join(f"{k} {v}" for k, v in machine["versions"].items())),
         ("solver builds", ", ".join(builds) or MISSING),
         ("load average", loads or MISSING),
+        ("energy counters", f"not available: {without}" if without else "readable"),
         *verdict.list_disturbance_facts(harness.disturbance),
     ]
     # After the measurement, which pip would disturb.

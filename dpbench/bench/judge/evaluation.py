@@ -20,8 +20,10 @@ from dpbench.bench.judge.control_metrics import (
     compute_thruster_metrics,
     compute_used_thrust_and_power_shares,
 )
+from dpbench.bench.judge.rules import WARM_UP, mask_disturbed_rounds
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.disturbance import compute_disturbance_metrics
+from dpbench.bench.record.energy import compute_energy_per_step_J
 from dpbench.bench.record.raw_log import COUNTERS, FOOTPRINT, PHASES, AnswerLog, RawLog
 from dpbench.bench.run.assemble import adapt_scenario_to_cell
 from dpbench.bench.run.exact_loop import ExactLoop, build_problem_at_rest, compute_station_metrics
@@ -401,6 +403,8 @@ def evaluate_replay_log(
     metrics = {"sample_s": sample_s, "first_sample": float(first), "every_sample": float(every)}
     metrics |= measure_repeatability(log, units.z) | compute_disturbance_metrics(log)
     metrics |= dict(zip(FOOTPRINT, log.footprint.tolist(), strict=True))
+    counts = (np.arange(len(log.done)) != WARM_UP) & ~mask_disturbed_rounds(log.reference_kernel_ns)
+    metrics["energy_J_per_step"] = compute_energy_per_step_J(log.energy_J, log.done, counts)
     return EvaluatedCell(columns, metrics | compute_caching_metrics(log))
 
 

@@ -106,6 +106,7 @@ def make_replay_layout(rounds: int, steps: int, n: int, m: int) -> Layout:
         "first_ns": ("i8", (steps,)),
         "first_reference_kernel_ns": ("f8", (rounds,)),
         "counters": ("f8", (rounds, len(COUNTERS))),
+        "energy_J": ("f8", (rounds,)),
         "footprint": ("f8", (len(FOOTPRINT),)),
     }
 
@@ -162,8 +163,9 @@ class RawLog(AnswerLog):
     `done[r]` counts the completed steps of round r and is written last. `flags` (steps, 3) has
     fallback, unconverged, clipped; `attempts[r]` the attempts of round r; `first_ns` (steps,) the
     time of the first visit of each step, −1 without a record; `first_reference_kernel_ns[r]` the
-    larger reference time around the first attempt of round r; `tau` the applied force and `thrust`
-    the thruster forces, where they are commanded; `latency_ns` (steps,) is written by
+    larger reference time around the first attempt of round r; `energy_J[r]` the energy of the
+    processor package in its steps (`energy.py`); `tau` the applied force and `thrust` the thruster
+    forces, where they are commanded; `latency_ns` (steps,) is written by
     `slow_computer.py`. Of a cascade, `demand` (steps, 3) is the force demanded of the thrusters,
     and `allocation` has the answers to its second QP. `allocation` and `backup` are None where
     there is none.
@@ -183,6 +185,7 @@ class RawLog(AnswerLog):
     first_ns: Ints
     first_reference_kernel_ns: Floats
     counters: Floats
+    energy_J: Floats
     footprint: Floats
 
     def __init__(self, layout: Layout, buffer: Any) -> None:

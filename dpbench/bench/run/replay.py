@@ -11,6 +11,7 @@ import numpy as np
 
 from dpbench.arrays import Floats
 from dpbench.bench.record.disturbance import read_disturbance_counters
+from dpbench.bench.record.energy import find_energy_counters
 from dpbench.bench.record.raw_log import RawLog, sum_phases_of_step_ns
 from dpbench.bench.run.timed_solver import Clock, RunLimit, TimedSolver, is_usable, record_answer
 from dpbench.kernel_cache import njit
@@ -102,6 +103,7 @@ class ReplayRun:
         self._spent_ns = np.zeros(len(log.done), dtype=np.int64)
         self._hung = frozenset(k for _, k in hung)
         self._goes_on = {r: int(log.done[r]) for r, _ in hung[-1:]}
+        self._energy = find_energy_counters()
         log.footprint[:] = np.nan
         log.setup_once_ns[0] = solver.prepare()
         log.started[0] = 1
@@ -130,7 +132,7 @@ class ReplayRun:
         begin = self._goes_on.pop(r, 0)
         log.done[r] = begin
         log.attempts[r] += begin == 0
-        log.counters[r] = np.nan
+        log.counters[r] = log.energy_J[r] = np.nan
         self._spent_ns[r] = 0
         limit_ns = self._limit_ns - int(self._spent_ns.sum())
         before = read_disturbance_counters()
@@ -138,6 +140,7 @@ class ReplayRun:
         run_limit = RunLimit(clock(), limit_ns)
         self._warm_caches(steps)
         updates_before, hung = solver.matrix_updates, self._hung
+        energy_before_J, begun_ns = self._energy.read_J(), clock()
         for k in range(begin, steps):
             step = solver.formulate(sequence.step(k))
             is_skipped = hung and k in hung
@@ -154,6 +157,10 @@ class ReplayRun:
             log.done[r] = k + 1
             if run_limit.is_exceeded(clock()):
                 return False
+        if begin == 0:
+            log.energy_J[r] = self._energy.compute_energy_J(
+                energy_before_J, self._energy.read_J(), 1e-9 * (clock() - begun_ns)
+            )
         self._spent_ns[r] = run_limit.spent_ns(clock())
         log.reference_kernel_ns[r, 1] = time_speed_and_load_tests(clock, log.load_kernel_ns[r, 1])
         if log.attempts[r] == 1:

@@ -253,7 +253,7 @@ GROUPS: dict[str, str] = {
     ),
     "memory": (
         "peak_rss_bytes python_peak_bytes_per_step heap_growth_bytes_per_step os_threads "
-        "bit_identical_share voluntary_switches involuntary_switches"
+        "energy_J_per_step bit_identical_share voluntary_switches involuntary_switches"
     ),
     "run": "options solver_version build units formulation n m steps_done run_id",
 }
