@@ -23,7 +23,7 @@ def read_mat_structure_in_child(path: Path, name: str) -> tuple[list[str], dict[
     """Return the variable names and one structure's arrays of an untrusted MATLAB file.
 
     A child process reads them. The fields of the structure `name` have dotted names from `name` on;
-    one without numbers is empty.
+    one without numbers is empty. For the name "" they are the variables of the file.
 
     InputError : it cannot be opened, is no such file, or reading it takes too long or too much.
     """

@@ -28,10 +28,10 @@ def write_mat_structure_to_stdout(name: str) -> int:
         return 1
     names = [key for key in content if not key.startswith("__")]
     arrays: dict[str, Any] = {"names": np.array(names, dtype="U63")}
-    structure = content.get(name)
+    structure = content.get(name) if name else {key: content[key] for key in names}
     if isinstance(structure, dict):
         arrays |= {
-            f"{name}.{key}": value
+            f"{name}.{key}" if name else key: value
             for key, value in _flatten_numeric_fields_by_dotted_name(structure).items()
         }
     packed = io.BytesIO()
@@ -59,7 +59,7 @@ def _flatten_numeric_fields_by_dotted_name(structure: dict[str, Any]) -> dict[st
                 for inner, one in _flatten_numeric_fields_by_dotted_name(value).items()
             }
             continue
-        array = np.asarray(value)
+        array = np.asarray(value.toarray() if hasattr(value, "toarray") else value)
         numbers[key] = array if array.dtype.kind in "biuf" else np.zeros(0)
     return numbers
 

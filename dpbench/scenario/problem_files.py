@@ -122,7 +122,7 @@ def resolve_sequence_path(name_or_path: str | Path, beside: Path | None = None) 
         # Unlike Path.exists, this is False for a name that is too long to exist.
         if os.path.exists(base / text):
             return base / text
-    if "/" not in text and not text.endswith(".npz"):
+    if "/" not in text and not text.endswith((".npz", ".json", ".mat")):
         raise make_unknown_problem_name_error(
             SEQUENCES, text, "a .npz path or a folder of problems"
         )

@@ -15,6 +15,7 @@ from dpbench.bench.engines.shards import ShardRecord
 from dpbench.bench.record.npz import open_arrays
 from dpbench.bench.record.recorded_steps import StepsOnDisk
 from dpbench.bench.record.result_folder import load_machine_and_suite, load_results, read_json
+from dpbench.bench.sequences.foreign_qps import read_acados_qp, read_maros_meszaros_problem
 from dpbench.bench.sequences.sequence_file import load_recorded, read_problem
 from dpbench.bench.sequences.source import hash_sequence_files
 from dpbench.embedded.table import EMBEDDED_FILE, load_counted_steps_of_folder
@@ -35,6 +36,8 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "hull.mat": read_hull_from_mss_file,
     "sequence.npz": load_recorded,
     "problem.npz": read_problem,
+    "problem.json": read_acados_qp,
+    "problem.mat": read_maros_meszaros_problem,
     "digest.npz": hash_sequence_files,
     "kept.npz": _kept,
     "suite.json": read_json,

@@ -16,6 +16,7 @@ from dpbench.bench.plan.configurations import BASELINE_LAW, choose_solvers
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.study_points import RouteName
 from dpbench.bench.plan.suite import (
+    RequirementsTable,
     SuiteFile,
     build_sequence_suite,
     load_path_and_suite,
@@ -34,6 +35,11 @@ from dpbench.solvers.table import find_solver_record, load_plugin_solver_from_fi
 
 NO_P99 = "no replay has steps enough for a p99"
 """Beginning of a remark on a plan, of which a search that ranks by other percentiles has no use."""
+WITHOUT_SAMPLE = (
+    "no sample time is known of these QPs: the default limits on step times apply; a suite with "
+    "[[recorded]] and [requirements] sets others"
+)
+"""Remark on a sequence without a deadline of its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +97,8 @@ class RunRequest:
             if self.routes or self.policies:
                 solvers = choose_solvers(document, self.solvers)
                 remarks = check_call_modes(document, solvers, "routes" in keys)
+            if document.requirements == RequirementsTable() and self.sequence is not None:
+                remarks += [WITHOUT_SAMPLE]
             if self.scenarios:
                 remarks += list_tables_left_out(document)
             cells = plan_suite(

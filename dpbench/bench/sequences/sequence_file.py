@@ -22,7 +22,7 @@ folder of them:
     minimise ½ xᵀP x + qᵀx   subject to   G x ≤ h,  A x = b,  lb ≤ x ≤ ub
 
 Each file is a step, in the natural order of the names (2 before 10). The rows are those of G, then
-those of A with both limits at b.
+those of A with both limits at b. `foreign_qps.py` reads other formats.
 """
 
 from __future__ import annotations
@@ -50,6 +50,7 @@ from dpbench.bench.record.npz import (
     read_stored_text,
     write_npz,
 )
+from dpbench.bench.sequences.foreign_qps import read_acados_qp, read_maros_meszaros_problem
 from dpbench.errors import InputError, require_name_or_file, shorten_found
 from dpbench.files.regular_files import open_regular_file, parse_json
 from dpbench.qp.program import (
@@ -305,10 +306,13 @@ KEYS = ("P", "q", "G", "h", "A", "b", "lb", "ub")
 
 
 def list_problem_files(folder: Path) -> list[Path]:
-    """Return the `.npz` files of a folder in natural order; InputError without any."""
-    files = [path for path in folder.iterdir() if path.suffix == ".npz" and path.is_file()]
+    """Return a folder's problem files in natural order, of one format; InputError without any."""
+    paths = [path for path in folder.iterdir() if path.is_file()]
+    by_format = ([path for path in paths if path.suffix == suffix] for suffix in _READERS)
+    files = next(filter(None, by_format), [])
     if not files:
-        raise InputError(str(folder), "", "no .npz file", f"a folder of files, each {_PROBLEM}")
+        found = f"no {', '.join(_READERS)} file"
+        raise InputError(str(folder), "", found, f"a folder of files, each {_PROBLEM}")
     return sorted(files, key=lambda path: (_natural_sort_key(path.stem), path.name))
 
 
@@ -319,7 +323,9 @@ def _natural_sort_key(text: str) -> list[tuple[int, int, str]]:
 
 
 def is_problem_file(path: Path) -> bool:
-    """Return whether a file has the arrays of a qpsolvers problem, not of a dpbench format."""
+    """Return whether a file is a problem of others, not a sequence of dpbench."""
+    if path.suffix in _READERS and path.suffix != ".npz":
+        return True
     try:
         with open_regular_file(path) as file, zipfile.ZipFile(file) as archive:
             names = {name.removesuffix(".npy") for name in archive.namelist()}
@@ -329,14 +335,16 @@ def is_problem_file(path: Path) -> bool:
 
 
 def read_problems(place: Path) -> QPSequence:
-    """Return the qpsolvers problems of a folder, or of one file, as a sequence."""
+    """Return the problems of others in a folder, or in one file, as a sequence."""
     files = list_problem_files(place) if place.is_dir() else [place]
-    problems = [read_problem(path) for path in files]
+    problems = [_READERS.get(path.suffix, read_problem)(path) for path in files]
     base = problems[0]
     for path, qp in zip(files, problems, strict=True):
         if (qp.n, qp.m) != (base.n, base.m):
             found = f"{qp.n} variables and {qp.m} rows"
-            allowed = f"{base.n} variables and {base.m} rows, as in {files[0].name}"
+            allowed = (
+                f"{base.n} variables and {base.m} rows, as in {files[0].name}: one size a folder"
+            )
             raise InputError(str(path), "", found, allowed)
     vectors: dict[str, Any] = {
         name: np.array([getattr(qp, name) for qp in problems]) for name in ("q", "l", "u")
@@ -397,3 +405,11 @@ def _read_rows(
         read_float_array(shaped, where, matrix, (m, n)),
         read_float_array(shaped, where, vector, (m,), infinite=infinite),
     )
+
+
+_READERS = {
+    ".npz": read_problem,
+    ".json": read_acados_qp,
+    ".mat": read_maros_meszaros_problem,
+}
+"""Readers of files of one QP by suffix, in the order in which a folder is searched for them."""
