@@ -100,7 +100,7 @@ def _add_suite_arguments(run: Command) -> None:
     """Add the arguments that choose and vary a suite to a command's parser."""
     option = partial(_add_option, run)
     repeated = partial(option, action="append")
-    sequence = "instead: a stored sequence, a .npz, or a folder of them by qpsolvers"
+    sequence = "instead: a stored sequence, or a file or folder of QPs (.npz, .json, .mat)"
     scenario = "only this scenario; another one, or a file, replaces those of the suite"
     run.add_argument("suite", nargs="?", help="a suite by name, or a TOML file")
     option("--sequence", "S", sequence)
@@ -240,7 +240,7 @@ def _add_iteration_bound_arguments(bound: Command) -> None:
 def _add_check_arguments(check: Command) -> None:
     """Add the arguments of `dpbench check` to its parser."""
     file = (
-        "a name, scenario@vessel, a TOML file, or a .npz or folder of problems, whose every "
+        "a name, scenario@vessel, a TOML file, or a file or folder of QPs, whose every "
         "step is certified anew; or a folder of results/community"
     )
     check.add_argument("file", help=file)

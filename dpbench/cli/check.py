@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 CHECKED = (
     "a vessel, scenario, scenario@vessel, suite or sequence by name, a TOML file, "
-    "a .npz or a folder of problems by qpsolvers, a folder of results/community"
+    "a .npz, .json or .mat file of QPs or a folder of them, a folder of results/community"
 )
 """Arguments of `dpbench check`, for errors."""
 NONE_PASSES = (
@@ -52,7 +52,7 @@ def check_file(name: str, progress: Progress | None = None, *, quick: bool = Fal
     # Unlike Path.exists, these are False for a name that is too long to exist.
     if os.path.isdir(name):
         return _check_folder(Path(name), progress)
-    if name.endswith(".npz"):
+    if name.endswith(problems.SEQUENCE_SUFFIXES):
         return _check_sequence(Path(name), progress)
     if os.path.isfile(name):
         text = _check_document(Path(name), progress, quick=quick)

@@ -110,6 +110,10 @@ def find_problem_path(kind: str, name: str | Path, beside: Path | None = None) -
     raise InputError(text, "", instead, f"a readable {kind[:-1]} file in TOML")
 
 
+SEQUENCE_SUFFIXES = (".npz", ".json", ".mat")
+"""Endings of files of QPs: of dpbench and qpsolvers, acados, the Maros-Meszaros set."""
+
+
 def resolve_sequence_path(name_or_path: str | Path, beside: Path | None = None) -> Path:
     """Return the path of a QP sequence given by name or by path, which may not exist.
 
@@ -122,9 +126,9 @@ def resolve_sequence_path(name_or_path: str | Path, beside: Path | None = None) 
         # Unlike Path.exists, this is False for a name that is too long to exist.
         if os.path.exists(base / text):
             return base / text
-    if "/" not in text and not text.endswith((".npz", ".json", ".mat")):
+    if "/" not in text and not text.endswith(SEQUENCE_SUFFIXES):
         raise make_unknown_problem_name_error(
-            SEQUENCES, text, "a .npz path or a folder of problems"
+            SEQUENCES, text, "a .npz, .json or .mat path, or a folder of problems"
         )
     return Path(text)
 

@@ -208,7 +208,7 @@ class RecordedTable(RunsTable):
 
     units: ClassVar[list[Units]] = ["scaled"]
     sequence: str
-    """A stored sequence by name, a .npz, or a folder of problems by qpsolvers."""
+    """A stored sequence by name, or a file or folder of QPs (.npz, .json, .mat)."""
     formulations: list[FormulationName] = ["condensed_box"]
     """Forms of the QP a solver is given."""
 

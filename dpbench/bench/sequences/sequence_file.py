@@ -312,7 +312,7 @@ def list_problem_files(folder: Path) -> list[Path]:
     files = next(filter(None, by_format), [])
     if not files:
         found = f"no {', '.join(_READERS)} file"
-        raise InputError(str(folder), "", found, f"a folder of files, each {_PROBLEM}")
+        raise InputError(str(folder), "", found, "a folder of files of one QP each")
     return sorted(files, key=lambda path: (_natural_sort_key(path.stem), path.name))
 
 

@@ -71,7 +71,7 @@ from dpbench.scenario.problem_files import resolve_sequence_path
 from dpbench.scenario.scenario import Scenario, build_or_reuse_scenario, build_vessel_from_documents
 from dpbench.ship.layout import AXES
 
-_FILES = "a sequence by `dpbench export` (.npz), or a problem (.npz) or folder of them by qpsolvers"
+_FILES = "a sequence by `dpbench export` (.npz), or a QP or folder of them of others"
 
 
 def record_scenario(

@@ -16,6 +16,7 @@ from dpbench.bench.record.energy import find_energy_counters
 from dpbench.bench.sequences.foreign_qps import read_acados_qp, read_maros_meszaros_problem
 from dpbench.bench.sequences.sequence_file import read_problems
 from dpbench.bench.sequences.source import load_named_sequence
+from dpbench.cli.check import check_file
 from dpbench.qp.referee.referee import certify_all_steps
 
 INFINITY = 1e10  # of acados
@@ -55,6 +56,7 @@ def test_two_stages_have_the_optimum_of_a_hand_calculation(
 ) -> None:
     path = write(tmp_path / "qp.json", two_stages(lowest))
     assert solve(path) == pytest.approx([u, 1.0, 1.5 + u], abs=1e-9)
+    assert check_file(str(path)).startswith(f"{path}: 1 QPs, n = 3, m = 1")
     # Without `idxb`, as of older versions: all entries have bounds.
     older = {key: value for key, value in two_stages(lowest).items() if key != "idxb_0"}
     assert solve(write(path, older)) == pytest.approx([u, 1.0, 1.5 + u], abs=1e-9)
