@@ -1,5 +1,6 @@
 """Closed loops of this process in a result folder of a campaign, and on its page."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,8 @@ from dpbench import (
     run_closed_loop,
     save_sequence,
 )
+from dpbench.report.page.live import _draw_empty_step_charts
+from dpbench.report.report import Report
 from tests.scenario.plants.test_linear_mpc import GIVEN, Cart, LinearMPC
 
 
@@ -45,6 +48,9 @@ def test_loops_of_an_own_plant_join_the_replays_of_its_qps(tmp_path: Path) -> No
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "other plants, disturbances and tunings" in page
     assert "other ships" not in page
+    # The page's script shows such a loop without the strip of a ship's forces.
+    charts = _draw_empty_step_charts(Report.from_results(results).data)
+    assert "force / limit" not in json.dumps(charts["strips_without_forces"].to_dict())
     short = run_closed_loop(mpc, "daqp", plant=Cart, steps=5)
     with pytest.raises(InputError, match="closed loop cart of 5 steps; allowed: 12 steps"):
         add_runs(out, [short])

@@ -124,7 +124,7 @@ def make_step_panels(runs: Sequence[Law], error_limit: float) -> list[Panel]:
 
 
 def make_signal_panels(runs: Sequence[Law]) -> tuple[list[Law], list[Panel]]:
-    """Return the curves, with the reference first, and panels of outputs and inputs over time.
+    """Return the curves, with the reference last, and panels of outputs and inputs over time.
 
     runs : with steps of the columns t_s, each output, `<output>_reference`, and each input.
     """
@@ -133,10 +133,11 @@ def make_signal_panels(runs: Sequence[Law]) -> tuple[list[Law], list[Panel]]:
     reference = Law("reference", table[["t_s", *outputs]].rename(columns=outputs))
     panels = []
     for name in table.columns.drop(["t_s", *outputs]):
-        drawn = [*([reference] if name in reference.steps else ()), *runs]
+        # Last: colours follow the order of the curves, also where a panel has no reference.
+        drawn = [*runs, *([reference] if name in reference.steps else ())]
         values = _tabulate_by_law_over_time(drawn, lambda law, n=name: law.steps[n])
         panels.append(Panel(str(name), values))
-    return [reference, *runs], panels
+    return [*runs, reference], panels
 
 
 def _make_axis_panels(

@@ -109,6 +109,14 @@ def test_its_signals_are_plotted_with_their_reference() -> None:
         run.plot.signals(run_closed_loop(other, "daqp", plant=Cart))
 
 
+def test_a_run_has_one_colour_in_all_panels_of_its_signals() -> None:
+    pytest.importorskip("matplotlib", reason="an extra")
+    run = run_closed_loop(LinearMPC(**GIVEN).truncate(5), "daqp", plant=Cart)
+    panels = run.plot.signals(backend="matplotlib").axes
+    assert len(panels) == 2
+    assert len({axes.get_lines()[0].get_color() for axes in panels}) == 1
+
+
 def test_its_sequence_is_replayed() -> None:
     mpc = LinearMPC(**GIVEN).truncate(10)
     sequence = record_sequence(mpc, plant=Cart)
