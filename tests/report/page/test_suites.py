@@ -137,7 +137,7 @@ KINDS: dict[str, tuple[Callable[[Any], None], str, set[str]]] = {
     "formulations": (_formulations, "formulations", set()),
     "routes": (_routes, "routes", set()),
     "routes of two solvers": (lambda records: _routes(records, "daqp", "osqp"), "routes", set()),
-    "settings": (_levels, "levels", set()),
+    "settings": (_levels, "levels", {"settings"}),
     "worst case": (_searched, "worst-case", set()),
 }
 """Topics by kind of suite: the one that is its question, and the others."""
