@@ -172,7 +172,7 @@ def test_a_sequence_is_a_stored_name_or_a_path(
     assert resolve_sequence_path("robot", beside) == beside / "robot"
     assert resolve_sequence_path("mine", beside).resolve() == here / "mine"
     assert resolve_sequence_path("no/such") == Path("no/such")
-    listing = r"more: `list_sequences\(\)`; or a \.npz path"
+    listing = r"more: `list_sequences\(\)`; or a \.npz, \.json or \.mat path"
     for name, near in (("paper-30-6", "allowed: paper-30-5, .*"), ("x" * 300, "")):
         with pytest.raises(UnknownNameError, match=near + listing):
             resolve_sequence_path(name)
