@@ -15,7 +15,8 @@ import pytest
 import dpbench
 from dpbench.temporary_folders import PREFIX
 
-pytestmark = pytest.mark.slow
+# A signal goes to all processes of a group, and a loaded machine may let it meet the fork server.
+pytestmark = [pytest.mark.slow, pytest.mark.alone]
 
 SUITE = """
 title = "A suite for one test"

@@ -59,7 +59,8 @@ class PageCommands:
         if not stored.exists():
             before = {*Path().rglob("*")}
             assert main(words) == 0, command
-            written = [path for path in {*Path().rglob("*")} - before if path.is_file()]
+            made = {*Path().rglob("*")} - before
+            written = [p for p in made if p.is_file() and "__pycache__" not in p.parts]
             for path in written:
                 target = stored / path.relative_to(out) if out else stored / path
                 target.parent.mkdir(parents=True, exist_ok=True)

@@ -237,9 +237,10 @@ def _run_closed_loop(
         with watch.observe(), raise_at_step_limit(STEP_SHARE * cell.limit_s, clock):
             complete = record_closed_loop(setup)
     except PlantError as error:
-        return Outcome("invalid", str(error))
-    finally:
         set_phase(Phase.HARNESS)
+        return Outcome("invalid", str(error))
+    # Not where a solver ends the process: that is charged to it by the phase.
+    set_phase(Phase.HARNESS)
     if not complete and watch.spent_ns > 0.5 * limit_ns:
         found = f"the plant took {watch.spent_ns * 1e-9:.3g} s of the {cell.limit_s:g} s of the run"
         return Outcome("invalid", f"{found} (cell_limit_s), and stopped it")

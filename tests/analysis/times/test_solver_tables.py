@@ -186,7 +186,8 @@ def test_settings_of_a_solver_are_compared_with_its_first_in_one_call_mode(recor
     assert len(found) == 2 and mine.ratio.value == pytest.approx(0.5, rel=0.02)
     assert (mine.finding_text, high.finding_text) == ("faster", "slower")
     report = Report.from_results(records.results())
-    text = f"osqp (qpsolvers fresh, mine) takes {significant(mine.ratio.value)} times as long over"
+    pair = "osqp (qpsolvers fresh, mine) against osqp (qpsolvers fresh)"
+    text = f"{pair} takes {significant(mine.ratio.value)} times as long over"
     assert text in dict(report.summary_rows())["settings"] and "high" not in text
     assert text in make_report_markdown(report)
     (topic,) = (one for one in report.topics if one.id == "settings")
