@@ -28,9 +28,9 @@ from dpbench.solvers.open import open_workspace
 Axes = Literal["surge", "sway-yaw"]
 AXES: dict[Axes, tuple[int, ...]] = dict(zip(get_args(Axes), ((0,), (1, 2)), strict=True))
 OFFSETS = np.array([50.0, 50.0, np.deg2rad(30.0)])
-"""Half the box, before its factor: offset of n, e [m] and ψ [rad] from the setpoint,"""
+"""Half the box, before its factor: offset of n, e [m] and ψ [rad] from the setpoint."""
 SPEEDS = np.array([1.0, 1.0, np.deg2rad(1.0)])
-"""and rates of change of these [m/s, m/s, rad/s]."""
+"""Rates of change of these offsets, before the factor [m/s, m/s, rad/s]."""
 SAMPLE, SEARCHED = 4096, 3000
 """Random parameters that are solved, and those that a search may try."""
 

@@ -116,8 +116,7 @@ def _read_description(path: Path, where: str) -> Any:
         raise InputError(where, key, "no FMPy to run an FMU", allowed) from None
     try:
         described, systems = read_model_description(str(path)), fmpy.supported_platforms(str(path))
-    # FMPy raises bare exceptions, and what zipfile and lxml raise.
-    except Exception as error:
+    except Exception as error:  # FMPy's are bare; zipfile and lxml raise their own
         raise InputError(where, key, f"{path.name}, no FMU ({error})", _WHAT) from error
     version = str(described.fmiVersion)
     if version not in _VERSIONS:

@@ -97,8 +97,7 @@ class FmuPlant:
         try:
             fmu = _instantiate(interface, _extract(path, table.sha256))
             plant = cls(fmu, interface, name, sample_s / steps, steps)
-        # FMPy raises bare exceptions.
-        except Exception as error:
+        except Exception as error:  # FMPy raises bare exceptions
             raise PlantError(name, f"the FMU cannot be opened: {error}") from error
         finally:
             # Of a library that cannot be loaded FMPy stays in the folder.
@@ -128,8 +127,7 @@ class FmuPlant:
         try:
             self._fmu.terminate()
             self._fmu.freeInstance()
-        # FMPy raises bare exceptions, and after an error an FMU may refuse to end.
-        except Exception:
+        except Exception:  # FMPy's are bare, and after an error an FMU may refuse to end
             pass
 
     def _initialise(self, interface: FmuInterface, state: Vector) -> None:
@@ -148,8 +146,7 @@ class FmuPlant:
                     setter(list(references), numbers.tolist())
             fmu.enterInitializationMode()
             fmu.exitInitializationMode()
-        # FMPy raises bare exceptions.
-        except Exception as error:
+        except Exception as error:  # FMPy raises bare exceptions
             raise PlantError(self.name, f"the FMU fails as it starts: {error}") from error
         self._read_state()
         away = np.abs(self.state - state)
