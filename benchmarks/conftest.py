@@ -28,7 +28,7 @@ def problem(scenario: Scenario) -> ControlProblem:
 
 @pytest.fixture(scope="session")
 def exact(scenario: Scenario) -> ExactLoop:
-    """Its exactly solved loop."""
+    """Its reference loop."""
     return solve_loop_exactly(scenario)
 
 

@@ -1,6 +1,6 @@
 """Counts of a suite's table `[embedded]`: what solvers cost as C on emulated cores.
 
-Each solver, core and part of an exactly solved loop is counted in a process of its own and stored
+Each solver, core and part of a reference loop is counted in a process of its own and stored
 in the folder of cells, so that a finished count is not repeated. A solver that cannot be counted
 is noted with the reason, and the campaign goes on.
 """
@@ -41,7 +41,7 @@ WORK = 5_000
 
 @dataclass(frozen=True, eq=False)
 class PlannedCount:
-    """A solver's C to count on one core, along steps of a scenario's exactly solved loop."""
+    """A solver's C to count on one core, along steps of a scenario's reference loop."""
 
     solver: str
     target: str
@@ -62,7 +62,7 @@ class PlannedCount:
         return json.dumps(asdict(self), sort_keys=True, ensure_ascii=False)
 
     def count_instructions(self) -> StepCounts:
-        """Return the instructions counted in a solver's C along an exactly solved loop's QPs."""
+        """Return the instructions counted in a solver's C along a reference loop's QPs."""
         # The emulator takes a while to load, and every campaign imports this module.
         from dpbench.embedded.count import count_instructions_along_sequence
 

@@ -53,17 +53,16 @@ REPORT_S, REPORT_CELL_S = 4.0, 0.006
 COMPILE_S = 15.0
 """Compilation of the kernels, once after an installation [s]."""
 LOADED = 1.1
-"""Slow-down by other programs from which a forecast names it."""
+"""Slowdown by other programs from which a forecast names it."""
 JUDGE_STEP_S, SOURCE_STEP_S, USUAL_SIZE = 0.00015, 0.0003, 60
-"""A step for the referee and the tables, and a step of an exactly solved loop [s], at this size."""
+"""A step for the referee and the tables, and a step of a reference loop [s], at this size."""
 STEP_BYTES, RUN_BYTES = 90.0, 500.0
 """Size of a step and of a run in the tables, for runs that have nothing in common
 (`docs/guide/scale.md`)."""
 LONG_CERTIFICATES = (
-    "a lower bound: some steps of an exactly solved loop with commanded thrusters need a long "
-    "certificate"
+    "a lower bound: some steps of a reference loop with commanded thrusters need a long certificate"
 )
-"""Remark on a forecast that takes all steps of an exactly solved loop for equally long."""
+"""Remark on a forecast that takes all steps of a reference loop for equally long."""
 _KIND = ["mode", *CONFIGURATION_COLUMNS]
 Kind = tuple[str, ...]
 SMALL = 30
@@ -171,7 +170,7 @@ def _estimate_judging_s(cell: Cell, size: int) -> float:
 
 
 def _estimate_sources_s(cells: Iterable[Cell]) -> float:
-    """Return the expected time of all exactly solved loops and sequences that runs need [s]."""
+    """Return the expected time of all reference loops and sequences that runs need [s]."""
     seconds: dict[tuple[object, ...], float] = {}
     for cell in cells:
         point = cell.study and (cell.study.point, cell.study.replicate)
@@ -221,7 +220,7 @@ def estimate_time_and_size(
 
 
 def _commands_thrusters(cell: Cell) -> bool:
-    """Return whether a run needs the exactly solved loop of a ship with commanded thrusters."""
+    """Return whether a run needs the reference loop of a ship with commanded thrusters."""
     controller = cell.scenario.get("scenario", {}).get("controller", {})
     return bool(controller.get("kind", "forces") != "forces")
 

@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 MARGIN = 0.15
-"""Largest slow-down of a benchmark that is no verdict, as a share of its time."""
+"""Largest slowdown of a benchmark that is no verdict, as a share of its time."""
 
 
 def parse_exit_code(text: str) -> int:

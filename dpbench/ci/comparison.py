@@ -64,7 +64,7 @@ NOISE = Prior(sd=0.05, df=6.0)
 """Noise of one benchmark in its few rounds, between two runs of the same code."""
 SLACK = {"peak_bytes": (1.1, 128.0), "error_move_max": (1.1, 1e-9)}
 """Factor and number by which an exact measure may grow: when SciPy frees memory is not exact, and
-an error below 1e-9 of a rate-limit step is rounding."""
+an error below 1e-9 of the maximum increment is rounding."""
 FEWEST_PAIRS = 3
 """Undisturbed pairs of runs that suffice, where there are as many pairs."""
 

@@ -58,7 +58,7 @@ class ReplayBenchmark:
         solver : a name, the `.py` file of a plug-in, or a workspace. A relative file is in the
             folder of the test, in pytest's rootdir or in the present folder.
         steps : only the first so many; by default all.
-        error_move : largest error of the first move allowed, in rate-limit steps.
+        error_move : largest error of the first move allowed, in maximum increments.
         failed_steps : number of failed steps allowed.
         options : of `open_workspace` (policy, settings, route), not for a workspace.
 

@@ -367,7 +367,7 @@ def _add_tune_solver_arguments(tune: Command) -> None:
     repeated("--widen", "RANGE", widened, dest="widened")
     add("--route", help="native (default where there is one) or qpsolvers")
     add("--policy", default="fresh", help="fresh (default), reuse or warm")
-    error = "largest error of the first move, in rate-limit steps (0.01)"
+    error = "largest error of the first move, in maximum increments (0.01)"
     option("--error", "E", error, type=float, default=0.01, dest="error_move")
     option("--trials", "N", "settings to try (48)", type=int, default=48)
     option("--steps", "N", "at most N steps of each scenario (all)", type=int, default=0)

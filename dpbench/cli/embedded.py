@@ -239,7 +239,7 @@ def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
             | {"error": format_error(run["error_move"])}
             for run in group
         ]
-        note = "Error: largest of the first move against the optimum, in rate-limit steps."
+        note = "Error: largest of the first move against the optimum, in maximum increments."
         yield Table.from_rows(sizes, f"{title}bytes of memory, error", note=note)
 
 

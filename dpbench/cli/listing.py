@@ -11,7 +11,7 @@ from dpbench.cli.terminal import format_heading_and_paragraphs, make_small_table
 from dpbench.report.formats import MISSING, plural
 
 SEQUENCES_ARE = """
-Each is the exactly solved loop of the scenario it is named after, at the
+Each is the reference loop of the scenario it is named after, at the
 horizons N_p-N_c of its name, every optimum certified. n: variables; m: rows;
 K: QPs; active: share of all limits; samples: which of the loop were kept."""
 

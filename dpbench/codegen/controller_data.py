@@ -59,7 +59,7 @@ class ThrusterTables:
 
     normal (r, w) : of each row on its thruster's w ≤ 2 entries, zero behind the last;
     low, high, lost_low, lost_high (r,) [N]; first_row, first_entry (p + 1,) : where the rows and
-    entries of a thruster begin; row_max (r,) : change of a row by a full rate-limit step.
+    entries of a thruster begin; row_max (r,) : change of a row by a maximum increment.
     """
 
     names: tuple[str, ...]

@@ -63,7 +63,7 @@ def count_replay(
     """Replay a trajectory with a controller's sources on each core of `CORES`; return the costs.
 
     files : C sources and headers by name, with the shim `count_step.c`.
-    step_max : (n_u,) rate-limit step; tolerance : largest accepted difference from a recorded
+    step_max : (n_u,) maximum increment; tolerance : largest accepted difference from a recorded
     command, in such steps.
 
     Raises
@@ -107,7 +107,7 @@ def _replay(
         if left < 0:
             break
     if not most <= tolerance:
-        limit = f"{tolerance:g} of a rate-limit step"
+        limit = f"{tolerance:g} of the maximum increment"
         raise SituationError(
             "codegen", f"on {target.title} a command differs by {most:.1g}; allowed: {limit}"
         )

@@ -137,7 +137,7 @@ def list_constant_tables(data: ControllerData) -> tuple[Table, ...]:
         ("intact_high", thrusters.high, "and their other side"),
         ("lost_low", thrusters.lost_low, "limits after the loss of the row's thruster"),
         ("lost_high", thrusters.lost_high, "and their other side"),
-        ("row_max", thrusters.row_max, "change of a row by a full rate-limit step"),
+        ("row_max", thrusters.row_max, "change of a row by a maximum increment"),
         ("first_row", np.array(thrusters.first_row), "where the rows of each thruster begin"),
         ("first_entry", np.array(thrusters.first_entry), "where the forces of each thruster begin"),
     )

@@ -19,7 +19,7 @@ from dpbench.temporary_folders import make_temporary_folder_for_block, process_t
 
 OSQP_SETTINGS = {"eps_abs": 1e-6, "eps_rel": 0.0, "rho": 0.03, "max_iter": 20_000}
 OSQP_TOLERANCE = 0.01
-"""Largest accepted difference between generated code and loop for OSQP, in rate-limit steps: the
+"""Largest accepted difference between generated code and loop for OSQP, in maximum increments: the
 code keeps ρ, while OSQP in the loop adapts it."""
 
 
@@ -30,7 +30,7 @@ class SolverSources:
     header, source : templates of `solver.h` and `solver.c`, with their values; files : sources
     beside them, by name; memory : bytes of `solver_memory`; origin : where the files are from, with
     their licence; heap : use of it; tolerance : difference allowed in a replay from dpbench's
-    solver at `settings`, in rate-limit steps; copies : whether a process may have several.
+    solver at `settings`, in maximum increments; copies : whether a process may have several.
     """
 
     header: str

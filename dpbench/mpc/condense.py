@@ -128,7 +128,7 @@ class ControlProblem:
     W : (n_u, n_u) weight of u itself over the planned moves; None for none, as in the paper.
     terminal : "none", the paper's, or "riccati", the cost of the infinite horizon at its end.
     G : (r, n_u) rows of the amplitude limits; limits : those of G u while nothing has failed.
-    row_max : (r,) the change of G u by a full rate-limit step along each row: the unit of the row.
+    row_max : (r,) the change of G u by a maximum increment along each row: its unit.
     """
 
     model: StateSpace

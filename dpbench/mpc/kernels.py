@@ -195,7 +195,7 @@ def write_rows_of_summed_increments(G, rows):
 def write_limits_reachable_at_rate(u_prev, u_min, u_max, row_max, row_unit, l, u, N_c):  # noqa: E741 - of l ≤ Az ≤ u
     """Write each move's amplitude limits, extended as far as the rate limit requires, into l and u.
 
-    In rate-limit steps the reachable bounds −i and i are exact, so a row that is forced to its
+    In maximum increments the reachable bounds −i and i are exact, so a row that is forced to its
     bound meets it to the last bit and no rounding makes the step infeasible.
     """
     r, stride = len(u_prev), len(l) // N_c

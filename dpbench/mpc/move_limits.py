@@ -10,8 +10,8 @@ from dpbench.mpc.condense import ControlProblem
 from dpbench.mpc.thruster_rows import LimitRampDown, Limits, ThrusterRows
 
 CLIP_TOLERANCE = 1e-9
-"""Largest violation of a limit that counts as rounding, in rate-limit steps; above it `clipped` is
-recorded."""
+"""Largest violation of a limit that counts as rounding, in maximum increments; above it
+`clipped` is recorded."""
 
 
 class MoveLimit(Protocol):

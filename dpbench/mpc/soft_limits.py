@@ -42,9 +42,9 @@ from dpbench.ship.layout import AXES
 class Penalty:
     """Linear and quadratic costs of the slack variables, in scaled units.
 
-    amplitude : (n_u,) ρ of the amplitude slacks, per rate-limit step above the limit; of thrusters
-    (p,), each of which has one slack for all its sides. outputs : ρ of the output slacks, per unit
-    of their rows. curvature : ε.
+    amplitude : (n_u,) ρ of the amplitude slacks, per maximum increment above the limit; of
+    thrusters (p,), each of which has one slack for all its sides. outputs : ρ of the output
+    slacks, per unit of their rows. curvature : ε.
     """
 
     amplitude: Vector
@@ -57,7 +57,7 @@ class Penalty:
 
         A multiplier of an amplitude row is the slope of the cost along a force: P times the
         distance d between the plan and the unconstrained one, at most ‖P_i‖_1 d while no rate limit
-        acts. ρ takes d = ¼ (u_max − u_min)/Δu_max in every move, some 19 rate-limit steps: enough
+        acts. ρ takes d = ¼ (u_max − u_min)/Δu_max in every move, some 19 maximum increments: enough
         for offsets of 20 m or 25° under tuning `robust`, of 3.5 m or 15° under `paper`, with all
         vessels. For outputs it takes one move of ½ the range, max|P_ij| times it. More is no safer:
         at four times these numbers augmented-Lagrangian solvers call the problem infeasible. ε is
@@ -240,7 +240,7 @@ def _build_polygon_constraint(
 ) -> ConstraintBlock:
     """Return constraints that keep a predicted horizontal vector in a polygon around the origin.
 
-    One unit of a row is the effect of a full rate-limit step at k of the strongest axis at the last
+    One unit of a row is the effect of a maximum increment at k of the strongest axis at the last
     instant; it is the same at every heading.
     """
     K, n_u, theta = bounds.sides, problem.model.n_u, problem.model.theta

@@ -55,7 +55,7 @@ class ThrusterRows:
         object.__setattr__(self, "intact", intact)
 
     def largest_row_changes_per_step(self, df_max: Vector) -> Vector:
-        """Return each force constraint's unit (r,): its change by a full rate-limit step."""
+        """Return each force constraint's unit (r,): its change by a maximum increment."""
         largest: Vector = np.sqrt(((self.G * df_max) ** 2).sum(axis=1))
         return largest
 

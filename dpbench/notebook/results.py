@@ -66,7 +66,7 @@ class Results(result_folder.Results):
     def ships(self) -> pd.DataFrame:
         """Return what the controller itself does to each scenario's ship: a row per scenario.
 
-        From the exactly solved loop, with offsets [m], times [s] and the share of steps with active
+        From the reference loop, with offsets [m], times [s] and the share of steps with active
         limits; `ship` is "on station", "leaves", "leaves and returns", "not there" (at its
         setpoint) or "not run".
         """

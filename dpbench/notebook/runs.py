@@ -199,7 +199,7 @@ class Run:
 
     @property
     def _ship(self) -> ShipSummary:
-        """Results of the controller itself: the ship of the exactly solved closed loop."""
+        """Results of the controller itself: the ship of the reference closed loop."""
         if self.scenario is None:
             return ShipSummary()
         (run,) = build_run_records(pd.DataFrame([self.summary]))
@@ -252,7 +252,7 @@ def run_closed_loop(
     Raises
     ------
     InputError : for an unknown formulation, fallback or backup, "sparse" for a scenario that has
-        none, a slow-down, deadline or number of steps that cannot be, or weather that would push a
+        none, a slowdown, deadline or number of steps that cannot be, or weather that would push a
         plant of one's own.
     PlantError : for a plant that fails, or whose state or measurement has another shape or NaN.
     TypeError : for a scenario, workspace or number of steps of another type.

@@ -28,7 +28,7 @@ def name_core_and_precision(target: str, *, single: bool) -> str:
 
 NOTE = (
     "k, iterations and active rows are those of the worst step. code: with constants; static: with "
-    "heap [bytes]. error: largest of the first move, in rate-limit steps. desk: native call at "
+    "heap [bytes]. error: largest of the first move, in maximum increments. desk: native call at "
     "default settings, warm start where the solver has one; p99 of the same steps."
 )
 """Meaning of the columns of the table of counts."""

@@ -13,7 +13,7 @@ from dpbench.scenario.stability import describe_unstable_loop
 
 LOST = "The controller does not hold this ship"
 BANNER = f"{LOST} in this weather"
-NOT_RUN = "Ship: not run. No exactly solved loop shows whether the controller holds it."
+NOT_RUN = "Ship: not run. No reference loop shows whether the controller holds it."
 NEAR_SHARE = 0.8
 """Share of its station from which on a ship that stays is said to come near the limits."""
 MOST_NAMED = 3
@@ -276,7 +276,7 @@ def _describe_rest(ships: Sequence[ShipResult]) -> list[str]:
             f"{significant(far.run.exact_offset_end_m)} m off)."
         )
     if absent:
-        sentences.append(f"Ship not run: no exactly solved loop of {_name_ships(absent)}.")
+        sentences.append(f"Ship not run: no reference loop of {_name_ships(absent)}.")
     return sentences
 
 

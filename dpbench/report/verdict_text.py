@@ -64,9 +64,9 @@ def describe_requirements(requirements: Requirements) -> str:
     )
     return (
         f"The requirements: on every step the first move within {requirements.error_move:g} of "
-        f"a rate-limit step of the certified optimum, {failed}, a p99 of the algorithmic step time "
-        f"of at most {requirements.p99_ms:g} ms ({share} % of the deadline), and every step within "
-        f"the deadline of {requirements.deadline_ms:g} ms."
+        f"the maximum increment of the certified optimum, {failed}, a p99 of the algorithmic step "
+        f"time of at most {requirements.p99_ms:g} ms ({share} % of the deadline), and every step "
+        f"within the deadline of {requirements.deadline_ms:g} ms."
     )
 
 

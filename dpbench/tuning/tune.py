@@ -119,7 +119,7 @@ class Tuning:
         note = (
             "Time: p99 of the steps, each the fastest of its rounds; where a sequence is too short "
             "for it the p95 or p50, named beside it. Error: of the first move, at most "
-            f"{limit.error_move:g} of a rate-limit step."
+            f"{limit.error_move:g} of the maximum increment."
         )
         return Table(heads, tuple(rows), title, note, text_columns=3)
 
@@ -309,7 +309,7 @@ def tune_solver(
     ranges : texts such as `rho=[1e-3,10]`, in place of the stated ranges of the solver.
     widened : such texts beside the other ranges.
     route, policy : of the solver; no route is native where it has that.
-    error_move : the accuracy requirement, largest error of the first move [rate-limit steps].
+    error_move : the accuracy requirement, largest error of the first move [maximum increments].
     trials : settings to try, beside one's own and the presets; steps : of a scenario, 0 for all.
     name : of the settings in the TOML file that is written.
     out : folder; by default `results/tune-SOLVER`.

@@ -115,7 +115,7 @@ def test_an_fmu_is_valid(built: tuple[Path, ControllerData]) -> None:
 def test_an_fmu_steers_as_the_python_loop(
     built: tuple[Path, ControllerData], tmp_path: Path
 ) -> None:
-    """Every command of the closed loop is within 1e-9 of a rate-limit step."""
+    """Every command of the closed loop is within 1e-9 of the maximum increment."""
     path, data = built
     expected = record_closed_loop_trajectory(data, "paper_active_set", STEPS).commands
     controller = FmuController(path, data, tmp_path)

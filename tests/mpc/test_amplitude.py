@@ -19,7 +19,7 @@ from tests.mpc.conftest import at_sea, random_problem, ship_problem
 LOST = np.array([1.0, 0.45, 0.6])
 """Remaining shares of the limits in `thruster_loss`."""
 EQUAL = 1e-9
-"""The largest difference of two plans called equal, in rate-limit steps; both are certified to
+"""The largest difference of two plans called equal, in maximum increments; both are certified to
 1e-10 or better."""
 
 
@@ -103,7 +103,7 @@ def test_where_hard_limits_are_infeasible_the_soft_plan_violates_them_least() ->
         b_ub=np.concatenate([qp.u[upper], -qp.l[lower]]),
         bounds=list(zip(qp.lb, np.where(np.isinf(qp.ub), None, qp.ub), strict=True)),
     )
-    # The linear program works to 1e-7 a row; sway starts 21 rate-limit steps above its limit.
+    # The linear program works to 1e-7 a row; sway starts 21 maximum increments above its limit.
     assert least.fun > 100.0
     assert slacks.sum() == pytest.approx(least.fun, abs=1e-5)
 

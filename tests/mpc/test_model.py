@@ -145,7 +145,7 @@ def test_a_rotated_model_is_the_one_discretised_at_the_new_heading(
         build_prediction_model(ship.M, ship.D, psi0_rad, sample_s), psi_rad - psi0_rad
     )
     expected = build_prediction_model(ship.M, ship.D, psi_rad, sample_s)
-    # Entries of A are 1 at most; those of B are compared in what a rate-limit step does.
+    # Entries of A are 1 at most; those of B are compared in what a maximum increment does.
     step = ship.largest_force_change_per_sample(sample_s)
     np.testing.assert_allclose(found.A, expected.A, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.B * step, expected.B * step, rtol=0, atol=1e-12)

@@ -25,7 +25,7 @@ ROUNDING = 1e-9
 """Rounding error, relative to the sum of the sizes of all terms of an equation; optima are
 certified to 1e-10."""
 SAME = 1e-8
-"""The largest difference of plans called equal, in rate-limit steps."""
+"""The largest difference of plans called equal, in maximum increments."""
 
 
 def both(problem: Any, units: UnitSystem = "scaled", **policy: Any) -> tuple[Any, Any]:
@@ -113,8 +113,8 @@ SOLVERS: dict[str, Any] = {"piqp_multistage": dict.fromkeys(TOLERANCES, 1e-12), 
 
 
 def distance(condensed: CondensedQP, staged: StagedQP, *theta: Any, **limits: Any) -> float:
-    """Return the distance of the staged answer from the certified condensed plan, in rate-limit
-    steps."""
+    """Return the distance of the staged answer from the certified condensed plan, in maximum
+    increments."""
     optimum = certify(condensed.problem(condensed.emit(*theta, **limits)))
     assert optimum.bound < 1e-10
     qp = staged.problem(staged.emit(*theta, **limits))
@@ -151,7 +151,7 @@ def test_the_referee_certifies_the_same_moves(what: str) -> None:
     y_ref = case.preview() if what in ("preview", "everything") else case.y_ref
     u_prev, limits = case.u_prev, None
     if what in ("limits", "everything"):
-        # Half a rate-limit step below the force: it has to fall at once, and no move is forced to
+        # Half a maximum increment below the force: it has to fall at once, and no move is forced to
         # its own limit, where the multipliers of a plan would not be unique.
         u_prev, half = lost(problem)[0], 0.5 * problem.du_max
         low = np.maximum(problem.u_min, half - np.abs(u_prev))

@@ -197,8 +197,8 @@ def test_a_term_is_linked_where_a_section_names_it_first() -> None:
 
 
 def test_the_longest_phrase_is_the_term() -> None:
-    output = Terms([])("one rate-limit step, paired ratios, unwarm, step-warm")
-    assert re.findall(r"#word-([\w-]+)", output) == ["rate-limit-step", "paired-ratio"]
+    output = Terms([])("one maximum increment, paired ratios, unwarm, step-warm")
+    assert re.findall(r"#word-([\w-]+)", output) == ["maximum-increment", "paired-ratio"]
 
 
 def test_an_interval_of_a_study_is_over_realisations() -> None:

@@ -195,7 +195,7 @@ def test_a_ship_on_its_way_and_one_without_a_loop_are_said_to_be(records: Any) -
     told = _summary(records)
     assert told.warning == ""
     assert "Not at its setpoint at the end of the run: `move` (up to 12.0 m off)." in told.text
-    assert "Ship not run: no exactly solved loop of `paper`." in told.text
+    assert "Ship not run: no reference loop of `paper`." in told.text
     records.loop("daqp", "paper")
     assert "Ship not run" not in _summary(records).text
 

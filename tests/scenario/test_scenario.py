@@ -177,7 +177,7 @@ def test_tunings_are_those_of_the_table(name: str) -> None:
 
 
 def test_condensed_sizes_are_those_of_the_paper() -> None:
-    """The paper's horizons give 15 variables and rows; z = 1 is one rate-limit step."""
+    """The paper's horizons give 15 variables and rows; z = 1 is one maximum increment."""
     scaled, si = condense(load_scenario("paper")), condense(load_scenario("paper"), units="si")
     assert scaled.P.shape == scaled.A.shape == (15, 15)
     np.testing.assert_array_equal(scaled.ub, np.ones(15))

@@ -55,7 +55,7 @@ def test_factors_of_one_leave_the_controller_as_it_is(name: str) -> None:
 
 
 def test_a_larger_increment_weight_wears_less_in_the_same_sea() -> None:
-    """The offset is that of the exactly solved loop; a slower controller lets the ship off more."""
+    """The offset is that of the reference loop; a slower controller lets the ship off more."""
     scenario = load_scenario("weather")
     seas = draw_realisations(scenario, [], 0, 1, 200)
     own = make_unchanged_options(scenario)

@@ -101,7 +101,7 @@ def remove_factor_shared_by_group(
     subject = np.arange(len(logs)) if subjects is None else np.asarray(subjects)
     centre, error, df = np.zeros(len(logs)), np.empty(len(logs)), np.empty(len(logs))
     for i in range(len(logs)):
-        # What a configuration is judged by must not come from its own subject: that one's slow-down
+        # What a configuration is judged by must not come from its own subject: that one's slowdown
         # would count.
         keep, same = np.arange(len(logs)) != i, subject == subject[i]
         typical2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0

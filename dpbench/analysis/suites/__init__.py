@@ -1,1 +1,1 @@
-"""Results of suites of one topic beyond a verdict: claims, losses, slow-downs, studies."""
+"""Results of suites of one topic beyond a verdict: claims, losses, slowdowns, studies."""

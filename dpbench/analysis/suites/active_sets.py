@@ -82,7 +82,7 @@ def count_visited_sets(name: str, n: int, optima: Sequence[Optimum]) -> VisitedS
 
 
 def count_visited_sets_of(name: str) -> VisitedSets:
-    """Count the active sets of a scenario's exactly solved loop, or of a stored sequence.
+    """Count the active sets of a scenario's reference loop, or of a stored sequence.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def count_visited_sets_of(name: str) -> VisitedSets:
 
 
 def _load(name: str) -> tuple[QPSequence, Sequence[Optimum]]:
-    """Return the QPs of a scenario's exactly solved loop or of a sequence, with their optima."""
+    """Return the QPs of a scenario's reference loop or of a sequence, with their optima."""
     if name in list_shipped_problem_names("scenarios") or Path(name).suffix == ".toml":
         recorded = record_scenario(load_scenario(name))
     else:

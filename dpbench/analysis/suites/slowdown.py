@@ -1,4 +1,4 @@
-"""Closed loops on slow computers, gathered: which slow-down each solver survives."""
+"""Closed loops on slow computers, gathered: which slowdown each solver survives."""
 
 import math
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ from dpbench.bench.record.cell import Configuration
 
 @dataclass(frozen=True, eq=False)
 class DelayedConfiguration:
-    """Closed loops of a configuration on simulated slower computers, by slow-down."""
+    """Closed loops of a configuration on simulated slower computers, by slowdown."""
 
     configuration: Configuration
     loops: dict[float, RunRecord]
 
     @property
     def largest_survived_slowdown(self) -> float:
-        """Largest computer slow-down up to which every closed loop survives; NaN for none."""
+        """Largest computer slowdown up to which every closed loop survives; NaN for none."""
         survived_slowdowns = takewhile(lambda s: has_survived(self.loops[s]), self.loops)
         return max(survived_slowdowns, default=math.nan)
 
@@ -51,7 +51,7 @@ def group_delayed_loops(records: Records) -> list[DelayedGroup]:
 
 
 def _make_survival_sort_key(configuration: DelayedConfiguration) -> tuple[float, float, str]:
-    """Return a sort key of configurations: largest slow-down survived, then least cost."""
+    """Return a sort key of configurations: largest slowdown survived, then least cost."""
     last = list(configuration.loops.values())[-1]
     values = -configuration.largest_survived_slowdown, compute_cost_ratio(last)
     survives, cost = (math.inf if math.isnan(value) else value for value in values)

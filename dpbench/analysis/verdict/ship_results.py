@@ -1,4 +1,4 @@
-"""Results of the controller itself: the ship of each scenario in the exactly solved loop.
+"""Results of the controller itself: the ship of each scenario in the reference loop.
 
 A ship that leaves its station there is lost with every solver: none does better than right answers
 in every step.
@@ -32,7 +32,7 @@ class ShipResult:
     """Ship of one scenario, or of one sea of a study, controlled by certified optima.
 
     name : the scenario, with the horizons where it has several; run : one that has the columns
-    `exact_*` of its exactly solved loop.
+    `exact_*` of its reference loop.
     """
 
     name: str
@@ -97,7 +97,7 @@ class ShipResult:
 def find_ship_results(records: Records) -> list[ShipResult]:
     """Return the ship's result in every scenario of a folder, and in every sea of its studies.
 
-    Of several runs in a scenario the one with the longest exactly solved loop counts.
+    Of several runs in a scenario the one with the longest reference loop counts.
     """
     with_ship = [
         run

@@ -325,7 +325,7 @@ class SlowStep:
 
 @dataclass(frozen=True)
 class SpeedMargin:
-    """Largest slow-down of a computer at which a solver passes, and the steps that limit it.
+    """Largest slowdown of a computer at which a solver passes, and the steps that limit it.
 
     hardest : the step with the largest algorithmic time.
     p99 : the step whose time is the largest p99 of all replays; the hardest step where none

@@ -279,6 +279,6 @@ def _yield_kinds_and_jobs(jobs: Sequence[CellJob]) -> Iterator[tuple[Kind, list[
 
 def _make_sourceless_result(job: CellJob, outcome: Outcome) -> Result:
     """Return the result of a run whose QPs could not be made: "lost" or "invalid", and why."""
-    what = "exactly solved loop" if job.cell.scenario else "sequence"
+    what = "reference loop" if job.cell.scenario else "sequence"
     became = "lost" if outcome.outcome == "lost" else "invalid"
     return Result(job.run_id, Outcome(became, f"the {what} failed: {outcome.detail}"))

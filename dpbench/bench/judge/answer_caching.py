@@ -47,7 +47,7 @@ def compute_caching_metrics(log: RawLog) -> dict[str, float]:
     """Return how much slower QPs are solved the first time than later, a sign of cached answers.
 
     `first_visit_ratio` is the median over steps of the first visit's time over the shortest later
-    one, by the slow-down of the reference kernel. `first_visit_excess` is the share of slow first
+    one, by the slowdown of the reference kernel. `first_visit_excess` is the share of slow first
     visits less twice that of any later round and less what switches explain: a memory of hard steps
     alone leaves the median as it is.
     """

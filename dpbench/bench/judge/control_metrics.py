@@ -29,7 +29,7 @@ def compute_control_metrics(
     """Return pose error, settling, effort and cost metrics of a closed loop of K steps.
 
     state : (K + 1, 6) [u, v, r, n, e, ψ] at the samples; u : (K, n_u) force or thruster forces.
-    reference : at least (K + 1, 3) [n, e, ψ]; exact : the exactly solved loop, at least as long.
+    reference : at least (K + 1, 3) [n, e, ψ]; exact : the reference loop, at least as long.
     """
     K, controller = len(u), scenario.controller
     tau = controller.convert_commands_to_ship_force(u)
@@ -148,7 +148,7 @@ def compute_force_travel(scenario: Scenario, tau: Matrix) -> float:
 
 
 def _compare_with_exact_loop(state: Matrix, tau: Matrix, exact: ExactLoop) -> dict[str, float]:
-    """Return the largest and RMS deviation of pose and force from the exactly solved loop."""
+    """Return the largest and RMS deviation of pose and force from the reference loop."""
     K = len(tau)
     north, east, turn = (state - exact.state[:K])[:, POSE].T
     position = np.hypot(north, east)

@@ -22,7 +22,7 @@ Steps = Mapping[str, NDArray[Any]] | pd.DataFrame
 WARM_UP = 0
 """The round of a replay that never counts."""
 DISTURBED_FACTOR = 1.25
-"""Slow-down of the reference kernel beyond which a round is marked disturbed."""
+"""Slowdown of the reference kernel beyond which a round is marked disturbed."""
 LEAST_PROCESSORS = 4.0
 """Processes that share a core with a busy worker, at most, itself included."""
 BEYOND = 10
@@ -177,7 +177,7 @@ def mask_unfinished_steps(steps: Steps) -> Flags:
 
 
 def compute_first_move_errors(steps: Steps) -> Floats:
-    """Return the error (N,) of each step's first move, in rate-limit steps.
+    """Return the error (N,) of each step's first move, in maximum increments.
 
     Of a cascade it is the larger of that of its force and that of its thrusters.
     """

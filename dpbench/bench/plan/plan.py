@@ -155,7 +155,7 @@ def _merge_equal_cells(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
 def _plan_closed_loops(
     suite: SuiteFile, table: ClosedLoopTable, scenario: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
-    """Return planned closed loops of a scenario, one per solver configuration and slow-down."""
+    """Return planned closed loops of a scenario, one per solver configuration and slowdown."""
     steps = min(table.steps or scenario.steps, scenario.steps)
     if table.deadline_s > scenario.sample_s:
         where, allowed = f"suite: closed loop of {scenario.name}", f"at most {scenario.sample_s:g}"

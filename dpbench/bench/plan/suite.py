@@ -51,7 +51,7 @@ FormulationName = Literal["condensed_box", "condensed_stacked", "sparse"]
 
 
 def _require_slowdown_0_or_from_1(value: float) -> float:
-    """Return a computer slow-down unchanged; ValueError outside 0 and 1 to `SLOWEST`."""
+    """Return a computer slowdown unchanged; ValueError outside 0 and 1 to `SLOWEST`."""
     if value != 0.0 and not 1.0 <= value <= SLOWEST:
         raise ValueError(f"0 (off), or 1 to {SLOWEST:g}")
     return value
@@ -90,13 +90,13 @@ class RequirementsTable(FileModel):
     """Requirements of a controller on a solver: errors, failed steps, step time, deadline."""
 
     error_move: Positive = 1e-2
-    """Largest error of the first move on any step, in rate-limit steps."""
+    """Largest error of the first move on any step, in maximum increments."""
     failed_steps: Count = 0
     """Most failed steps of a run."""
     p99_ms: Positive = 3.0
     """Largest p99 of the algorithmic step time [ms]."""
     deadline_ms: Positive = 300.0
-    """The deadline of a step, for the slow-downs a solver survives [ms]."""
+    """The deadline of a step, for the slowdowns a solver survives [ms]."""
 
 
 class ScenarioRunsTable(RunsTable):
@@ -126,7 +126,7 @@ class ClosedLoopTable(ScenarioRunsTable):
     backup: str = ""
     """Second solver that is called first where there is no usable answer in time; "" for none."""
     slowdowns: Annotated[list[Slowdown], Field(min_length=1)] = [0.0]
-    """Slow-down factors of the ship's computer, 1 to 1e9; 0: the ship waits for every answer."""
+    """Slowdown factors of the ship's computer, 1 to 1e9; 0: the ship waits for every answer."""
     deadline_s: NotNegative = 0.0
     """Longest time that a step may take on that computer [s]; 0: the whole sample."""
     steps: Count = 0
@@ -141,7 +141,7 @@ class ClosedLoopTable(ScenarioRunsTable):
 
 
 class ReplayTable(ScenarioRunsTable):
-    """Replays of a suite: the QPs along one exactly solved loop, through every solver.
+    """Replays of a suite: the QPs along one reference loop, through every solver.
 
     Consequence analysis has a sequence for each failure group of the ship, which tells whether the
     other thrusters could take over at each sample. The hardest step has most active limits and
@@ -149,7 +149,7 @@ class ReplayTable(ScenarioRunsTable):
     """
 
     scenario: str
-    """The scenario whose exactly solved loop is recorded."""
+    """The scenario whose reference loop is recorded."""
     consequence: bool = False
     """Consequence analysis along the loop, in place of the controller's own QPs."""
     margin: Annotated[float, Field(ge=1, le=10)] = DYNAMIC_FACTOR
@@ -245,7 +245,7 @@ class EmbeddedTable(FileModel):
     """
 
     sequences: Annotated[list[str], Field(min_length=1)]
-    """Parts of exactly solved loops, SCENARIO:FIRST:STEPS, such as paper:0:200."""
+    """Parts of reference loops, SCENARIO:FIRST:STEPS, such as paper:0:200."""
     targets: Annotated[list[TargetName], Field(min_length=1)] = ["m7"]
     """Cores: m7, a53, riscv, x86."""
     solvers: list[str] = []

@@ -52,14 +52,14 @@ class QPSource:
 
 
 class ControllerSource(QPSource):
-    """QPs of the scenario's controller along its exactly solved loop."""
+    """QPs of the scenario's controller along its reference loop."""
 
     is_of_controller = True
 
 
 @dataclass(frozen=True)
 class HardestSource(QPSource):
-    """The hardest consecutive QPs of a controller, among `of` steps of its exactly solved loop."""
+    """The hardest consecutive QPs of a controller, among `of` steps of its reference loop."""
 
     kind = "hardest"
     is_of_controller = True
@@ -146,7 +146,7 @@ CONFIGURATION_COLUMNS = (
 """The columns of `runs.parquet` that name a configuration."""
 DEFAULT_FALLBACK = "shifted_plan"
 SLOWEST = 1e9
-"""Largest slow-down: with it a latency of some seconds still is a 64-bit integer [ns]."""
+"""Largest slowdown: with it a latency of some seconds still is a 64-bit integer [ns]."""
 _PROBLEM = ("mode", "source", "scenario", "units", "first", "steps")
 _OPTIONAL = (
     "source",

@@ -1,4 +1,4 @@
-"""The exactly solved loop: the referee's certified optimum controls the ship.
+"""The reference loop: the referee's certified optimum controls the ship.
 
 Every solver's deviation from it is a metric, and the QPs along it are the sequences for replay.
 Its station keeping is what the controller does, whatever the solver.
@@ -107,7 +107,7 @@ class ExactWorkspace(Workspace):
 
 @dataclass(frozen=True, eq=False)
 class ExactLoop:
-    """The exactly solved loop of a scenario: states, forces and certified optima of every step.
+    """The reference loop of a scenario: states, forces and certified optima of every step.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ class ExactLoop:
 
     @classmethod
     def load(cls, path: Path, *, with_optima: bool = True) -> "ExactLoop":
-        """Return the exactly solved loop in a file; ResultsError where it is damaged or gone."""
+        """Return the reference loop in a file; ResultsError where it is damaged or gone."""
         with open_arrays(path) as stored:
             arrays = {name: stored[name] for name in _OF_LOOP}
             demand, drawn = stored.get("demand"), parse_stored_weather(stored)
@@ -388,7 +388,7 @@ def record_sequence(
 
 
 def compute_station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) -> dict[str, float]:
-    """Return how a ship in an exactly solved loop keeps station, and how often limits act.
+    """Return how a ship in a reference loop keeps station, and how often limits act.
 
     The ship is on station within `RADIUS_M` and `HEADING_DEG` of its setpoint, lengths and times
     scaled for a model ship. Offsets count from its arrival on, or all if it never arrives; after a

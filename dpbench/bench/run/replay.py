@@ -46,7 +46,7 @@ def _increment(value: int) -> int:
 def _measure_machine_load() -> None:
     """Run the machine-load test: some 60 µs of Python calls, small NumPy calls, a LAPACK inverse.
 
-    Over 40 runs under other load the slow-down that 14 configurations had in common correlated at
+    Over 40 runs under other load the slowdown that 14 configurations had in common correlated at
     0.98 with that of these parts, at 0.7 with the reference kernel.
     """
     value = 0

@@ -1,6 +1,6 @@
 """A slow computer, and answers that come late (method.md section 3); time is simulated.
 
-An answer computed from the state at t_k has the latency L = slow-down × measured step time (set-up
+An answer computed from the state at t_k has the latency L = slowdown × measured step time (set-up
 + update + solve + read), or × processor time where the kernel meanwhile gave the processor to
 others. Within the budget it is applied at t_k itself; beyond it at step k + ⌈L / T_s⌉, never before
 k + 1. Until then the fallback steers and, on one processor, no other computation begins.
@@ -39,7 +39,7 @@ NO_STEP = QPStep(np.empty(0), np.empty(0), np.empty(0))
 
 @dataclass(frozen=True)
 class ComputationalDelay:
-    """Slow-down of a simulated ship's computer, budget of a step and sample time [ns]."""
+    """Slowdown of a simulated ship's computer, budget of a step and sample time [ns]."""
 
     slowdown: float
     budget_ns: int
@@ -73,7 +73,7 @@ def return_zero_usage() -> tuple[int, int]:
 
 
 def make_delay_of_cell(cell: Cell, sample_s: float) -> ComputationalDelay:
-    """Return a closed-loop run's computer slow-down and deadline; InputError if impossible."""
+    """Return a closed-loop run's computer slowdown and deadline; InputError if impossible."""
     slowdown, deadline_s = cell.slowdown, cell.deadline_s
     if not (slowdown == 0.0 or 1.0 <= slowdown <= SLOWEST):
         raise InputError("closed loop", "slowdown", slowdown, f"0 (off), or 1 to {SLOWEST:g}")

@@ -1,4 +1,4 @@
-"""Sequences derived from an exactly solved loop: consequence analysis and hardest window.
+"""Sequences derived from a reference loop: consequence analysis and hardest window.
 
 Consequence analysis verifies that after the worst failure the remaining thrusters can make the
 force and moment that are required before it (IMO MSC.1/Circ.1580, 1.2.5; MSC/Circ.645, 3.4.2.4),

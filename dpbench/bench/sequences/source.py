@@ -1,6 +1,6 @@
-"""Record sequences along an exactly solved loop or from files, verify them, keep QPs of cells.
+"""Record sequences along a reference loop or from files, verify them, keep QPs of cells.
 
-A cell's file is made once a source, then read by workers and evaluators. It has the exactly solved
+A cell's file is made once a source, then read by workers and evaluators. It has the reference
 loop, or a sequence with its certified optima.
 """
 
@@ -185,7 +185,7 @@ def hash_sequence_files(path: Path) -> str:
 class ReplayInput:
     """The QPs of a replay, the time between them [s], and their certified optima if known.
 
-    station : of QPs along an exactly solved loop, its station keeping, see
+    station : of QPs along a reference loop, its station keeping, see
     `compute_station_metrics`.
     """
 
@@ -230,7 +230,7 @@ def log_size(cell: Cell, path: Path) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _LoopFile:
-    """File with the exactly solved loop of a scenario, from which its QPs are rebuilt.
+    """File with the reference loop of a scenario, from which its QPs are rebuilt.
 
     report : receiver of the steps done and to do while the file is made.
     """
@@ -271,7 +271,7 @@ class _LoopFile:
 
 @dataclass(frozen=True, eq=False)
 class _ConsequenceFile(_LoopFile):
-    """File with an exactly solved loop, for the consequence analysis of a failure group."""
+    """File with a reference loop, for the consequence analysis of a failure group."""
 
     source: ConsequenceSource
 
@@ -373,7 +373,7 @@ or InputError where it is damaged), and `read_n_and_m` returns n and m of the QP
 def choose_source_file(cell: Cell, report: StepReport | None = None) -> SourceFile:
     """Return the object that makes and reads the file of a run's QPs, by the kind of these QPs.
 
-    report : receiver of the steps done and to do while an exactly solved loop is made.
+    report : receiver of the steps done and to do while a reference loop is made.
     """
     match cell.source:
         case ControllerSource() | HardestSource():

@@ -225,7 +225,7 @@ class FileRun:
         )
 
     def describe_step(self, child: Child) -> str:
-        """Return the step of an exactly solved loop that a process is at; "" if it is quick."""
+        """Return the step of a reference loop that a process is at; "" if it is quick."""
         done, steps = child.notice.step
         if not steps:
             return ""

@@ -32,7 +32,7 @@ from dpbench.errors import InputError
 from dpbench.locks import EXCLUSIVE, SHARED, Holder, WaitLimit, hold_machine_lock
 
 STEP_SHOWN_S = 1.0
-"""Interval between two looks at the step of an exactly solved loop [s]."""
+"""Interval between two looks at the step of a reference loop [s]."""
 POLL_S = 0.1  # The end of a process is noticed at once; this is for what takes too long
 
 
@@ -181,7 +181,7 @@ class CellExecutor(ExitStack):
         self._pool.add(run)
 
     def _show_step(self, task: CellRun | FileRun, child: Child) -> None:
-        """Show the step of an exactly solved loop that takes long, every second."""
+        """Show the step of a reference loop that takes long, every second."""
         now_s = time.monotonic()
         if now_s - self._shown_s < STEP_SHOWN_S or not isinstance(task, FileRun):
             return

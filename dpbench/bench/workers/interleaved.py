@@ -6,7 +6,7 @@ Within a round the order of configurations is drawn from the seed. Rounds that o
 run again at the end, within a budget.
 
 A neighbour may slow every step of a round by up to a factor of two, for milliseconds or minutes,
-which the counters do not show: over 14 runs of 14 configurations on a shared machine the slow-down
+which the counters do not show: over 14 runs of 14 configurations on a shared machine the slowdown
 of a round correlated with the load kernel around it at 0.8, with steal time at 0.2 and with
 involuntary switches at 0.3. What those two take hits few steps of a round, and the minimum over the
 rounds passes over them.

@@ -71,7 +71,7 @@ from dpbench.solvers.table import (
 )
 
 QUICK_S = 3.0
-"""Time from which the steps of an exactly solved loop are shown while it is made [s]."""
+"""Time from which the steps of a reference loop are shown while it is made [s]."""
 Hang = tuple[int, int]  # Round, 0 in a closed loop, and step in which a process hung
 
 
@@ -479,5 +479,5 @@ def _evaluate_log(cell: Cell, source: Path, log: RawLog) -> EvaluatedCell:
 
 @lru_cache(maxsize=1)
 def _load_exact_loop(path: Path) -> ExactLoop:
-    """Return the exactly solved loop in a file; the latest is kept for the next runs."""
+    """Return the reference loop in a file; the latest is kept for the next runs."""
     return ExactLoop.load(path, with_optima=False)

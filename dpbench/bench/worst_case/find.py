@@ -1,6 +1,6 @@
 """`dpbench worst-case`: the worst step of one solver, over starts and disturbances.
 
-A point of the `SearchSpace` makes a scenario; the solver answers the QPs of its exactly solved loop
+A point of the `SearchSpace` makes a scenario; the solver answers the QPs of its reference loop
 in a process of its own; the worst of these steps is the point's score. Differential evolution
 (Storn & Price 1997, J. Global Optimization 11, as in SciPy) from a Sobol sample maximises it. The
 same seed and versions find the same case.

@@ -183,7 +183,7 @@ class AllocationProblem:
 
     @cached_property
     def largest_row_changes_per_step(self) -> Vector:
-        """Unit of each thruster-limit row (r,): its change by a full rate-limit step."""
+        """Unit of each thruster-limit row (r,): its change by a maximum increment."""
         return self.rows.largest_row_changes_per_step(self.df_max)
 
     def compute_weighted_pseudo_inverse(self, lost: Flags = NOTHING_LOST) -> Matrix:

@@ -241,7 +241,7 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
 
 
 def _scale_rows(table: pd.DataFrame) -> alt.Chart:
-    """Return the base of the deadline chart: a row per solver, times scaled by the slow-down."""
+    """Return the base of the deadline chart: a row per solver, times scaled by the slowdown."""
     good = " || ".join(f"datum.verdict == '{s}'" for s in ("pass", "borderline", "inconclusive"))
     scaled = alt.Chart(table).transform_calculate(
         a="datum.p50_ms * slow",

@@ -154,7 +154,7 @@ def describe_shared_factor(shared: SharedFactor) -> str:
     if not math.isnan(shared.kernel):
         wording += f", by {shared.kernel:.3f} the reference kernel"
     if not math.isnan(shared.load):
-        wording += f", by {shared.load:.3f} the load kernel"
+        wording += f", by {shared.load:.3f} the calibration workload"
     if shared.assessment is None:
         return f"{wording}; {shared.unjudged}, so this is not judged"
     verdict = shared.assessment.verdict

@@ -42,7 +42,7 @@ from dpbench.report.page.write import render_figure_markup, render_page
 from dpbench.report.ship_text import summarise_ships
 
 BUSY = 0.05
-"""Relative change of the load kernel that shows a busier machine."""
+"""Relative change of the calibration workload that shows a busier machine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,7 @@ def _describe_time_change(changed: Sequence[History]) -> str:
         return "not timed"
     load = timed.releases[-1].mean_load_test_ns / timed.releases[0].mean_load_test_ns
     busier = "busier" if load > 1.0 else "quieter"
-    beside = f" on a {busier} machine (load kernel {significant(load)})"
+    beside = f" on a {busier} machine (calibration workload {significant(load)})"
     return (
         f"p50 {significant(timed.newest_to_oldest_time_ratio)} times as long"
         f"{beside if abs(load - 1.0) > BUSY else ''}, "
@@ -224,7 +224,7 @@ def _make_version_tables(histories: Histories) -> list[Table]:
     return tables
 
 
-BEFORE = ("to the one before", "load kernel")
+BEFORE = ("to the one before", "calibration workload")
 """Columns on the release before."""
 
 
@@ -324,7 +324,7 @@ def draw_release_errors(table: pd.DataFrame, allowed: float) -> Any:
 
     table : as of `draw_release_times`; an error of 0 or none at all has no point.
     """
-    title = "largest error of the first move [rate-limit steps]"
+    title = "largest error of the first move [maximum increments]"
     x = alt.X("error:Q", title=title, scale=style.log_scale(), axis=_make_value_axis(".0e"))
     drawn = _make_version_rows_chart(table).transform_filter(
         "isFinite(datum.error) && datum.error > 0"

@@ -56,7 +56,7 @@ class LoopPicture:
         return (
             f"{names}{around} in {run.scenario}, {significant(self.t_s[0])} to "
             f"{significant(self.t_s[-1])} s, with {run.solver}: at most "
-            f"{significant(run.dev_position_max_m)} m from the exactly solved loop. The station "
+            f"{significant(run.dev_position_max_m)} m from the reference loop. The station "
             f"ends at {run.station_radius_m:.3g} m and {HEADING_DEG:g}°, dashed where reached."
         )
 

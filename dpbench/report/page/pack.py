@@ -14,7 +14,7 @@ Numbers become small integers, since a screen shows no more:
 An array of a few elements of a long one has the number of the array of their `places` behind it,
 whose scale is the length of the long one; other elements are missing, or 0 of a flag. 16-bit arrays
 have their low bytes first; linear and count arrays are differences from element to element. The
-track of a closed loop is its distance from the run nearest to the exactly solved loop.
+track of a closed loop is its distance from the run nearest to the reference loop.
 """
 
 import base64

@@ -15,13 +15,12 @@ from dpbench.report.words import term_meanings, topics
 
 _OWN_PHRASES = (
     "active limits, certified optimum, claimed, closed loop, deadline, requirements, "
-    "disturbed, exactly solved loop, failed step, fallback, fresh, interval, jitter, "
-    "native, paired ratio, qpsolvers, radial error, rate limit, rate-limit step, "
+    "disturbed, reference loop, failed step, fallback, fresh, interval, jitter, "
+    "native, paired ratio, qpsolvers, radial error, rate limit, maximum increment, "
     "referee, region of attraction, replay, reuse, round, settings, warm, call mode"
 )
 PHRASES = {
     **{name: name for name in _OWN_PHRASES.split(", ")},
-    "exactly solved": "exactly solved loop",
     "first move": "error_move",
     "largest single timing": "raw time",
     "p50": "p50, p95, p99",
@@ -158,6 +157,6 @@ def _describe_replay(data: PageData, run: RunRecord) -> str:
     window = f"steps {first} to {first + run.steps_planned} of " if "[" in run.sequence else ""
     kept = data.thinned_runs.get(run.run_id)
     if kept is None:
-        return f"Here {window}its exactly solved loop, replayed."
+        return f"Here {window}its reference loop, replayed."
     share = format_share(float(np.mean(kept.steps.n_active > 0)))
-    return f"Here {window}its exactly solved loop, replayed: limits are active in {share} of them."
+    return f"Here {window}its reference loop, replayed: limits are active in {share} of them."

@@ -296,8 +296,8 @@ SCRIPTS = ("common", "selection", "figures", *(section.id for section in SECTION
 """Scripts of the page in the order of loading; the last one starts the page."""
 WORDS = (
     *("requirements", "closed loop", "replay", "sample", "step", "round", "p50, p95, p99", "move"),
-    *("rate limit", "rate-limit step", "certified optimum", "fallback", "failed step", "interval"),
-    *("pass", "borderline", "inconclusive", "late", "fail", "not run"),
+    *("rate limit", "maximum increment", "certified optimum", "fallback", "failed step"),
+    *("interval", "pass", "borderline", "inconclusive", "late", "fail", "not run"),
 )
 """Terms of the glossary on the page, before those on how solvers are run."""
 

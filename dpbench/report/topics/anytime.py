@@ -72,7 +72,7 @@ def _describe_errors(group: LimitedGroup) -> str:
     )
 
 
-_SHARE = f"{100 * MARGIN:g} % of the cost of the exactly solved loop"
+_SHARE = f"{100 * MARGIN:g} % of the cost of the reference loop"
 
 
 def _describe_outer_limits(groups: list[LimitedGroup]) -> list[str]:
@@ -100,7 +100,7 @@ def _draw_group(group: LimitedGroup, requirements: Requirements) -> Figure | Non
     table = pd.DataFrame(points)
     table["y"] = table["y"].clip(lower=FLOOR)
     name, quantity, caption = (
-        ("Cost of the loop", "cost over the exactly solved loop", "Dashed: 10 % more cost.")
+        ("Cost of the loop", "cost over the reference loop", "Dashed: 10 % more cost.")
         if steered
         else ("Error", "largest error of the first move", "Dashed: the largest error allowed.")
     )

@@ -317,5 +317,5 @@ def build_loops_topic(records: Records, requirements: Requirements) -> Topic | N
             }
         )
     rows.sort(key=lambda row: -whole[row["configuration"]])
-    note = "The distance from the exactly solved loop is what wrong or late answers do to the ship."
+    note = "The distance from the reference loop is what wrong or late answers do to the ship."
     return Topic("loops", "Closed loops", (lead, note), (), (Table.from_rows(rows),))

@@ -41,7 +41,7 @@ from dpbench.report.study_effects_table import (
 from dpbench.report.verdict_text import name_counts
 
 CHEAPER_THAN_EXACT = (
-    "A cost below that of the exactly solved loop is no error: an exact solution minimises the "
+    "A cost below that of the reference loop is no error: an exact solution minimises the "
     "predicted cost of its step, over the horizon and without the coming waves, and not the cost "
     "summed over the run, which other moves may lower by chance."
 )
@@ -84,7 +84,7 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
         more = f" and {len(left_out) - MOST_NAMED} more" if left_out[MOST_NAMED:] else ""
         yield (
             f"{study.name}: {plural(len(left_out), 'point')} left out of every difference from "
-            f"{study.reference_name}, as the exactly solved loop leaves its station there: "
+            f"{study.reference_name}, as the reference loop leaves its station there: "
             f"{named}{more}."
         )
     yield from _yield_unfinished_sentences(study)

@@ -154,7 +154,7 @@ def build_slowdown_topic(records: Records) -> Topic | None:
                 pd.DataFrame(points),
                 title,
                 ("times slower than this machine", "~g"),
-                ("cost over the exactly solved loop", "~g"),
+                ("cost over the reference loop", "~g"),
                 limit=1.0 + MARGIN,
             )
             figures.append(Figure(f"slowdown-{group.scenario}", chart, "Dashed: 10 % more cost."))
@@ -170,13 +170,13 @@ def build_slowdown_topic(records: Records) -> Topic | None:
         tables.append(Table.from_rows(rows, group.scenario))
         survivors = [c for c in group.configurations if c.largest_survived_slowdown > 0]
         best = [f"{c.configuration.label} × {c.largest_survived_slowdown:g}" for c in survivors[:3]]
-        named = ", ".join(best) if best else "no solver survives a slow-down"
+        named = ", ".join(best) if best else "no solver survives a slowdown"
         leads.append(f"Slower computers, {group.scenario}: {named}.")
     if not tables:
         return None
     wording = (
         *leads,
         "The ship sailed with answers as late as a slower computer makes them. A configuration "
-        f"survives a slow-down while the loop costs at most {100 * MARGIN:g} % more.",
+        f"survives a slowdown while the loop costs at most {100 * MARGIN:g} % more.",
     )
     return Topic("slowdown", "Slower computers", wording, tuple(figures), tuple(tables))

@@ -1,7 +1,7 @@
 """Commanded thrusters: power and wear by solver, and the conclusion for an operator.
 
 Against the best loop in the same scenario: of those right on every step and run as far, the one
-nearest to the exactly solved loop.
+nearest to the reference loop.
 """
 
 import math
@@ -66,7 +66,7 @@ def build_thrusters_topic(records: Records, requirements: Requirements) -> Topic
     kept = list(by_solver.values())[::-1]
     note = (
         "Power is Σ|f|^1.5 over all thrusters and wear Σ|Δf|/T, as a ratio to the right loop that "
-        "is nearest to the exactly solved one; the largest of the scenarios that ran to their end. "
+        "is nearest to the reference loop; the largest of the scenarios that ran to their end. "
         "One configuration a solver, the one that is right most often."
     )
     if len(kept) > MOST_ROWS:

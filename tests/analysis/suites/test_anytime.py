@@ -16,7 +16,7 @@ COSTS = {
     "piqp": {1: 130.0, 5: 101.0, 20: 100.0},
     "daqp": {1: 900.0, 5: 120.0},
 }
-"""Cost of the loop by limit; the exactly solved loop costs 100."""
+"""Cost of the loop by limit; the reference loop costs 100."""
 KEYS = {"osqp": "max_iter", "piqp": "max_iter", "daqp": "iter_limit"}
 
 
@@ -67,7 +67,7 @@ def test_the_topic_shows_least_limits_and_the_ship_at_the_smallest(records: Any)
     assert topic is not None
     assert topic.lines[0] == (
         "In paper 5 iterations a step are enough for piqp (qpsolvers fresh, high) to stay within "
-        "10 % of the cost of the exactly solved loop; 1 of 3 stay so at no limit."
+        "10 % of the cost of the reference loop; 1 of 3 stay so at no limit."
     )
     (table,) = topic.tables
     assert [(row[0].split()[0], *row[1:5]) for row in table.rows] == [

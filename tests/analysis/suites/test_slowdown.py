@@ -21,7 +21,7 @@ COSTS = {
 
 
 def slow(records: Any, solver: str, slowdown: float, cost: float, **columns: Any) -> None:
-    """A loop on a slow computer; the exactly solved loop costs 100."""
+    """A loop on a slow computer; the reference loop costs 100."""
     figures = {"closed_loop_cost": cost, "exact_cost": 100.0, "deadline_s": 0.3}
     figures |= {"deadline_misses": 7, "longest_miss_streak": 3, "miss_recover_steps_max": 5}
     figures |= {"computations": 50, "interrupted": 1, "fallbacks": 6}
@@ -115,7 +115,7 @@ def test_the_terminal_hears_who_survives_what(records: Any) -> None:
 
 def test_nobody_survives_is_said(records: Any) -> None:
     slow(records, "scs", 1, 112.0)
-    assert records.ending()["answer"].endswith("no solver survives a slow-down.")
+    assert records.ending()["answer"].endswith("no solver survives a slowdown.")
 
 
 def test_the_machine_of_slow_loops_is_judged(records: Any) -> None:

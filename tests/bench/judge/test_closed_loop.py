@@ -98,7 +98,7 @@ def test_answers_of_a_backup_are_judged_where_it_was_asked(units: str) -> None:
 def test_answers_are_right_in_any_units_until_they_are_changed(scenario: str, units: str) -> None:
     """The plan of step 2 is doubled, which is as far from the optimum as it is large.
 
-    In N and N·m the answers of daqp are right to a few hundredths of a rate-limit step.
+    In N and N·m the answers of daqp are right to a few hundredths of the maximum increment.
     """
     sizes: list[float] = []
 

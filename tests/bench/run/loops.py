@@ -21,7 +21,7 @@ from dpbench.solvers.contract import Workspace
 
 SAMPLE_NS = 300_000_000
 PLAN = (0.5, 0.4, 0.3, 0.2, 0.1)
-"""Moves of every axis in rate-limit steps; the forces they lead to are 0.5, 0.9, 1.2, 1.4, 1.5."""
+"""Moves of every axis in maximum increments; the forces reached: 0.5, 0.9, 1.2, 1.4, 1.5."""
 
 
 class Planned(Workspace):

@@ -231,7 +231,7 @@ def test_the_suite_of_formulations_plans_all_three_and_none_twice() -> None:
 
 
 BAR = 1e-7
-"""error_plan: the largest error of any move of the plan, in rate-limit steps."""
+"""error_plan: the largest error of any move of the plan, in maximum increments."""
 
 PIQP = {
     **dict.fromkeys(("eps_abs", "eps_duality_gap_abs"), 1e-12),

@@ -37,7 +37,7 @@ def run(
     fallback: str = "shifted_plan",
     **given: Any,
 ) -> RawLog:
-    """A loop whose latencies are those of the workspace times the slow-down, in samples."""
+    """A loop whose latencies are those of the workspace times the slowdown, in samples."""
     delay = ComputationalDelay(slowdown, round(budget * SAMPLE_NS), SAMPLE_NS)
     clock = workspace.clock
     log, complete = run_loop(scenario, workspace, fallback, clock=clock, delay=delay, **given)
@@ -87,7 +87,7 @@ def test_hold_waits_with_the_force_it_has(scenario: Scenario) -> None:
     """Fallback `hold`: the same latencies, but between arrivals the force stays.
 
     Step 1 is at 1.0 and stays until step 4: the plan of step 2, from 1.0, with 1.5, 1.9, 2.2 at
-    force no. 3, which is 1.2 away: one rate-limit step. Then 2.0 stays until step 7: the plan of
+    force no. 3, which is 1.2 away: one maximum increment. Then 2.0 stays until step 7: the plan of
     step 4, from 1.0: force no. 4, 2.4.
     """
     workspace = Planned(lambda i: (0.1, 1.0, 1.5, 3.0, 1e6)[i])
@@ -166,7 +166,7 @@ def test_fast_enough_is_the_ordinary_loop_bit_for_bit() -> None:
     scenario = load_scenario("thruster_loss_hard").truncate(450)
     plain = run_closed_loop(scenario, open_workspace("quadprog"))
     timed = {name for name in plain.steps if name.endswith("_ns")} | {"late"}
-    # A budget of 0.3 s at a slow-down of 1: some 10 000 times what a step takes.
+    # A budget of 0.3 s at a slowdown of 1: some 10 000 times what a step takes.
     slow = run_closed_loop(scenario, open_workspace("quadprog"), slowdown=1.0)
     same = [name for name in plain.steps if name not in timed]
     pd.testing.assert_frame_equal(plain.steps[same], slow.steps[same], check_exact=True)

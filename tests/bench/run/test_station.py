@@ -1,4 +1,4 @@
-"""The exactly solved loop keeps its ship on station."""
+"""The reference loop keeps its ship on station."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ from dpbench.scenario.variation import copy_scenario_with_values
 
 
 def loop_along(scenario: Scenario, east_m: Any, active: Any = False) -> ExactLoop:
-    """An exactly solved loop whose ship is these offsets east of the origin [m]."""
+    """A reference loop whose ship is these offsets east of the origin [m]."""
     K = len(east_m) - 1
     state = np.zeros((K + 1, 6))
     state[:, 4] = east_m

@@ -30,7 +30,7 @@ def test_a_matlab_file_has_the_arrays(name: str, tmp_path: Path) -> None:
 def test_a_matlab_file_has_units_sample_time_scenario_and_version(tmp_path: Path) -> None:
     export_sequence("paper-30-5", tmp_path / "a.mat", format="mat", steps=3)
     found = loadmat(tmp_path / "a.mat", simplify_cells=True)
-    # A rate-limit step of the paper's ship in surge, sway and yaw [N, N·m].
+    # A maximum increment of the paper's ship in surge, sway and yaw [N, N·m].
     assert found["unit_z"].tolist() == [32736.0, 11008.0, 475200.0] * 5
     assert found["unit_row"].shape == (15,)
     meta = found["meta"]

@@ -292,7 +292,7 @@ def copied(finished: Path, tmp_path: Path) -> Path:
 
 
 def made_source(out: Path) -> tuple[Cell, Path]:
-    """A cell of a result folder, and the exactly solved loop behind it, as while it is needed."""
+    """A cell of a result folder, and the reference loop behind it, as while it is needed."""
     cell = Cell.from_json(load_results(out).runs["cell"].iloc[0])
     path = out / "cells" / f"exact-{cell.source_key(HARNESS_VERSION)}.npz"
     choose_source_file(cell).make_file(path)

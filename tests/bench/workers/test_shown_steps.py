@@ -1,4 +1,4 @@
-"""Steps of exactly solved loops in the progress of a campaign."""
+"""Steps of reference loops in the progress of a campaign."""
 
 import time
 from collections.abc import Iterator

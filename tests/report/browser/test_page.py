@@ -290,7 +290,7 @@ def test_the_speed_margin_decides_on_slower_computers(selected: Any, written: An
 
 
 def _check_speed_margins(page: Any, facts: Any, slow: int) -> None:
-    """Enter a slow-down and check which solvers the page names, and marks as late, by it."""
+    """Enter a slowdown and check which solvers the page names, and marks as late, by it."""
     page.fill("#slow-said", str(slow))
     page.press("#slow-said", "Enter")
     wait_for_strips(page)

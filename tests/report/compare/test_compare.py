@@ -518,12 +518,12 @@ def test_settings_without_effect_are_one_piece_of_evidence(make: Make) -> None:
 
 @pytest.mark.slow
 def test_a_load_that_the_reference_kernel_does_not_feel_is_the_machine(make: Make) -> None:
-    """1.4 in all configurations and in the load kernel, but not in the other."""
+    """1.4 in all configurations and in the calibration workload, but not in the other."""
     a = make("a", seed=1, load_kernel_ns=6e4)
     loaded = compare(a, make("b", seed=2, machine=1.4, load_kernel_ns=1.4 * 6e4))
     assert not loaded.worse
     (line,) = [line for line in loaded.lines if line.startswith("`paper`")]
-    assert "by 1.400 the load kernel" in line
+    assert "by 1.400 the calibration workload" in line
     assert compare(a, make("c", seed=2, machine=1.4, load_kernel_ns=6e4)).worse
 
 

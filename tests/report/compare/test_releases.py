@@ -102,7 +102,7 @@ def test_a_busier_machine_is_said_beside_the_change(make: Make) -> None:
     old = make("old", OLD, {"piqp": 10.0}, load_kernel_ns=1e5, rounds=2, claimed_not_true=6)
     new = make("new", NEW, {"piqp": 20.0}, load_kernel_ns=2e5, rounds=4, claimed_not_true=12)
     found = releases([old, new])
-    assert "p50 2.00 times as long on a busier machine (load kernel 2.00)" in found.lead[0]
+    assert "p50 2.00 times as long on a busier machine (calibration workload 2.00)" in found.lead[0]
     ((*_, before, _, _), (*_, after, _, _)) = found.tables[0].rows
     assert (before, after) == ("3", "3"), "counts are of one round"
 

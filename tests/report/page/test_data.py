@@ -65,7 +65,7 @@ def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None
     assert output["rough"] == f"{start} 6-7."
     assert output["rough (in N and N·m)"].startswith(start)
     assert output["rough (in N and N·m)"].endswith("an extra that no verdict counts.")
-    window = "Here steps 900 to 1400 of its exactly solved loop, replayed: limits are active in 0 %"
+    window = "Here steps 900 to 1400 of its reference loop, replayed: limits are active in 0 %"
     assert window in output["rough[900:1400] (replay)"]
     assert list(output) == [p.label for p in facts.experiments if p.name != "robot"]
 

@@ -337,7 +337,7 @@ def test_points_left_out_are_named(records: Any) -> None:
     assert (tabulate_study_points(studies)["r_max_m"] == 1.77).all()
     built = topic.build_study_topic(studies)
     assert built is not None and built.lines[1] == (
-        "seas: 1 point left out of every difference from daqp, as the exactly solved loop leaves "
+        "seas: 1 point left out of every difference from daqp, as the reference loop leaves "
         "its station there: 0."
     )
 

@@ -42,7 +42,7 @@ def test_in_newtons_every_step_is_claimed_too():
 
 @pytest.mark.parametrize("name", ["paper", "paper_tight", "calm", "rough"])
 def test_every_step_of_a_scenario_is_the_certified_optimum(name):
-    """Along the exactly solved loop every answer is the optimum to 1e-9 of a rate-limit step."""
+    """Along the reference loop every answer is the optimum to 1e-9 of the maximum increment."""
     scenario = load_scenario(name)
     exact = solve_loop_exactly(scenario)
     count = {}

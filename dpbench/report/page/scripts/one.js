@@ -88,7 +88,7 @@ async function drawOne() {
     `${experiment.study ? "In" : `${verdict} in`} ${experiment.label}: ran ${run.steps} of ${run.planned} steps; `
     + `first move beyond the requirements on ${over(run)}, at most ${figure(run.error)}; reported `
     + `as solved but not true on ${figure(run.untrue)}${run.answers === run.steps ? "" : ` of ${run.answers} answers`}; failed on ${figure(run.failed)}.`,
-    run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the exactly solved loop`
+    run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop`
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
     run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", as the solver reported" : ""}.` : "",
     run.why && run.verdict !== "pass" ? `${run.outcome}: ${run.why}.` : "",

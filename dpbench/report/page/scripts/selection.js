@@ -52,7 +52,7 @@ function cell(c, p) {
     Object.entries(facts.cells).map(([name, column]) => [name, column[i]]));
 }
 
-// A slow-down that the slider can show.
+// A slowdown that the slider can show.
 const atMost = (text) => Math.min(1e4, Math.max(1, Number(text) || 1));
 
 // A positive number; `usual` where there is none.
