@@ -25,7 +25,7 @@ from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.configurations import identify_libraries_of_cell
 from dpbench.bench.plan.run_request import Plan, RunRequest
 from dpbench.bench.plan.suite import name_file_in_errors
-from dpbench.bench.progress import Progress, choose_progress
+from dpbench.bench.progress import Progress, Silent, choose_progress
 from dpbench.bench.record.cell import HARNESS_VERSION, CapabilitySource, Outcome
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.machine import append_revision, find_running_revision
@@ -123,7 +123,8 @@ class Campaign:
         self.sources.clear()
         self.designs.run(dispatcher, progress)
         self.counts.run(dispatcher, progress)
-        self.write_results(started_utc, time.monotonic() - started_s, engine.remarks)
+        wall_s = time.monotonic() - started_s
+        self.write_results(started_utc, wall_s, engine.remarks, progress=progress)
 
     def find_unfinished_jobs(self) -> list[CellJob]:
         """Return the runs still to be done; set the outcome of refused and of stored ones."""
@@ -198,11 +199,12 @@ class Campaign:
         wall_s: float,
         remarks: Sequence[str],
         made_by: list[Revision] | None = None,
+        progress: Progress | None = None,
     ) -> None:
         """Write all result files; `made_by` are the revisions that ran the cells, if not this."""
         self.designs.write(self._out)
         not_counted = self.counts.write(self._out)
-        runs, step_rows = tabulate(self.work, self.store)
+        runs, step_rows = tabulate(self.work, self.store, progress or Silent())
         suite: dict[str, Any] = {
             **self._describe_request_for_suite_json(),
             "revisions": made_by

@@ -5,7 +5,7 @@ import time
 from typing import Protocol
 
 MINUTE_S, SHORTEST_S, SHARE = 60.0, 10.0, 0.1
-"""`ProgressLines` prints each minute, or each tenth that takes `SHORTEST_S`."""
+"""`ProgressLines` prints each minute, and a tenth or a stage at the end that takes `SHORTEST_S`."""
 
 
 class Progress(Protocol):
@@ -45,13 +45,14 @@ class ProgressLines:
         self._printed_s = self._started_s = time.monotonic()
 
     def advance(self, work: int, what: str) -> None:
-        """Add finished work; print how much is done each minute, and each tenth that takes long."""
+        """Add finished work; print how much is done each minute, and each tenth that takes long.
+
+        After all work also what takes long at the end, such as writing the tables and the report.
+        """
         self._done += work
-        if not self._total:
-            return
-        share, now_s = self._done / self._total, time.monotonic()
-        since_s, is_tenth = now_s - self._printed_s, share - self._printed_share >= SHARE
-        if since_s >= MINUTE_S or (is_tenth and since_s >= SHORTEST_S):
+        share, now_s = self._done / self._total if self._total else 1.0, time.monotonic()
+        is_due = share >= 1.0 or share - self._printed_share >= SHARE
+        if now_s - self._printed_s >= (SHORTEST_S if is_due else MINUTE_S):
             self.remark(f"{share:.0%} after {now_s - self._started_s:.0f} s: {what}")
             self._printed_s, self._printed_share = now_s, share
 

@@ -11,6 +11,7 @@ from dpbench.bench.judge.answer_caching import add_loop_ratios
 from dpbench.bench.judge.rows import make_run_row
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.configurations import identify_libraries_of_cell
+from dpbench.bench.progress import Progress
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
 from dpbench.bench.record.cell_store import (
     CellStore,
@@ -154,15 +155,18 @@ def is_tabulated(work: Sequence[CellJob], store: CellStore) -> bool:
     return wanted == store.public.read_run_ids() and not set(wanted) & in_parts
 
 
-def tabulate(work: Sequence[CellJob], store: CellStore) -> tuple[pd.DataFrame, int]:
+def tabulate(
+    work: Sequence[CellJob], store: CellStore, progress: Progress
+) -> tuple[pd.DataFrame, int]:
     """Write a campaign's `runs.parquet` and `steps.parquet`; return runs and number of steps."""
+    progress.advance(0, "writing the tables")
     wanted, old = RequestedRuns(work), list(store.parts)
     stored, sources = store.collect_rows_and_sources()
     finished = runs_to_frame(stored)
     steps = StepFile(store.public.steps.with_suffix(".parquet.part"))
     try:
         aliases = wanted.find_aliases(finished)
-        read = _split_steps(store, stored, sources, wanted.jobs, aliases, steps)
+        read = _split_steps(store, stored, sources, wanted.jobs, aliases, steps, progress)
         # What cannot be read any more is not finished.
         finished = finished[finished.index.isin(read) | (finished["steps_done"] == 0)]
         rows = add_loop_ratios(wanted.make_rows(finished)[list(RUN_COLUMNS)])
@@ -182,6 +186,7 @@ def _split_steps(
     wanted: Container[str],
     aliases: Mapping[str, str],
     steps: StepFile,
+    progress: Progress,
 ) -> set[str]:
     """Write the steps of requested runs to one file, others to batch files; return run_ids read."""
     read: set[str] = set()
@@ -198,6 +203,7 @@ def _split_steps(
             for new, made_of in here.items():
                 steps.add(filter_and_rename_run_ids(table, {made_of: new}))
         read |= set(group.names)
+        progress.advance(0, f"writing the tables: {len(read)} of {len(runs)} runs")
     unasked = select_runs_without_steps(
         runs, read.union(name for name in sources if name in wanted)
     )

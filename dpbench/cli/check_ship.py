@@ -24,6 +24,7 @@ from dpbench.ship.capability.losses import list_thruster_cautions
 from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel
 
+WITHOUT = "--quick leaves them out"
 LEFT_OUT = "left out by --quick: the sideways offsets that each tuning recovers from"
 CONTROLLERS = ("paper", "rough")
 """The scenarios whose controllers a vessel is tried with: the paper's 30/5 and the robust 60/10."""
@@ -194,6 +195,7 @@ def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None, *, quick:
     if quick:
         return [LEFT_OUT]
     progress = progress or Silent()
+    progress.remark(f"simulating offsets to recover from, which may take minutes ({WITHOUT})")
     progress.start(_TRIALS * len(tuned))
     lines = []
     for scenario in tuned:

@@ -193,8 +193,7 @@ def _run_suite(arguments: argparse.Namespace) -> int:
 
     with ProgressBar(quiet=arguments.quiet or arguments.json) as bar:
         out = run_campaign(**_collect_options(arguments, "dry_run", *HOW_TO_END), progress=bar)
-        bar.advance(0, "writing the report")
-        page_and_ending = write_report_with_summary(out)
+        page_and_ending = write_report_with_summary(out, progress=bar)
     lost_ship = print_ending(*page_and_ending, arguments)
     return _print_accidents(out) or lost_ship
 
@@ -223,11 +222,14 @@ def _run_shard(arguments: argparse.Namespace) -> int:
 def _gather_shards(arguments: argparse.Namespace) -> int:
     """Join the folders of shards, write the report (`dpbench gather`); return the exit code."""
     from dpbench.bench.gather import join_result_folders
-    from dpbench.cli.terminal import print_ending
+    from dpbench.cli.terminal import ProgressBar, print_ending
     from dpbench.report.write import write_report_with_summary
 
     out = join_result_folders(**_collect_options(arguments, *HOW_TO_END))
-    lost_ship = print_ending(*write_report_with_summary(out), arguments)
+    with ProgressBar(transient=True, quiet=arguments.quiet or arguments.json) as bar:
+        bar.start(0)
+        page_and_ending = write_report_with_summary(out, progress=bar)
+    lost_ship = print_ending(*page_and_ending, arguments)
     return _print_accidents(out) or lost_ship
 
 
@@ -236,7 +238,7 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
     if arguments.tables or arguments.latex:
         return _print_tables(arguments)
     from dpbench.bench.record.cell_store import count_batches_newer_than_tables
-    from dpbench.cli.terminal import print_ending
+    from dpbench.cli.terminal import ProgressBar, print_ending
     from dpbench.report.write import write_report_with_summary
 
     if arguments.against and arguments.solver is None:
@@ -247,9 +249,10 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
         raise SituationError(
             "--statement", f"{interrupted}; finish it by the same `dpbench run` in {arguments.dir}"
         )
-    page, ending = write_report_with_summary(
-        arguments.dir, **_collect_options(arguments, "dir", "tables", "latex", *HOW_TO_END)
-    )
+    options = _collect_options(arguments, "dir", "tables", "latex", *HOW_TO_END)
+    with ProgressBar(transient=True, quiet=arguments.quiet or arguments.json) as bar:
+        bar.start(0)
+        page, ending = write_report_with_summary(arguments.dir, **options, progress=bar)
     if arguments.statement:
         ending = [*ending, ("statement", arguments.statement)]
     if later:

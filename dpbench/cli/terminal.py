@@ -175,6 +175,14 @@ class _TimeLeftColumn(ProgressColumn):
         return Text(f"left {timedelta(seconds=math.ceil(left_s))}", style="progress.remaining")
 
 
+class _ShareColumn(TextColumn):
+    """Share of finished work; empty where the work is not counted."""
+
+    def render(self, task: Task) -> Text:
+        """Return the share as text."""
+        return super().render(task) if task.total else Text("")
+
+
 class ProgressBar:
     """A terminal progress bar with the time left; it may vanish at the end or be hidden."""
 
@@ -183,7 +191,7 @@ class ProgressBar:
         self._progress = Progress(
             TextColumn("{task.description:<44}", markup=False),
             BarColumn(),
-            TextColumn("{task.percentage:3.0f} %"),
+            _ShareColumn("{task.percentage:3.0f} %"),
             TimeElapsedColumn(),
             _TimeLeftColumn(),
             transient=transient,
@@ -201,9 +209,9 @@ class ProgressBar:
             self._progress.stop()
 
     def start(self, work: int) -> None:
-        """Show the progress bar with the total amount of work."""
+        """Show the progress bar with the total amount of work; 0 where it is not counted."""
         self._progress.start()
-        self._progress.update(self._task, total=work)
+        self._progress.update(self._task, total=work or None)
         self._lines.start(work)
 
     def remark(self, text: str) -> None:

@@ -3,9 +3,11 @@
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.design import load_stability_records
+from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.result_folder import load_results, lock_for_writing
 from dpbench.embedded.table import load_counted_steps_of_folder
 from dpbench.errors import InputError
@@ -60,6 +62,7 @@ def write_report_with_summary(
     send: str | None = None,
     solver: str | None = None,
     against: Sequence[str] = (),
+    progress: Progress | None = None,
 ) -> tuple[Path, list[tuple[str, str]]]:
     """Write the report of a result folder; return the page's path and a summary.
 
@@ -69,6 +72,7 @@ def write_report_with_summary(
     statement : file to write the one-page statement to, .pdf or .svg.
     send : folder to make that can be sent to others, see `documents/sent.py`.
     solver, against : solvers to compare in `SOLVER.md`, see `compare_solver`.
+    progress : receiver of the name of each stage.
 
     Raises
     ------
@@ -78,8 +82,9 @@ def write_report_with_summary(
     for kind in figures:
         if kind not in FORMATS:
             raise InputError("`figures`", "", repr(kind), " | ".join(FORMATS))
-    folder = Path(out)
+    folder, progress = Path(out), progress or Silent()
     with lock_for_writing(folder):
+        progress.advance(0, "report: judging the runs")
         beside_it = (
             load_stability_records(folder),
             baseline,
@@ -94,9 +99,11 @@ def write_report_with_summary(
         )
         if statement is not None:
             write_statement(Path(statement), folder, report.results, report.data)
-        _write_figures(drawn, report, ("svg", *figures))
+        _write_figures(drawn, report, ("svg", *figures), progress)
+        progress.advance(0, "report: tables")
         write_tables(tables, report.tables)
         write_text_atomically(folder / "report.md", make_report_markdown(report))
+        progress.advance(0, "report: page")
         page = folder / "report.html"
         write_text_atomically(page, _render_report_page(folder, report))
         if send is not None:
@@ -119,10 +126,18 @@ def _render_report_page(folder: Path, report: Report, *, light: bool = False) ->
     )
 
 
-def _write_figures(folder: Path, report: Report, formats: Sequence[str]) -> None:
+def _write_figures(
+    folder: Path, report: Report, formats: Sequence[str], progress: Progress
+) -> None:
     """Write each chart of the report to a file per format; remove an earlier report's."""
+    progress.advance(0, "report: charts")
+
+    def encode(name: str, chart: Any, kind: str) -> bytes:
+        progress.advance(0, f"report: figure {name}.{kind}")
+        return encode_figure(chart, kind)
+
     files = {
-        f"{name}.{kind}": partial(encode_figure, chart, kind)
+        f"{name}.{kind}": partial(encode, name, chart, kind)
         for name, chart in report.figures.items()
         for kind in dict.fromkeys(formats)
     }

@@ -198,6 +198,29 @@ def test_progress_without_a_terminal_is_a_line_now_and_then(
     assert lines == ["dpbench: 45% after 11 s: daqp", "dpbench: 50% after 72 s: daqp"]
 
 
+def test_what_takes_long_after_all_work_is_a_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Tables and page of a run, and of one whose cells were all finished before."""
+    now_s = 0.0
+    monkeypatch.setattr("dpbench.bench.progress.time.monotonic", lambda: now_s)
+    for work in (4, 0):
+        now_s = 0.0
+        with ProgressBar() as bar:
+            bar.start(work)
+            bar.advance(work, "daqp")
+            for at_s, what in (
+                (9.0, "tables"),
+                (12.0, "charts"),
+                (13.0, "figure"),
+                (23.0, "page"),
+            ):
+                now_s = at_s
+                bar.advance(0, what)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == 2 * ["dpbench: 100% after 12 s: charts", "dpbench: 100% after 23 s: page"]
+
+
 @pytest.mark.parametrize(
     ("elapsed_s", "done", "said"),
     [

@@ -35,6 +35,8 @@ from dpbench.solvers.table import find_solver_record, load_plugin_solver_from_fi
 
 NO_P99 = "no replay has steps enough for a p99"
 """Beginning of a remark on a plan, of which a search that ranks by other percentiles has no use."""
+MOST_NAMED = 3
+"""Runs that a remark names; of the others their number is."""
 WITHOUT_SAMPLE = (
     "no sample time is known of these QPs: the default limits on step times apply; a suite with "
     "[[recorded]] and [requirements] sets others"
@@ -104,6 +106,8 @@ class RunRequest:
             cells = plan_suite(
                 document, solvers=self.solvers, scenarios=self.scenarios, beside=path.parent
             )
+            if self.steps is not None:
+                remarks += list_runs_of_other_length(cells, self.steps)
         part = bool(self.solvers or self.scenarios or keys or self.steps is not None)
         return Plan(name, path, document, cells, part, [*remarks, *_list_remarks(cells, choices)])
 
@@ -203,6 +207,26 @@ def list_tables_left_out(suite: SuiteFile) -> list[str]:
     of_none = ("study", "recorded", "random", "capability")
     tables = [f"[[{name}]]" for name in of_none if getattr(suite, name)]
     return [f"left out by the choice of scenarios: {', '.join(tables)}"] if tables else []
+
+
+def list_runs_of_other_length(planned: Sequence[PlannedCell], steps: int) -> list[str]:
+    """Return remarks on runs that are shorter than `steps`, and on those it does not shorten."""
+    # A window is chosen from a replay of its own.
+    cells = [p.cell for p in planned if not p.cell.is_hardest_window]
+    lengths = {cell.sequence or cell.scenario_name: cell.steps for cell in cells}
+    fewer = [f"{name} ({n})" for name, n in lengths.items() if n < steps]
+    whole = [f"{name} ({n})" for name, n in lengths.items() if n > steps]
+    heads = {
+        f"fewer than the {steps} requested steps, all there are": fewer,
+        f"not shortened to {steps} steps, as only loops and replays along them are": whole,
+    }
+    return [f"{head}: {_name_a_few(names)}" for head, names in heads.items() if names]
+
+
+def _name_a_few(names: Sequence[str]) -> str:
+    """Return the first names as text, and how many more there are."""
+    more = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
+    return ", ".join([*names[:MOST_NAMED], *more])
 
 
 def _list_remarks(planned: Sequence[PlannedCell], choices: Sequence[str]) -> list[str]:

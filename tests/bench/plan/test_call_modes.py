@@ -62,6 +62,18 @@ def test_a_remark_says_what_is_judged_in_place_of_a_p99(
     assert remark.startswith("no replay has steps enough for a p99 ") and judged in remark
 
 
+def test_runs_of_other_than_the_requested_steps_are_named(suite: str) -> None:
+    """Those with fewer, and those of no loop, which are not shortened; none where all have them."""
+    recorded = '[[recorded]]\nsequence = "calm-30-5"\n'
+    Path(suite).write_text(f"{SUITE}\n{recorded}", encoding="utf-8")
+    few, whole, _ = RunRequest(suite, steps=9).make_plan().remarks
+    assert few == "fewer than the 9 requested steps, all there are: paper (5)"
+    assert whole.startswith("not shortened to 9 steps, as only loops")
+    assert whole.endswith(": calm-30-5[:300:4] (75)")
+    (only,) = RunRequest(suite, scenarios=["paper"], steps=5).make_plan().remarks[1:]
+    assert only.startswith("no replay has")
+
+
 def test_a_policy_alone_keeps_the_routes_of_the_suite(suite: str) -> None:
     cells = [
         p.cell for p in RunRequest(suite, solvers=["osqp"], policies=["warm"]).make_plan().cells

@@ -15,6 +15,7 @@ import pytest
 
 from dpbench.bench.judge.rows import make_step_rows
 from dpbench.bench.judge.rules import StepColumns
+from dpbench.bench.progress import Silent
 from dpbench.bench.record import cell_store
 from dpbench.bench.record.cell_store import (
     CellStore,
@@ -334,7 +335,7 @@ def test_own_files_are_not_remarked_on(tmp_path: Path) -> None:
 def tabulate_only(name: str, store: CellStore) -> None:
     job = SimpleNamespace(run_id=name, cell=SimpleNamespace(settings="default"))
     job.planned = SimpleNamespace(alias_settings=[])
-    tabulate(cast(Any, [job]), store)
+    tabulate(cast(Any, [job]), store, Silent())
 
 
 def test_only_batches_after_the_tables_are_of_a_later_run(tmp_path: Path) -> None:
