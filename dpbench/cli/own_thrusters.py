@@ -183,14 +183,16 @@ def find_winds_of_worse_side(vessel: Vessel) -> tuple[float, dict[str, WindLimit
 
     Starboard where both are alike.
     """
-    plot = CapabilityPlot(vessel)
-    cases = plot.intact_and_failure_cases
-    by_side = {
-        side_deg: {case.name: plot.find_wind_limit(case, math.radians(side_deg)) for case in cases}
-        for side_deg in SIDES_DEG
-    }
+    by_side = {side_deg: _find_winds_from(vessel, side_deg) for side_deg in SIDES_DEG}
     worse_deg = min(by_side, key=lambda side_deg: _sort_winds(by_side[side_deg]))
     return worse_deg, by_side[worse_deg]
+
+
+def _find_winds_from(vessel: Vessel, from_deg: float) -> dict[str, WindLimit]:
+    """Return the largest wind held from a direction [°], by failure case."""
+    plot = CapabilityPlot(vessel)
+    from_rad = math.radians(from_deg)
+    return {c.name: plot.find_wind_limit(c, from_rad) for c in plot.intact_and_failure_cases}
 
 
 def read_own_thrusters(
@@ -246,7 +248,8 @@ class HeldSea:
         that of the whole ship. losses : DP number held without each group, by rising wind.
     intact_mps : largest wind [m/s] held without a loss. reason : why this sea, for the scenario.
     from_deg : the side of the bow from which less is held. has_half_turns : whether controllers
-        plan with less than the sectors of the plot.
+        plan with less than the sectors of the plot. remedies : what would help, as text, by group
+        after whose loss no sea is held.
     """
 
     capability: Capability
@@ -257,6 +260,7 @@ class HeldSea:
     reason: str
     from_deg: float
     has_half_turns: bool
+    remedies: dict[str, str]
 
     def list_groups_not_held(self, number: int) -> list[str]:
         """Return the groups after whose loss a DP number is not held, the worst first."""
@@ -289,7 +293,51 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
     numbers = {case: held[case].number for case in losses}
     number, intact_mps = min(number, most), intact.wind_mps
     halves = any(t.sector_rad != t.convex_sector_rad for t in vessel.thrusters.thrusters)
-    return HeldSea(capability, number, lost, numbers, intact_mps, reason, from_deg, halves)
+    remedies = {
+        case: _find_remedy(
+            vessel.thrusters, case, _find_winds_without_zones(vessel, from_deg)[case]
+        )
+        for case in losses
+        if not numbers[case]
+    }
+    return HeldSea(
+        capability, number, lost, numbers, intact_mps, reason, from_deg, halves, remedies
+    )
+
+
+def _find_winds_without_zones(vessel: Vessel, from_deg: float) -> dict[str, float]:
+    """Return the largest wind [m/s] held from a direction [°] if azimuths had no barred zone."""
+    assert vessel.thrusters is not None, "asked of ships with thrusters"
+    turning = [
+        replace(t, sector_rad=None, controller_sector_rad=None) for t in vessel.thrusters.thrusters
+    ]
+    free = replace(vessel, thrusters=replace(vessel.thrusters, thrusters=tuple(turning)))
+    return {case: limit.wind_mps for case, limit in _find_winds_from(free, from_deg).items()}
+
+
+def _find_remedy(thrusters: ThrusterSet, lost: str, free_mps: float) -> str:
+    """Return what would hold a sea without a group, as text.
+
+    free_mps : largest wind held without it if azimuths had no barred zone.
+    """
+    failed = thrusters.indices_by_failure_group[lost]
+    left = [t for i, t in enumerate(thrusters.thrusters) if i not in failed]
+    across = [t.x_m for t in left if t.kind != "main"]
+    ends = {"bow": max(across, default=0.0) > 0.0, "stern": min(across, default=0.0) < 0.0}
+    if missing := [end for end, is_there in ends.items() if not is_there]:
+        place = " or the ".join(missing)
+        return f"no tunnel or azimuth is left at the {place}; put one on every switchboard (group)"
+    if all(thruster.kind == "tunnel" for thruster in left):
+        return "no main or azimuth is left; put one on every switchboard (group)"
+    others = "a stronger thruster, or a retractable one on a switchboard of its own"
+    if all(thruster.sector_rad is None for thruster in left):
+        return f"bow and stern have thrusters left, too weak; add {others}"
+    if free_mps < scaling.DP_NUMBERS[1][0]:
+        return (
+            f"bow and stern have thrusters left, too weak even without barred zones; add {others}"
+        )
+    wind = f"{format_rounded_down(free_mps)} m/s"
+    return f"without barred zones {wind} would be held; narrow them, or add {others}"
 
 
 def choose_sea(vessel: Vessel, held: HeldSea | None) -> int:
@@ -329,7 +377,12 @@ def describe_losses(
             f"{format_rounded_down(held.intact_mps)} m/s that the thrusters hold from "
             f"{held.from_deg:g}° by level 1."
         )
-    simulated = ", ".join(f"{group} ({path.name})" for group, path in files.items())
+    # In the sea that is held, not where each loss is simulated whatever it leaves.
+    held_after = choose_loss(held, number) if held.lost != next(iter(held.losses)) else None
+    notes = {held_after: ", the worst after which a sea is held"}
+    simulated = ", ".join(
+        f"{group} ({path.name}{notes.get(group, '')})" for group, path in files.items()
+    )
     lines.append(f"lost after {at_s:g} s, one in each scenario: {simulated}")
     lines += _describe_losses_not_held(held, number)
     if left_out := describe_losses_left_out(held, [*files]):
@@ -357,14 +410,13 @@ def _describe_losses_not_held(held: HeldSea, number: int) -> list[str]:
         if smaller := held.losses[group]:
             lines.append(f"DP number {smaller} is held without {group}: --sea {smaller}.")
     if none := [group for group in weak if not held.losses[group]]:
-        wind_mps = scaling.DP_NUMBERS[1][0]
-        zones = ", or narrow the barred zones" if held.has_half_turns else ""
+        wind = f"a wind of {scaling.DP_NUMBERS[1][0]:g} m/s from {held.from_deg:g}°"
         lines.append(
-            f"Not even DP number 1, a wind of {wind_mps:g} m/s, is held "
-            f"{_name_groups_lost_one_by_one(none)}: no --sea helps. The thrusters left have to "
-            "push ahead, astern and to both sides, and turn the ship both ways: put thrusters of "
-            f"bow and stern on each switchboard (group){zones}."
+            f"Not even DP number 1, {wind}, is held {_name_groups_lost_one_by_one(none)}: a "
+            "smaller --sea does not help. The thrusters left have to push ahead, astern and to "
+            "both sides, and turn the ship both ways."
         )
+        lines += [f"After the loss of {group}: {held.remedies[group]}." for group in none]
     return lines
 
 

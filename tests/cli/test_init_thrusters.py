@@ -52,9 +52,14 @@ def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
     assert all(name in said for name in (*FILES, "my_ship_capability.svg"))
     assert "DP capability-L1(8, 5, 0, 0)" in said
     words = " ".join(said.split())
-    assert "board A (my_ship_thrusters.toml), board B (my_ship_loss_board_B.toml)" in words
+    assert (
+        "board A (my_ship_thrusters.toml, the worst after which a sea is held), "
+        "board B (my_ship_loss_board_B.toml)"
+    ) in words
     assert "CAUTION: by level 1 the thrusters do not hold this sea without board B." in words
-    assert "Not even DP number 1, a wind of 1.5 m/s, is held without board B: no --sea" in words
+    beyond = "a wind of 1.5 m/s from 30°, is held without board B: a smaller --sea does not help."
+    assert f"Not even DP number 1, {beyond}" in words
+    assert "After the loss of board B: no tunnel or azimuth is left at the stern; put one" in words
     assert "harder:" not in said
     (other,) = load_scenario("my_ship_loss_board_B.toml").files["scenario"]["faults"]
     assert other["lost"] == ["board B"] and other["loss"] == "trip"
@@ -79,6 +84,43 @@ def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
     assert suite.closed_loop[1].scenarios == ["my_ship_thrusters.toml", "my_ship_loss_board_B.toml"]
     assert any(table.consequence for table in suite.replay)
     assert Path("my_ship_capability.svg").read_text(encoding="utf-8").startswith("<svg")
+
+
+@pytest.mark.parametrize(
+    ("zones", "power_kW", "said"),
+    [
+        (",240,300", 2000, r"without barred zones (\S+) m/s would be held; narrow them, or add"),
+        (",,", 30, "bow and stern have thrusters left, too weak; add a stronger thruster"),
+    ],
+)
+def test_a_loss_after_which_bow_and_stern_have_thrusters_has_another_remedy(
+    zones: str, power_kW: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Narrower zones where that is enough: the wind is that of the ship without any zone."""
+    starboard = ",60,120" if zones == ",240,300" else zones
+    rows = ["kind,x_m,y_m,power_kW,group,barred_from_deg,barred_to_deg"]
+    rows += ["tunnel,33,,800,board A,,", f"tunnel,30,,{min(800, power_kW)},board B,,"]
+    rows += [f"azimuth,-35,-3,2000,board A{zones}", f"azimuth,-35,3,2000,board B{starboard}"]
+    if power_kW < 800:
+        rows[3:] = ["azimuth,-35,-3,30,board A,,", "azimuth,-35,3,2000,board B,,"]
+        rows[1:3] = ["tunnel,33,,800,board B,,", "tunnel,30,,30,board A,,"]
+    assert init("\n".join(rows) + "\n") == 0
+    words = " ".join(capsys.readouterr().out.split())
+    found = re.search(f"After the loss of board [AB]: {said}", words)
+    assert found is not None and "put one on every" not in words
+    if found.groups():
+        vessel = load_vessel(FILES[0])
+        assert vessel.thrusters is not None
+        turning = (
+            replace(t, sector_rad=None, controller_sector_rad=None)
+            for t in vessel.thrusters.thrusters
+        )
+        free = replace(vessel, thrusters=replace(vessel.thrusters, thrusters=tuple(turning)))
+        plot = CapabilityPlot(free)
+        (case,) = (c for c in plot.intact_and_failure_cases if c.name == "board B")
+        assert float(found[1]) == pytest.approx(
+            plot.find_wind_limit(case, math.radians(330.0)).wind_mps, rel=1e-2
+        )
 
 
 def test_what_is_assumed_of_thrusters_is_printed_and_marked(
