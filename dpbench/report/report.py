@@ -187,7 +187,7 @@ def build_tables(
         "hard_steps": tabulate_hard_steps(data, data.thinned_runs),
         "ladder": ladder.rename(columns={n: f"{n.removesuffix('_ms')}_us" for n in times}),
         "paired_ratios": tabulate_time_ratios(data),
-        "study_behind": tabulate_differences_from_reference(data.studies),
+        "study_excess": tabulate_differences_from_reference(data.studies),
         "study_points": tabulate_study_points(data.studies),
         "study_effects": build_effects_table(data.studies),
         "study_interactions": build_interactions_table(data.studies),

@@ -9,10 +9,22 @@ from pandas.api.types import is_numeric_dtype
 from dpbench.analysis.suites.study import SMALL_M, PairedDifference, StudiedConfiguration, Study
 from dpbench.analysis.suites.study_effects import group_keys_that_vary_together
 
-BEHIND_COLUMNS = (
+EXCESS_COLUMNS = (
     *("study", "configuration", "reference", "runs", "finished", "stopped", "within_share"),
-    *("r_95_m", "cost_over_exact_percent", "behind_cm", "behind_cm_low", "behind_cm_high"),
-    *("dearer_percent", "dearer_percent_low", "dearer_percent_high", "p_differs", "seas_for_1_cm"),
+    *(
+        "r_95_m",
+        "cost_over_exact_percent",
+        "excess_error_cm",
+        "excess_error_cm_low",
+        "excess_error_cm_high",
+    ),
+    *(
+        "excess_cost_percent",
+        "excess_cost_percent_low",
+        "excess_cost_percent_high",
+        "p_differs",
+        "realisations_for_1_cm",
+    ),
 )
 POINT_COLUMNS = (
     *("study", "configuration", "point", "runs", "finished", "stopped", "within_share", "r_95_m"),
@@ -25,7 +37,7 @@ _ERRORS = ("r_95_m", "r_max_m")
 def tabulate_differences_from_reference(studies: Sequence[Study]) -> pd.DataFrame:
     """Return a table of all studies' configurations against their references, with units."""
     rows = [_make_difference_row(study, c) for study in studies for c in study.results_by_cost]
-    return pd.DataFrame(rows, columns=list(BEHIND_COLUMNS))
+    return pd.DataFrame(rows, columns=list(EXCESS_COLUMNS))
 
 
 def _make_difference_row(study: Study, configuration: StudiedConfiguration) -> dict[str, object]:
@@ -42,10 +54,10 @@ def _make_difference_row(study: Study, configuration: StudiedConfiguration) -> d
         "within_share": configuration.within,
         "r_95_m": configuration.r_95_m,
         "cost_over_exact_percent": 100.0 * configuration.cost,
-        **_make_percent_interval_columns("behind_cm", behind),
-        **_make_percent_interval_columns("dearer_percent", dearer),
+        **_make_percent_interval_columns("excess_error_cm", behind),
+        **_make_percent_interval_columns("excess_cost_percent", dearer),
         "p_differs": np.nan if behind is None else configuration.p_differs,
-        "seas_for_1_cm": np.nan if seas is None else float(seas),
+        "realisations_for_1_cm": np.nan if seas is None else float(seas),
     }
 
 

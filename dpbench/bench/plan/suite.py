@@ -178,7 +178,12 @@ class RandomTable(RunsTable):
     units: ClassVar[list[Units]] = ["scaled"]
     formulations: ClassVar[list[FormulationName]] = ["condensed_box"]
     families: Annotated[list[str], Field(min_length=1)]
-    """Families of random problems, see the glossary."""
+    """Families of random problems: plain (every active limit has a multiplier), degenerate (more
+    active limits than variables, duplicate rows), weakly_active (limits active with a zero
+    multiplier, or missed by 1.5e-8), equal (some rows with l = u), free (some rows without a limit,
+    or with one), infinite_bounds (half of the bounds infinite, rows with one limit), no_rows
+    (bounds alone), semidefinite (P rank deficient, unique optimum), ill_conditioned (condition
+    number of P 1e8), infeasible_steps (every third step infeasible)."""
     sizes: Annotated[list[Size], Field(min_length=1)]
     """Pairs of variables and rows."""
     seeds: list[Count] = [1]

@@ -1,4 +1,4 @@
-"""Charts of a study: seas within the radius, and errors over the reference in the same seas."""
+"""Charts of a study: realisations within the radius, and excess errors over the reference."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,12 +15,12 @@ TRIED = ("tried", "front", "own", "chosen")
 _LOOKS = [STATES.index(state) for state in ("pass", "inconclusive", "fail")]
 """States with the same looks."""
 _SIDE = 110
-_WITHIN = "share of seas within the radius"
+_WITHIN = "share of realisations within the radius"
 _CHOSEN = "datum.chosen"
 
 
 def draw_within_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: bool) -> Any:
-    """Return a chart of shares of seas within the radius by two parameters, a map per solver.
+    """Return a chart of shares within the radius by two parameters, a map per solver.
 
     table : columns configuration, x, y, within and runs.
     x, y : names of the keys; drawn : place values on axes instead of a grid.
@@ -51,7 +51,7 @@ def draw_within_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: 
 
 
 def draw_within_lines(table: pd.DataFrame, title: str, x: str) -> Any:
-    """Return a chart of shares of seas within the radius by one parameter, a line per solver."""
+    """Return a chart of shares within the radius by one parameter, a line per solver."""
     share: dict[str, Any] = {"axis": alt.Axis(format=".0%"), "scale": alt.Scale(domain=[0.0, 1.0])}
     chart = alt.Chart(table).mark_line(point=True)
     chart = chart.encode(
@@ -73,9 +73,9 @@ def draw_excess_errors(table: pd.DataFrame, seas: pd.DataFrame, title: str, smal
     small_cm : half the width of the band of small differences.
     """
     rows = style.named_rows("name", table["name"].tolist(), grid=True, labelLimit=260)
-    across = "95 % radial error behind the reference, same sea [cm]"
+    across = "95 % radial error over the reference, same realisation [cm]"
     dots = alt.Chart(seas).mark_point(filled=True, size=14, opacity=0.35, color=style.SOFT)
-    behind_it = style.tooltip("error_excess_cm:Q", "behind [cm]")
+    behind_it = style.tooltip("error_excess_cm:Q", "excess error [cm]")
     dots = dots.encode(
         x=alt.X("error_excess_cm:Q"),
         y=rows,
@@ -128,7 +128,7 @@ _MEAN_TIPS = (
     style.tooltip("mean_cm:Q", "mean [cm]"),
     style.tooltip("low_cm:Q", "from [cm]"),
     style.tooltip("high_cm:Q", "to [cm]"),
-    alt.Tooltip("pairs:Q", title="seas"),
+    alt.Tooltip("pairs:Q", title="realisations"),
 )
 
 
@@ -150,7 +150,7 @@ def _draw_small_error_band(small_cm: float, low: alt.X | str = "low:Q", **look: 
 
 
 def draw_study_points(*, tiles: bool) -> Any:
-    """Return a chart, without data, of study points coloured by share of seas within the radius.
+    """Return a chart, without data, of study points coloured by share of realisations within.
 
     The page fills the data set `design`: x, y, state (of `WITHIN`), said, chosen, point.
     """
@@ -160,7 +160,7 @@ def draw_study_points(*, tiles: bool) -> Any:
     y = alt.Y(f"y:{kind}", title="up", sort="descending" if tiles else alt.Undefined)
     if not tiles:
         x, y = x.scale(zero=False), y.scale(zero=False)
-    tips = [style.tooltip("values:N", "point"), style.tooltip("said:N", "seas within")]
+    tips = [style.tooltip("values:N", "point"), style.tooltip("said:N", "realisations within")]
     ring: dict[str, Any] = {"stroke": style.value_if(_CHOSEN, style.ACCENT, style.PAPER)}
     ring["strokeWidth"] = style.value_if(_CHOSEN, 3, 1)
     base = style.inline_chart(name="design").encode(x=x, y=y, tooltip=tips)
@@ -179,7 +179,9 @@ def draw_study_points(*, tiles: bool) -> Any:
         parts = [marks.encode(color=look, shape=shapes, **ring)]
     chart = alt.layer(*parts, width=300, height=220)
     return style.set_style(
-        chart, "Seas within the radius", "Share of seas at each point of the design."
+        chart,
+        "Realisations within the radius",
+        "Share of realisations at each point of the design.",
     )
 
 
@@ -194,15 +196,15 @@ def draw_point_errors(small_cm: float) -> Any:
     means = style.inline_chart(name="means").encode(y=rows, tooltip=[who, *_MEAN_TIPS])
     seas = style.inline_chart(name="seas").mark_point(filled=True)
     seas = seas.encode(
-        x=alt.X("error_excess_cm:Q", title="95 % radial error behind the reference [cm]"),
+        x=alt.X("error_excess_cm:Q", title="95 % radial error over the reference [cm]"),
         y=rows,
         color=style.value_if(_CHOSEN, style.FAIL, style.SOFT),
         size=style.value_if(_CHOSEN, 90, 28),
         opacity=style.value_if(_CHOSEN, 1.0, 0.6),
         tooltip=[
             who,
-            alt.Tooltip("replicate:Q", title="sea"),
-            style.tooltip("error_excess_cm:Q", "behind [cm]"),
+            alt.Tooltip("replicate:Q", title="realisation"),
+            style.tooltip("error_excess_cm:Q", "excess error [cm]"),
         ],
     )
     marked = style.draw_whole_rows(
@@ -210,8 +212,8 @@ def draw_point_errors(small_cm: float) -> Any:
     ).add_params(style.narrow_flag())
     parts = (_draw_small_error_band(small_cm, opacity=0.6), marked, *_draw_mean_errors(means), seas)
     chart = alt.layer(*parts, width=430, height=alt.Step(style.ROW_STEP["wide"]))
-    about = "How far each configuration is behind the reference in the same seas."
-    return style.set_style(chart, "Behind the reference", about)
+    about = "Excess error of each configuration over the reference in the same realisations."
+    return style.set_style(chart, "Excess error over the reference", about)
 
 
 def draw_point_seas() -> Any:
@@ -227,7 +229,9 @@ def draw_point_seas() -> Any:
     who = ("chosen", "reference")
     apart = alt.Scale(zero=False, padding=10)
     whole = alt.Axis(format="d", tickMinStep=1)
-    x = alt.X("order:Q", title="seas of this point, the calmest first", scale=apart, axis=whole)
+    x = alt.X(
+        "order:Q", title="realisations of this point, the calmest first", scale=apart, axis=whole
+    )
     dots = style.inline_chart(name="there").mark_point(opacity=1)
     dots = dots.encode(
         x=x,
@@ -238,13 +242,13 @@ def draw_point_seas() -> Any:
         strokeWidth=style.value_if(_CHOSEN, 3, 1.5),
         tooltip=[
             style.tooltip("who:N", "configuration"),
-            alt.Tooltip("replicate:Q", title="sea"),
+            alt.Tooltip("replicate:Q", title="realisation"),
             style.tooltip("value:Q", "largest radial error [m]"),
         ],
     )
     about = "Largest radial error in the second half of each run at the chosen point."
     chart = alt.layer(radius, dots, width=430, height=190)
-    return style.set_style(chart, "The seas of one point", about)
+    return style.set_style(chart, "Realisations of one point", about)
 
 
 def draw_tuning_front(table: pd.DataFrame, title: str, margin: float) -> Any:

@@ -234,7 +234,7 @@ def draw_ratios(table: pd.DataFrame, margin: float) -> Any:
     rules = alt.Chart(edges).mark_rule(color=style.INK, strokeDash=[2, 3]).encode(x=alt.X("edge:Q"))
     chart = alt.layer(rows, rules, spans, points, width=430, height=alt.Step(17))
     return style.set_style(
-        chart, "What became slower", "Ratio of step times of each configuration."
+        chart, "Slower configurations", "Ratio of step times of each configuration."
     )
 
 

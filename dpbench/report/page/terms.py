@@ -37,8 +37,7 @@ DRAG_MISMATCH = "The ship meets cross-flow drag; the controller's model is linea
 _HEAD_TOPICS = (
     "Solvers and how they are run",
     "Studies",
-    "Thrusters steered",
-    "The paper reproduced",
+    "Commanded thrusters",
 )
 _OF_HEADS = {term for title in _HEAD_TOPICS for term in topics()[title]}
 """Glossary terms that may be column heads; in other topics a head may mean another thing: *error*

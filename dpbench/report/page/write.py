@@ -295,7 +295,16 @@ def make_page_html(
 SCRIPTS = ("common", "selection", "figures", *(section.id for section in SECTIONS), "page")
 """Scripts of the page in the order of loading; the last one starts the page."""
 WORDS = (
-    *("requirements", "closed loop", "replay", "sample", "step", "round", "p50, p95, p99", "move"),
+    *(
+        "requirements",
+        "closed loop",
+        "replay",
+        "sample time",
+        "step",
+        "round",
+        "p50, p95, p99",
+        "move",
+    ),
     *("rate limit", "maximum increment", "certified optimum", "fallback", "failed step"),
     *("interval", "pass", "borderline", "inconclusive", "late", "fail", "not run"),
 )

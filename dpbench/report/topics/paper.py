@@ -67,9 +67,9 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
                 tuple((claim.claim, claim.found, claim.state) for claim in judged),
             ),
             Table(
-                ("left open", "chosen"),
+                ("unspecified in the paper", "assumed"),
                 tuple(list_choices(records)),
-                "What the paper leaves open",
+                "Assumptions where the paper is incomplete",
                 folded=True,
             ),
             *([_make_stability_table(designs)] if designs is not None else ()),

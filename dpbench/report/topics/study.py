@@ -58,7 +58,7 @@ def build_study_topic(known: Sequence[Study]) -> Topic | None:
         return None
     return Topic(
         id="study",
-        title="Studies: many seas, paired",
+        title="Studies: paired over realisations",
         lines=tuple(line for study in known for line in _yield_study_sentences(study)),
         figures=tuple(figure for study in known for figure in _draw_study_figures(study)),
         tables=tuple(table for study in known for table in _make_study_tables(study)),
@@ -146,7 +146,7 @@ def _yield_failed_steps_sentences(study: Study) -> Iterator[str]:
     worst = failing.iloc[int(np.argmax(shares))]
     yield (
         f"{study.name}: steps failed in {len(failing)} of {plural(len(study.runs), 'run')}, most "
-        f"of them with {worst['configuration']} at point {worst['point']}, sea "
+        f"of them with {worst['configuration']} at point {worst['point']}, realisation "
         f"{worst['replicate']}: {worst['failed_steps']:.0f} of "
         f"{plural(worst['steps_done'], 'step')}. The fallback steered there, or an unfinished "
         "iterate."
@@ -163,17 +163,17 @@ def _describe_larger_errors(study: Study) -> str:
     wording = [f"{c.name} by {significant(100.0 * excess_m[c.name], 2)} cm" for c in worse[:3]]
     unnamed = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
     if not worse:
-        return f"none is significantly behind {study.reference_name} in the same realisation."
+        return f"no error is significantly larger than that of {study.reference_name} in the same realisation."
     same = len(others) - len(worse)
     rest = f"; {same} {'is' if same == 1 else 'are'} not" if same else ""
     return (
-        f"significantly behind {study.reference_name} in the same realisation: {', '.join(wording)}"
+        f"errors significantly larger than {study.reference_name} in the same realisation: {', '.join(wording)}"
         f"{unnamed}{rest}."
     )
 
 
 def _format_share_with_bound(share: float, study: Study) -> str:
-    """Format a share of seas in percent; at 0 % or 100 % with its 95 % bound; of no sea a dash."""
+    """Format a share of realisations in percent; at 0 % or 100 % with its 95 % bound; a dash for none."""
     if np.isnan(share):
         return MISSING
     bound = 100 * bound_probability_after_no_event(study.sample_count)
@@ -215,23 +215,23 @@ def _draw_study_figures(study: Study) -> Iterator[Figure]:
         where = (
             "at each point" if whole else f"in {study_tables.FIELDS} × {study_tables.FIELDS} fields"
         )
-        caption = f"Share of seas {where}; a run that did not end is not within."
+        caption = f"Share of realisations {where}; a run that did not end is not within."
         yield Figure(f"study-within-{name}", chart, caption)
     elif keys:
         chart = draw_within_lines(maps, title, labels[keys[0]])
-        yield Figure(f"study-within-{name}", chart, "Share of seas at each value.")
+        yield Figure(f"study-within-{name}", chart, "Share of realisations at each value.")
     yield from draw_effect_figures(study, name)
     table, seas, seas_all = study_tables.tabulate_error_excess_by_sea(study)
     if len(table):
         chart = draw_excess_errors(
-            table, seas, f"Behind {study.reference_name}, {study.name}", 100 * SMALL_M
+            table, seas, f"Excess error over {study.reference_name}, {study.name}", 100 * SMALL_M
         )
         of = "" if len(seas) == seas_all else f", {len(seas)} of {seas_all} at even ranks"
         caption = (
-            f"A dot a realisation{of}, the mean with its 95 % interval where there is one; the "
+            f"One dot per realisation{of}, the mean with its 95 % interval where there is one; the "
             "band: 1 cm to either side."
         )
-        yield Figure(f"study-behind-{name}", chart, caption)
+        yield Figure(f"study-excess-{name}", chart, caption)
 
 
 def _make_study_tables(study: Study) -> Iterator[Table]:
@@ -243,7 +243,7 @@ def _make_study_tables(study: Study) -> Iterator[Table]:
     note = (
         "Intervals hold at 95 % for each row alone, not for all at once, and are conditional on "
         "the realisations that both finished. None is stated where fewer than half of the points "
-        "have two. Shown: the error differs, with a family-wise error of "
+        "have two. Significant: the error differs, with a family-wise error of "
         f"{100 * ALPHA:g} % over all rows (Holm). The "
         "reference is chosen by its settings, not by its results. At least, at most: the 95 % "
         "bound where all or none of the runs are within, 3 over the number of realisations."
@@ -274,15 +274,17 @@ def _make_configuration_row(configuration: StudiedConfiguration, study: Study) -
         "within": _format_share_with_bound(configuration.within, study),
         # Rounding alone is 0.
         "cost over exact": f"{0 if abs(cost) < NOTHING else significant(100.0 * cost, 2)} %",
-        "behind [cm]": "reference" if behind_it is None else _format_difference(behind_it, 100.0),
-        "dearer": "" if dearer is None else f"{_format_difference(dearer, 100.0)} %",
+        "excess error [cm]": "reference"
+        if behind_it is None
+        else _format_difference(behind_it, 100.0),
+        "excess cost": "" if dearer is None else f"{_format_difference(dearer, 100.0)} %",
     }
     if behind_it is None:
-        return row | {"shown": "", "seas for 1 cm": ""}
+        return row | {"significant": "", "realisations for 1 cm": ""}
     seas = str(behind_it.count_seas_needed_for(SMALL_M) or MISSING)
     return row | {
-        "shown": "yes" if configuration.differs_from_reference else "no",
-        "seas for 1 cm": seas,
+        "significant": "yes" if configuration.differs_from_reference else "no",
+        "realisations for 1 cm": seas,
     }
 
 

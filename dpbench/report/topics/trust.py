@@ -131,7 +131,7 @@ def build_trust_topic(records: Records) -> Topic | None:
     others = "plants, disturbances" if is_of_own_plant else "ships, weather"
     return Topic(
         id="trust",
-        title="Can I believe the times",
+        title="Measurement quality",
         short="Trust",
         lines=(*lines, COVERED.format(f"{others} and tunings")),
         figures=tuple(figures),

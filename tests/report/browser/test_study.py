@@ -70,7 +70,7 @@ def test_it_opens_where_a_ship_is_lost(study_page: Opener) -> None:
     page = study_page()
     assert page.inner_text("#one-title").startswith("osqp (")
     assert "beyond the radius, at most 1.5 m off" in page.inner_text("#study-said")
-    assert "in 1 of 4 seas, over all points in 18 of 24" in page.inner_text("#study-said")
+    assert "in 1 of 4 realisations, over all points in 18 of 24" in page.inner_text("#study-said")
     assert page.input_value("#study-sea") == "2"
     assert len(_rows(page, "design", "design")) == 6
     assert page.inner_text("#one-said").startswith(
@@ -85,7 +85,7 @@ def test_a_point_a_row_and_a_dot_are_chosen(study_page: Opener) -> None:
     page = study_page()
     _click_on(page, "design", "row.point === 0")
     assert selection(page)["sc"] == "seas: point 0, sea 2"
-    assert "in 4 of 4 seas" in page.inner_text("#study-said")
+    assert "in 4 of 4 realisations" in page.inner_text("#study-said")
     assert [row["point"] for row in _rows(page, "design", "design") if row["chosen"]] == [0]
     _click_on(page, "seas", "row.replicate === 4 && row.who === 'chosen'")
     assert selection(page)["sc"] == "seas: point 0, sea 4"

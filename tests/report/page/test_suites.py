@@ -28,7 +28,7 @@ TITLES = {
     "formulations": "Formulations",
     "routes": "Routes",
     "paper": "The paper",
-    "trust": "Can I believe the times",
+    "trust": "Measurement quality",
 }
 TIMED = {"replay_s": 2.0, "involuntary_switches": 4, "steal_s": 0.0}
 

@@ -79,7 +79,13 @@ def test_the_files_of_a_study_hold_numbers(records: Any) -> None:
     assert set(points.select_dtypes(exclude="number")) == texts - {"reference"}
     osqp = behind.set_index("configuration").loc["osqp"]
     assert (osqp["runs"], osqp["finished"], osqp["stopped"]) == (20, 19, 1)
-    assert 2.0 < osqp["behind_cm_low"] < osqp["behind_cm"] < osqp["behind_cm_high"] < 4.0
+    assert (
+        2.0
+        < osqp["excess_error_cm_low"]
+        < osqp["excess_error_cm"]
+        < osqp["excess_error_cm_high"]
+        < 4.0
+    )
     assert points["runs"].tolist() == [4] * 10 and points["finished"].sum() == 39
     assert points[f"x_{WIND}"].between(5, 18).all()
 
@@ -211,8 +217,8 @@ def test_failed_steps_of_runs_are_said(records: Any) -> None:
     records.sea("osqp", 0, 2, {EAST: 1.0}, failed=4, done=20)
     found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None and found.lines[1] == (
-        "seas: steps failed in 2 of 3 runs, most of them with osqp at point 0, sea 2: 4 of 20 "
-        "steps. The fallback steered there, or an unfinished iterate."
+        "seas: steps failed in 2 of 3 runs, most of them with osqp at point 0, realisation 2: 4 of "
+        "20 steps. The fallback steered there, or an unfinished iterate."
     )
 
 

@@ -118,12 +118,12 @@ function studySaid(study) {
   const here = run === undefined ? "was not run" : study.runs.within[run] === null ? "was not judged, as its time limit or the benchmark ended it"
     : tail === null ? "did not end"
     : `${study.runs.within[run] ? "within the radius" : "beyond the radius"}, at most ${figure(tail)} m off in the second half`
-      + (behind === null || who === study.reference ? "" : `, ${figure(behind)} cm behind ${study.names[study.reference]}`);
+      + (behind === null || who === study.reference ? "" : `, ${figure(behind)} cm more error than ${study.names[study.reference]}`);
   const share = all.length ? within(all) / all.length : NaN, bound = 100 * Math.abs(share - study.upper_bound_of_none);
   const bounded = share === 1 || share === 0
-    ? ` (95 % bound: at ${share ? "least" : "most"} ${bound.toFixed(0)} % of all seas)` : "";
-  return `${at}: ${study.names[who]} stays within ${study.radius_m} m in ${within(own)} of ${judgedOf(study, own).length} seas, over all points in `
-    + `${within(all)} of ${all.length}${bounded}. Sea ${sea}: ${here}.`;
+    ? ` (95 % bound: at ${share ? "least" : "most"} ${bound.toFixed(0)} % of all realisations)` : "";
+  return `${at}: ${study.names[who]} stays within ${study.radius_m} m in ${within(own)} of ${judgedOf(study, own).length} realisations, over all points in `
+    + `${within(all)} of ${all.length}${bounded}. Realisation ${sea}: ${here}.`;
 }
 
 function drawStudyChoice(study) {
@@ -153,7 +153,7 @@ async function drawStudy() {
     await view.runAsync();
   };
   const [across, other] = axesOf(study).map((j) => study.keys[j]);
-  const up = across !== other ? other : asTiles(study) ? "" : "seas within [%]";
+  const up = across !== other ? other : asTiles(study) ? "" : "realisations within [%]";
   $("figure-design").parentElement.hidden = !study.keys.length;
   if (study.keys.length) await fill("design", { design: designRows(study) }, { across, up });
   await fill("behind", { means: meanRows(study), seas: behindRows(study) });
