@@ -163,17 +163,20 @@ def _describe_larger_errors(study: Study) -> str:
     wording = [f"{c.name} by {significant(100.0 * excess_m[c.name], 2)} cm" for c in worse[:3]]
     unnamed = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
     if not worse:
-        return f"no error is significantly larger than that of {study.reference_name} in the same realisation."
+        return (
+            f"no error is significantly larger than that of {study.reference_name} in the same "
+            "realisation."
+        )
     same = len(others) - len(worse)
     rest = f"; {same} {'is' if same == 1 else 'are'} not" if same else ""
     return (
-        f"errors significantly larger than {study.reference_name} in the same realisation: {', '.join(wording)}"
-        f"{unnamed}{rest}."
+        f"errors significantly larger than {study.reference_name} in the same realisation: "
+        f"{', '.join(wording)}{unnamed}{rest}."
     )
 
 
 def _format_share_with_bound(share: float, study: Study) -> str:
-    """Format a share of realisations in percent; at 0 % or 100 % with its 95 % bound; a dash for none."""
+    """Format a share in percent, at 0 % or 100 % with its 95 % bound; return a dash for none."""
     if np.isnan(share):
         return MISSING
     bound = 100 * bound_probability_after_no_event(study.sample_count)
