@@ -1,5 +1,6 @@
-"""Hooks of mkdocs: pages made from the code join those written by hand."""
+"""Hooks of mkdocs: add the pages that are generated from the code."""
 
+import tomllib
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -20,7 +21,7 @@ SOURCES = {
     "dpbench/solvers/libraries": "solvers/index.md",
     "problems": "reference/library.md",
 }
-"""Pages of the site by the file or folder of the repository that they are made of."""
+"""Pages of the site by the file or folder of the repository that they are made from."""
 ROOT = Path(__file__).parents[1]
 MAKERS = (
     toml_keys.pages,
@@ -36,20 +37,25 @@ MAKERS = (
 def pages() -> dict[str, str]:
     """Markdown of every page that is not in the folder, by its file."""
     made = {name: text for make in MAKERS for name, text in make().items()}
-    # It stands where contributors look for it; within the site its links start one folder deeper.
+    # In the site its links start one folder deeper than in the repository.
     contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     return made | {"contributing.md": contributing.replace("](docs/", "](")}
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Every solver has its place in the navigation."""
-    (entry,) = (part for part in config.nav or [] if "Solvers" in part)
+    """Add the pages of solvers, the version, and the edit link if the repository is known."""
+    (reference,) = (part["Reference"] for part in config.nav or [] if "Reference" in part)
+    (entry,) = (part for part in reference if "Solvers" in part and isinstance(part, dict))
     entry["Solvers"] = list(solvers.pages())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    config.copyright = f"dpbench {project['version']}"
+    if address := project.get("urls", {}).get("Repository"):
+        config.repo_url, config.edit_uri = address, "edit/main/docs/"
     return config
 
 
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
-    """Links to the repository lead to the pages made of those files."""
+    """Replace links to files of the repository by links to the pages made from them."""
     up = "../" * (page.file.src_uri.count("/") + 1)
     for source, made in SOURCES.items():
         markdown = markdown.replace(f"]({up}{source})", f"]({up[3:]}{made})")
@@ -57,7 +63,7 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """The generated pages stand beside the written ones."""
+    """Add the generated pages and pictures."""
     for name, text in pages().items():
         files.append(File.generated(config, name, content=text))
     for name, picture in notebook.pictures().items():
