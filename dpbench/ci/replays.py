@@ -17,8 +17,9 @@ from dpbench.bench.sequences.source import thin_sequence
 from dpbench.ci.benchmarks import WRONG_ANSWERS
 from dpbench.ci.machine_state import HasInfo, watch_machine
 from dpbench.errors import InputError, SituationError
-from dpbench.notebook.runs import REMEMBERED, Run, replay
+from dpbench.notebook.runs import Run, replay
 from dpbench.qp.program import ARRAYS, QPSequence, QPStep, QuadraticProgram
+from dpbench.report.verdict_text import describe_caching_sign
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import load_plugin_solver_from_file
@@ -141,7 +142,8 @@ def _fail_on_wrong_answers(run: Run, requirements: Requirements) -> None:
         f"(allowed {requirements.error_move:g}), "
         f"failed steps {record.failed_steps:g} (allowed {requirements.failed_steps})"
     )
-    reason = REMEMBERED if run.remembers else WRONG_ANSWERS
+    reason = describe_caching_sign(record.configuration.solver, record.caching_sign)
+    reason = reason or WRONG_ANSWERS
     pytest.fail(f"{reason}: {found} by {run!r}", pytrace=False)
 
 

@@ -15,7 +15,7 @@ import pandas as pd
 
 from dpbench.analysis.records.run_record import build_run_records
 from dpbench.analysis.verdict.ship_results import ShipResult
-from dpbench.bench.judge.answer_caching import is_answer_cached
+from dpbench.bench.judge.answer_caching import find_caching_sign
 from dpbench.bench.judge.evaluation import EvaluatedCell, evaluate_loop_log, evaluate_replay_log
 from dpbench.bench.judge.rows import make_run_row, make_step_columns, make_step_rows
 from dpbench.bench.record.cell import DEFAULT_FALLBACK, FORMULATIONS, Cell, Formulation, Outcome
@@ -50,6 +50,7 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.ship_text import ShipSummary, summarise_ships
+from dpbench.report.verdict_text import describe_caching_sign
 from dpbench.scenario.plants.contract import PlantMaker
 from dpbench.scenario.plants.linear_mpc import LinearMPC
 from dpbench.scenario.scenario import Scenario, resolve_to_scenario
@@ -59,7 +60,6 @@ from dpbench.solvers.own_settings import encode_options_as_json, format_options_
 from dpbench.solvers.table import Availability
 
 UNNAMED = ("", "default")  # Settings that a label leaves out
-REMEMBERED = "times of remembered answers: steps seen before are faster than warming explains"
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +95,16 @@ class Run:
 
     @property
     def remembers(self) -> bool:
-        """True if a replay's times are of answers the solver has cached, not of solving."""
+        """True if a replay's times look like answers the solver has cached, not of solving."""
+        return bool(self._caching_text)
+
+    @property
+    def _caching_text(self) -> str:
+        """Words on what of the times looks like cached answers; "" for none."""
         row = self.summary
         excess = float(row["first_visit_excess"])
-        return is_answer_cached(float(row["first_visit_ratio"]), math.nan, excess)
+        sign = find_caching_sign(float(row["first_visit_ratio"]), math.nan, excess)
+        return describe_caching_sign(str(row["solver"]), sign)
 
     @property
     def plot(self) -> RunPlots:
@@ -115,7 +121,7 @@ class Run:
             f"{f'{unverified} reported solved but not verified, ' if unverified else ''}"
             f"error_move ≤ {format_error(row['error_move_max'])}, p50 {time}{note and f' ({note})'}"
             f"{f'; {self._machine_text}' if self._machine_text else ''}"
-            f"{f'; {REMEMBERED}' if self.remembers else ''}"
+            f"{f'; {self._caching_text}' if self.remembers else ''}"
             f"{f'; {self._ship.warning}' if self._ship.warning else ''}>"
         )
 
@@ -135,7 +141,7 @@ class Run:
         }
         # The machine first: it may be the reason for what the times look like.
         fields |= {"machine": self._machine_text} if self._machine_text else {}
-        fields |= {"times": REMEMBERED} if self.remembers else {}
+        fields |= {"times": self._caching_text} if self.remembers else {}
         return make_html_field_table(
             f"{self.label}: {self._sequence_text}", fields | self._describe_control()
         )

@@ -30,6 +30,7 @@ from dpbench.analysis.verdict.verdict import (
     find_solver_record_or_none,
     list_best_verdict_of_each_solver,
 )
+from dpbench.bench.judge.answer_caching import CachingSign
 from dpbench.bench.judge.calibration import is_within_tolerance
 from dpbench.bench.judge.rules import LEAST_STRETCH
 from dpbench.bench.record.disturbance import Disturbance
@@ -96,6 +97,8 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
     if otherwise := [v.configuration for v in good if v.configuration.solver not in by_default]:
         labels = ", ".join(configuration.label for configuration in otherwise)
         wording.append(f"not by default: {labels}")
+        solvers = [configuration.solver for configuration in otherwise]
+        wording += _describe_defaults_that_do_not_pass(verdicts, solvers)
     for state, (verb, verbs) in _VERBS.items():
         alike = by_state.get(state, [])
         wording += [
@@ -104,6 +107,17 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
         ]
         wording += _count_others(len(alike), f" {verbs}")
     return "; ".join(wording)
+
+
+def _describe_defaults_that_do_not_pass(verdicts: Verdicts, solvers: Sequence[str]) -> list[str]:
+    """Return clauses on the reference configurations of some solvers, with the reason of each."""
+    missed = {v.configuration.solver: v for v in verdicts.verdicts_on_references}
+    of_each = [(solver, missed[solver]) for solver in solvers if solver in missed]
+    clauses = [
+        f"by default {solver} {_VERBS[v.state][0]}: {describe_main_reason(v)}"
+        for solver, v in of_each[:MOST_NAMED]
+    ]
+    return [*clauses, *_count_others(len(of_each), " do not pass by default")]
 
 
 def _count_others(count: int, verbs: str) -> list[str]:
@@ -281,6 +295,7 @@ def _describe_machine_state(findings: Sequence[Finding]) -> list[str]:
 
 
 _WORDS: dict[str, str] = read_words(__file__)["findings"]
+_CACHING: dict[str, str] = read_words(__file__)["caching"]
 _ENDINGS: dict[str, str] = read_words(__file__)["endings"]
 
 
@@ -299,6 +314,20 @@ def _describe_ending(status: str, run: RunRecord) -> str:
     if status == "INACCURATE" and not isnan(run.iterations_max):
         return f"{ending} after at most {format_count(run.iterations_max)} iterations"
     return ending
+
+
+def describe_caching_sign(solver: str, sign: CachingSign | None) -> str:
+    """Return in words what of a replay's times looks like cached answers; "" for none.
+
+    Cached answers are named as the cause only of a solver that may keep them.
+    """
+    if sign is None:
+        return ""
+    name, value = sign
+    text = _CACHING[name].format(value=significant(value, 2), share=format_share(value))
+    record = find_solver_record_or_none(solver)
+    known = record is not None and record.extra != "plugin" and not record.keeps_answers
+    return text if known else f"{text}: {_CACHING['cause']}"
 
 
 def describe_finding(finding: Finding) -> str:
@@ -321,6 +350,7 @@ def describe_finding(finding: Finding) -> str:
         detail=explain_outcome(first),
         number=format_count(finding.steps),
         ending=_describe_ending(finding.status, first),
+        caching=describe_caching_sign(first.configuration.solver, first.caching_sign),
         outcome=first.outcome,
         planned=format_count(first.steps_planned),
         done=plural(first.steps_done, "step"),
@@ -331,6 +361,9 @@ def describe_finding(finding: Finding) -> str:
         timings=plural(finding.steps, "timing"),
         machine=format_share(finding.machine),
         net=format_time(finding.machine),
+        limit=format_time(finding.limit),
+        low=format_time(finding.value / finding.factor),
+        high=format_time(finding.value * finding.factor),
         also=f" (also in {also})" if also else "",
         some_also=f" (some also in {also})" if also else "",
         also_over=f" (over the requirements also in {also})" if also else "",

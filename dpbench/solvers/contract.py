@@ -315,6 +315,7 @@ class SolverRecord:
         "" without one; limits_outer_iterations : whether that counts the outer ones alone.
     known_failures : what is known of failing steps by the status reported, SOLVED for claims that
         do not hold; shown where such a step is.
+    keeps_answers : whether it keeps what it found for a QP it may meet again; unknown of a plug-in.
     choose_instead : a solver of the same code that is never the worse choice; "" for none. Suites
         may leave out what has one.
     """
@@ -336,6 +337,7 @@ class SolverRecord:
     iteration_limit: str = ""
     limits_outer_iterations: bool = False
     known_failures: Mapping[Status, str] = field(default_factory=dict)
+    keeps_answers: bool = False
     choose_instead: str = ""
 
     @property

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ValidationError
 
-from dpbench.bench.judge.answer_caching import is_answer_cached
+from dpbench.bench.judge.answer_caching import CachingSign, find_caching_sign
 from dpbench.bench.record.cell import (
     COMMON_FORMULATION,
     CONTROLLER,
@@ -267,9 +267,9 @@ class RunRecord:
         return self.outcome_detail.strip().rstrip(".")
 
     @property
-    def returns_cached_answers(self) -> bool:
-        """True if the times show that the solver returned cached answers."""
-        return is_answer_cached(
+    def caching_sign(self) -> CachingSign | None:
+        """What of a replay's times looks like cached answers, and its value; None without it."""
+        return find_caching_sign(
             self.first_visit_ratio, self.loop_ratio, self.first_visit_excess, self.loop_tail_ratio
         )
 

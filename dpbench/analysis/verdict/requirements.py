@@ -46,7 +46,7 @@ def is_right_on_every_step(run: RunRecord, requirements: Requirements) -> bool:
     """
     return (
         run.outcome in ("finished", "timed_out")
-        and not run.returns_cached_answers
+        and run.caching_sign is None
         and run.steps_done == run.steps_planned
         and run.error_move_max <= requirements.error_move
         and run.failed_steps <= requirements.failed_steps
@@ -134,6 +134,8 @@ class Finding:
     steps : the steps or timings of the figure; status : that of most failed steps.
     machine : of a share of late timings, the share that the machine explains; of a time with waits
         for the processor core, the time without them [ns].
+    limit, factor : the limit that a time was compared with [ns], and the factor within which the
+        time is uncertain.
     """
 
     kind: Cause | Doubt | Near | Gap
@@ -142,6 +144,8 @@ class Finding:
     steps: int = 0
     machine: float = math.nan
     status: str = ""
+    limit: float = math.nan
+    factor: float = math.nan
 
 
 def make_finding_on_worst_runs(

@@ -8,7 +8,7 @@ reported apart, as measured.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -78,10 +78,14 @@ def find_slow_loops(
             kinds["slow loop"].append(run)
         elif ratio >= 1.0 / factor:
             kinds["loop borderline"].append(run)
-    return [
+    findings = [
         finding
         for kind, of_kind in kinds.items()
         for finding in make_finding_on_worst_runs(kind, of_kind, lambda run: run.raw_p50_ns)
+    ]
+    return [
+        replace(f, limit=requirements.p99_ns, factor=uncertainty.get_factor_of_run(f.runs[0]))
+        for f in findings
     ]
 
 
@@ -139,7 +143,7 @@ def judge_replay_times(
     findings: list[Finding] = []
     figures: list[_ReplayTimes] = []
     for run in replays:
-        if run.returns_cached_answers:
+        if run.caching_sign is not None:
             findings.append(Finding("remembered", (run,)))
         if not records.has_comparable_times(run):
             findings.append(Finding("not alone", (run,)))
@@ -280,32 +284,49 @@ def _compare_with_limits(
     A time is late if the solver's own part of it is beyond the limit, too: see `find_own_times_ns`.
     Single timings are tested against the machine in `lateness.py`.
     """
-    run, findings, algo, own = (figures.run,), list[Finding](), figures.algo, figures.own
-    late_ns = factor * requirements.deadline_ns
-    if own.max_ns <= late_ns < algo.max_ns:
-        kinds: tuple[Doubt, Doubt] = ("deadline waits", "few deadline timings")
-        findings.append(figures.doubt(*kinds, algo.max_ns, own.max_ns))
-    elif algo.max_ns > late_ns:
-        findings.append(Finding("deadline late", run, algo.max_ns))
-    elif algo.max_ns >= requirements.deadline_ns / factor:
-        findings.append(Finding("deadline borderline", run, algo.max_ns))
-    limits = requirements.p99_ns / factor, requirements.p99_ns * factor
-    if own.high_ns <= limits[1] < algo.high_ns:
-        findings.append(figures.doubt("p99 waits", "few timings", algo.high_ns, own.high_ns))
-    elif algo.p99_ns > limits[1]:
+    found = (
+        (
+            _compare_with_deadline(figures, requirements.deadline_ns, factor),
+            requirements.deadline_ns,
+        ),
+        (_compare_with_p99_limit(figures, requirements.p99_ns, factor), requirements.p99_ns),
+    )
+    return [replace(f, limit=limit, factor=factor) for f, limit in found if f is not None]
+
+
+def _compare_with_deadline(figures: _ReplayTimes, limit_ns: float, factor: float) -> Finding | None:
+    """Return the finding on a replay's hardest step that is beyond the deadline, or near."""
+    longest_ns, own_ns = figures.algo.max_ns, figures.own.max_ns
+    if own_ns <= factor * limit_ns < longest_ns:
+        return figures.doubt("deadline waits", "few deadline timings", longest_ns, own_ns)
+    if longest_ns < limit_ns / factor:
+        return None
+    kind: Cause | Near = (
+        "deadline late" if longest_ns > factor * limit_ns else "deadline borderline"
+    )
+    return Finding(kind, (figures.run,), longest_ns)
+
+
+def _compare_with_p99_limit(
+    figures: _ReplayTimes, limit_ns: float, factor: float
+) -> Finding | None:
+    """Return the finding on a replay's p99, or p95, that is beyond the limit, or near."""
+    run, algo, own = (figures.run,), figures.algo, figures.own
+    low_ns, high_ns = limit_ns / factor, limit_ns * factor
+    if own.high_ns <= high_ns < algo.high_ns:
+        return figures.doubt("p99 waits", "few timings", algo.high_ns, own.high_ns)
+    if algo.p99_ns > high_ns:
         kind: Cause = "window late" if figures.run.steps_searched_for_hardest else "p99 late"
-        findings.append(Finding(kind, run, algo.p99_ns))
-    elif algo.p99_ns >= limits[0]:
-        findings.append(Finding("p99 borderline", run, algo.p99_ns))
-    elif not math.isnan(algo.p99_ns):
-        return findings
-    elif algo.p95_ns > limits[1]:
-        findings.append(Finding("p95 late", run, algo.p95_ns))
-    elif algo.max_ns > requirements.p99_ns:
-        findings.append(Finding("no p99", run, algo.max_ns, figures.steps))
-    elif algo.p95_ns >= limits[0]:
-        findings.append(Finding("p95 borderline", run, algo.p95_ns))
-    return findings
+        return Finding(kind, run, algo.p99_ns)
+    if algo.p99_ns >= low_ns:
+        return Finding("p99 borderline", run, algo.p99_ns)
+    if not math.isnan(algo.p99_ns):
+        return None
+    if algo.p95_ns > high_ns:
+        return Finding("p95 late", run, algo.p95_ns)
+    if algo.max_ns > limit_ns:
+        return Finding("no p99", run, algo.max_ns, figures.steps)
+    return Finding("p95 borderline", run, algo.p95_ns) if algo.p95_ns >= low_ns else None
 
 
 @dataclass(frozen=True)

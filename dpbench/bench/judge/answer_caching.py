@@ -11,6 +11,8 @@ Moving q a little in each round instead would not help: a table may round its ke
 steps, and repeatability and paired comparisons rest on identical bytes.
 """
 
+from typing import Literal
+
 import numpy as np
 import pandas as pd
 
@@ -111,19 +113,24 @@ def _measure_machine_slowdown(log: RawLog, r: int) -> float:
     return max(1.0, float(log.first_reference_kernel_ns[r] / seen.min()))
 
 
-def is_answer_cached(
+CachingSign = tuple[Literal["first visit", "loop", "slow first visits", "loop tail"], float]
+"""What of a replay's times looks like cached answers, and its value."""
+
+
+def find_caching_sign(
     first_visit_ratio: float,
     loop_ratio: float,
     first_visit_excess: float = np.nan,
     loop_tail_ratio: float = np.nan,
-) -> bool:
-    """Return whether a replay's times look like cached answers, by four ratios (NaN: unknown)."""
-    return bool(
-        first_visit_ratio > MOST_WARMING
-        or loop_ratio > MOST_LOOP
-        or first_visit_excess > MOST_SLOW_FIRST
-        or loop_tail_ratio > MOST_LOOP_TAIL
-    )
+) -> CachingSign | None:
+    """Return the first of four ratios (NaN: unknown) that is as of cached answers; or None."""
+    if first_visit_ratio > MOST_WARMING:
+        return "first visit", first_visit_ratio
+    if loop_ratio > MOST_LOOP:
+        return "loop", loop_ratio
+    if first_visit_excess > MOST_SLOW_FIRST:
+        return "slow first visits", first_visit_excess
+    return ("loop tail", loop_tail_ratio) if loop_tail_ratio > MOST_LOOP_TAIL else None
 
 
 _CONFIGURATION = ["scenario", *CONFIGURATION_COLUMNS]

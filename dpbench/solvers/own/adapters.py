@@ -45,6 +45,7 @@ ACTIVE_SET_MEMORY = replace(
         licence=LICENCE,
         language=("Python around C99", "dpbench, solvers/own/active_set_memory.py"),
     ),
+    keeps_answers=True,
     # In Python a stored law takes longer than the paper's method in C: what it saves is iterations.
     choose_instead="paper_active_set",
 )

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dpbench import load_results, load_scenario, record_sequence
-from dpbench.bench.judge.answer_caching import compute_caching_metrics, is_answer_cached
+from dpbench.bench.judge.answer_caching import compute_caching_metrics, find_caching_sign
 from dpbench.bench.record.raw_log import RawLog, make_replay_layout
 from dpbench.bench.run.formulation import formulate_sequence
 from dpbench.bench.run.replay import ReplayRun
@@ -28,7 +28,7 @@ STEPS, WARM_UP, ROUNDS = 80, 20, 4
 
 
 def remembers(row: Mapping[str, Any]) -> bool:
-    return bool(is_answer_cached(row["first_visit_ratio"], row["loop_ratio"]))
+    return find_caching_sign(row["first_visit_ratio"], row["loop_ratio"]) is not None
 
 
 class Clock:
