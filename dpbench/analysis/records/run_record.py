@@ -268,7 +268,7 @@ class RunRecord:
 
     @property
     def caching_sign(self) -> CachingSign | None:
-        """What of a replay's times looks like cached answers, and its value; None without it."""
+        """Sign of cached answers in a replay's times, and its value; None without it."""
         return find_caching_sign(
             self.first_visit_ratio, self.loop_ratio, self.first_visit_excess, self.loop_tail_ratio
         )

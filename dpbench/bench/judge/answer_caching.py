@@ -114,7 +114,7 @@ def _measure_machine_slowdown(log: RawLog, r: int) -> float:
 
 
 CachingSign = tuple[Literal["first visit", "loop", "slow first visits", "loop tail"], float]
-"""What of a replay's times looks like cached answers, and its value."""
+"""Sign of cached answers in a replay's times, and its value."""
 
 
 def find_caching_sign(

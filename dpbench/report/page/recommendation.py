@@ -1,7 +1,7 @@
 """The recommendation: which configuration to use, why, where that is valid, and what to paste."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, isnan
 from typing import Any
@@ -126,10 +126,9 @@ def build_recommendation(
         second = fastest.configuration if fastest else own[0]
     ship = summarise_ships(data.ships)
     choice = _describe_choice(data, found, is_lost=bool(ship.warning))
-    alone = f"Nothing was compared, as only {known[0].label} was run." if len(known) == 1 else ""
     return Recommendation(
         ship=ship,
-        sentence=" ".join(filter(None, (alone, choice))),
+        sentence=" ".join(filter(None, (_describe_lone_solver(known), choice))),
         notes=(*_make_notes(data, found), *_yield_stopped_notes(data)),
         chips=tuple(_make_badges(data, first)),
         snippets=tuple(_make_snippets(chosen.configuration)) if chosen else (),
@@ -138,6 +137,16 @@ def build_recommendation(
         first=first,
         second=second,
     )
+
+
+def _describe_lone_solver(known: Sequence[Configuration]) -> str:
+    """Return a sentence where one solver alone was run; "" where there are others."""
+    if len(known) == 1:
+        return f"Nothing was compared, as only {known[0].label} was run."
+    if len({configuration.solver for configuration in known}) != 1:
+        return ""
+    modes = f"{len(known)} configurations"
+    return f"Only {known[0].solver} was run, in {modes}: compared with no other solver."
 
 
 def _describe_machine(data: PageData, machine: Mapping[str, Any]) -> str:

@@ -132,7 +132,11 @@ def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None
         return None
     margins = compute_speed_margins(records, requirements)
     margin = None if chosen is None else margins.get(chosen.configuration)
-    first = [_describe_solver_to_use(records, chosen, margin), _compare_with_forces(commanded)]
+    is_alone = sum(state != "not run" for state in commanded.with_thrusters.values()) == 1
+    first = [
+        _describe_solver_to_use(records, chosen, margin, is_alone=is_alone),
+        _compare_with_forces(commanded),
+    ]
     second = [
         *_yield_offset_after_loss_sentences(records, chosen, requirements),
         *_yield_consequence_sentences(records, chosen),
@@ -142,14 +146,19 @@ def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None
 
 
 def _describe_solver_to_use(
-    records: Records, chosen: Verdict | None, margin: SpeedMargin | None
+    records: Records, chosen: Verdict | None, margin: SpeedMargin | None, *, is_alone: bool
 ) -> str:
-    """Return a text on the solver to use if MPC commands thrusters, and its deadline share."""
+    """Return a text on the solver to use if MPC commands thrusters, and its deadline share.
+
+    is_alone : whether no other solver was run.
+    """
     if chosen is None:
         return "No solver can be recommended for a controller that steers thrusters."
     c = chosen.configuration
     label = f"To steer thrusters take {c.solver} ({c.route}, {c.policy}, {c.settings})"
-    if chosen.state != "pass":
+    if is_alone and chosen.state == "pass":
+        label = f"With commanded thrusters {c.label} passes; only {c.solver} was run"
+    elif chosen.state != "pass":
         label = f"Nothing contradicts {c.label}"
     if margin is None:
         return f"{label}."

@@ -372,7 +372,8 @@ def test_of_a_single_configuration_it_is_said_first_that_nothing_was_compared(
     assert records.ending()["answer"].startswith(first)
     assert first in make_report_markdown(Report.from_results(records.results()))
     records.loop("daqp", settings="high")
-    assert _answer(records).sentence.startswith("Use daqp")
+    alone = "Only daqp was run, in 2 configurations: compared with no other solver. Use daqp"
+    assert _answer(records).sentence.startswith(alone)
 
 
 def test_code_in_python_alone_is_no_recommendation(records: Any) -> None:

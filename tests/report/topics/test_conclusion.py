@@ -46,6 +46,21 @@ def test_solvers_that_do_for_three_forces_only_are_named_with_their_fault(record
     )
 
 
+def test_a_solver_that_ran_alone_is_not_chosen(records: Any) -> None:
+    """Two call modes of one solver are no comparison with another."""
+    solvers = {"daqp": (40.0, 1e-9)}
+    first, _ = output(campaign(records, solvers, forces=False))
+    assert first.startswith(
+        "With commanded thrusters daqp (native warm) passes; only daqp was run: its hardest step"
+    )
+    for name in ("thrusters", "thrusters_loss"):
+        records.loop("daqp", name, steps=500)
+    sentence = Report.from_results(records.results()).recommendation.sentence
+    assert sentence.startswith(
+        "Only daqp was run, in 2 configurations: compared with no other solver. Use daqp"
+    )
+
+
 def test_without_runs_of_three_forces_nothing_is_said_of_them(records: Any) -> None:
     solvers = {"daqp": (40.0, 1e-9), "piqp": (4000.0, 1e-9)}
     first, _ = output(campaign(records, solvers, forces=False))
