@@ -1,8 +1,8 @@
 """Compile the C library of dpbench's own solvers: at installation, or `python hatch_build.py`."""
 
-import sysconfig
 from importlib import util
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any
 
@@ -31,11 +31,22 @@ if BuildHookInterface is not None:
 
         def initialize(self, version: str, build_data: dict[str, Any]) -> None:
             """Compile the library and name the wheel after the platform."""
-            library = load_compiling(Path(self.root)).compile_own_library_if_missing()
-            platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+            compiling = load_compiling(Path(self.root))
             build_data["pure_python"] = False
-            build_data["tag"] = f"py3-none-{platform}"
-            build_data["artifacts"].append(str(OWN / library.name))
+            build_data["tag"] = compiling.make_wheel_tag()
+            if version == "editable":
+                library = compiling.compile_own_library_if_missing()
+                build_data["artifacts"].append(str(OWN / library.name))
+                return
+            # The library in a checkout may be of another compiler than the tag says.
+            self.folder = TemporaryDirectory(prefix="dpbench-wheel-")
+            library = compiling.compile_own_library_if_missing(Path(self.folder.name))
+            build_data["force_include"][str(library)] = str(OWN / library.name)
+
+        def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
+            """Remove the folder of the compiled library."""
+            if version != "editable":
+                self.folder.cleanup()
 
 
 if __name__ == "__main__":

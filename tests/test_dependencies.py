@@ -1,9 +1,11 @@
-"""Packaging: lowest versions that are tried, pins that are allowed, a wheel that is complete."""
+"""Packaging: lowest versions that are tried, pins that are allowed, complete distributions."""
 
 import os
+import platform
 import re
 import subprocess
 import sys
+import tarfile
 import tomllib
 import zipfile
 from itertools import chain
@@ -11,6 +13,8 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+
+from dpbench.solvers.own.compiling import links_to_oldest_glibc
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -48,12 +52,67 @@ def test_every_pin_is_a_version_that_is_declared() -> None:
         assert requirement.specifier.contains(versions[requirement.name.lower()]), text
 
 
-@pytest.mark.slow
-def test_names_resolve_from_a_wheel_in_an_empty_folder(tmp_path: Path) -> None:
-    """The wheel carries problems, the C library and all parts of the page, and works."""
+def test_the_citation_file_has_the_version() -> None:
+    assert f"version: {PROJECT['version']}" in _lines("CITATION.cff")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A wheel of this checkout."""
+    folder = tmp_path_factory.mktemp("wheel")
     build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
-    subprocess.run([*build, "--wheel-dir", str(tmp_path), str(ROOT)], check=True)
-    (wheel,) = tmp_path.glob("dpbench-*.whl")
+    subprocess.run([*build, "--wheel-dir", str(folder), str(ROOT)], check=True)
+    (built,) = folder.glob("dpbench-*.whl")
+    return built
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not links_to_oldest_glibc(), reason="the wheel is of this platform alone")
+def test_the_compiled_library_needs_no_newer_glibc_than_the_tag_says(wheel: Path) -> None:
+    """The versions of symbols in the ELF file, which the loader compares (PEP 600)."""
+    tag = re.fullmatch(r"dpbench-([\d.]+)-py3-none-manylinux_(\d+)_(\d+)_(\w+)\.whl", wheel.name)
+    assert tag is not None and tag[1] == PROJECT["version"] and tag[4] == platform.machine()
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = [one for one in archive.namelist() if Path(one).name.startswith("_own_")]
+        library = archive.read(name)
+    needed = {tuple(map(int, found)) for found in re.findall(rb"GLIBC_(\d+)\.(\d+)", library)}
+    assert needed and max(needed) <= (int(tag[2]), int(tag[3]))
+    assert set(re.findall(rb"lib\w+\.so\.\d+", library)) <= {b"libm.so.6", b"libc.so.6"}
+
+
+@pytest.mark.slow
+def test_the_description_links_to_no_file_of_the_repository(wheel: Path) -> None:
+    """A package index shows it alone; the text of each link stays."""
+    with zipfile.ZipFile(wheel) as archive:
+        name = f"dpbench-{PROJECT['version']}.dist-info/METADATA"
+        metadata = archive.read(name).decode("utf-8")
+    link = re.compile(r"\[([^\[\]]*)\]\((?!https?://)[^)]*\)")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    texts = [text for text in link.findall(readme) if f"![{text}]" not in readme]
+    assert texts and all(text in metadata for text in texts)
+    assert link.search(metadata) is None and "![" not in metadata
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="compares with what git tracks")
+def test_the_source_distribution_has_every_tracked_file_and_no_other(tmp_path: Path) -> None:
+    build = [sys.executable, "-m", "hatchling", "build", "--target", "sdist"]
+    subprocess.run(
+        [*build, "--directory", str(tmp_path)], cwd=ROOT, check=True, capture_output=True
+    )
+    (archive,) = tmp_path.glob("dpbench-*.tar.gz")
+    with tarfile.open(archive) as source:
+        packed = {name.partition("/")[2] for name in source.getnames()}
+    listed = subprocess.run(
+        ["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True
+    )
+    tracked = {name for name in listed.stdout.split("\n") if name and not name.startswith(".ci/")}
+    assert packed == tracked | {"PKG-INFO"}
+
+
+@pytest.mark.slow
+def test_names_resolve_from_a_wheel_in_an_empty_folder(wheel: Path, tmp_path: Path) -> None:
+    """The wheel carries problems, the C library and all parts of the page, and works."""
     site, empty = tmp_path / "site", tmp_path / "empty"
     empty.mkdir()
     zipfile.ZipFile(wheel).extractall(site)

@@ -6,10 +6,12 @@ one. Without ziglang the `cc` of the system serves.
 
 import importlib.util
 import os
+import platform
 import shlex
 import shutil
 import subprocess
 import sys
+import sysconfig
 import zlib
 from pathlib import Path
 
@@ -17,6 +19,9 @@ FOLDER = Path(__file__).parent
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 # Neither the machine's own instructions nor contracted products: the same results everywhere.
 FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-shared", "-fPIC")
+# The oldest glibc that zig links against, and the processors of wheels with the tag manylinux.
+GLIBC = (2, 17)
+MANYLINUX_MACHINES = ("aarch64", "x86_64")
 REMEDY = "install ziglang, or name a C compiler by DPBENCH_CC=cc"
 
 
@@ -28,14 +33,35 @@ def make_library_file_name() -> str:
     return f"_own_{checksum:08x}{SUFFIX}"
 
 
+def has_zig_compiler() -> bool:
+    """Return whether ziglang compiles: it is installed, and DPBENCH_CC names no other compiler."""
+    return not os.environ.get("DPBENCH_CC") and importlib.util.find_spec("ziglang") is not None
+
+
+def links_to_oldest_glibc() -> bool:
+    """Return whether the library is linked against `GLIBC` instead of this machine's C library."""
+    is_glibc = sys.platform == "linux" and platform.libc_ver()[0] == "glibc"
+    return has_zig_compiler() and is_glibc and platform.machine() in MANYLINUX_MACHINES
+
+
+def make_wheel_tag() -> str:
+    """Return the tag of a wheel with the library, which ctypes loads in any Python 3 (PEP 600)."""
+    if links_to_oldest_glibc():
+        return f"py3-none-manylinux_{GLIBC[0]}_{GLIBC[1]}_{platform.machine()}"
+    return f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+
+
 def find_c_compiler_command() -> list[str]:
     """Return the command of a C compiler; RuntimeError if there is none."""
     named = os.environ.get("DPBENCH_CC", "")
     if named:
         return shlex.split(named)
-    if importlib.util.find_spec("ziglang") is not None:
+    if has_zig_compiler():
         # Without a processor named, zig takes the one of this machine.
-        return [sys.executable, "-m", "ziglang", "cc", "-s", "-mcpu=baseline"]
+        command = [sys.executable, "-m", "ziglang", "cc", "-s", "-mcpu=baseline"]
+        if links_to_oldest_glibc():
+            command += ["-target", f"{platform.machine()}-linux-gnu.{GLIBC[0]}.{GLIBC[1]}"]
+        return command
     if shutil.which("cc"):
         return ["cc"]
     raise RuntimeError(f"no C compiler was found: {REMEDY}")
