@@ -1,15 +1,18 @@
-"""A small container: 64 MB of shared memory, one core, 2 GB of memory, a read-only root, no home.
+"""Containers: a small one made of namespaces, without an engine, and the image of the Dockerfile.
 
-Made of namespaces of Linux where they are allowed, without a container engine.
+The small one has 64 MB of shared memory, one core, 2 GB of memory, a read-only root and no home.
 """
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tests.docs.markdown_blocks import DOCS, blocks_of
 
 ROOT = Path(__file__).parents[1]
 MEMORY_KB = 2 * 1024**2
@@ -79,3 +82,54 @@ def test_a_small_container_runs_a_suite_and_writes_its_page() -> None:
     left = {line for line in lines[3:] if line and not line.endswith(":")}
     nested = {str(ROOT).split("/")[2]} if str(ROOT).startswith("/tmp/") else set()
     assert left == {"results", "dpbench-leases-65534"} | nested
+
+
+def _run(command: list[str], folder: Path) -> str:
+    """The output of a command that must succeed."""
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture
+def engine() -> str:
+    """Docker or Podman, running, with the base image of the Dockerfile."""
+    base = re.search(r"^ARG PYTHON=(.*)$", (ROOT / "Dockerfile").read_text("utf-8"), re.M)
+    assert base is not None
+    for name in filter(shutil.which, ("docker", "podman")):
+        if any(
+            subprocess.run([name, *words, base[1]], capture_output=True, check=False).returncode
+            == 0
+            for words in (("image", "inspect"), ("pull",))
+        ):
+            return name
+    pytest.skip("needs Docker or Podman, and the base image")
+
+
+@pytest.mark.slow
+def test_the_image_runs_a_suite_for_the_user_who_asks(engine: str, tmp_path: Path) -> None:
+    """The commands of the guide; the image has no compiler, and its own user is not root."""
+    (block,) = (
+        one
+        for one in blocks_of(DOCS / "guide" / "containers.md")
+        if one.body.startswith("docker build")
+    )
+    build, run = (f"{engine} {line.removeprefix('docker ')}" for line in block.commands)
+    _run(["bash", "-c", build], ROOT)
+    _run(["bash", "-c", run], tmp_path)
+    report = tmp_path / "smoke" / "report.html"
+    assert report.stat().st_size > 0 and report.owner() == tmp_path.owner()
+    look = "id -u; command -v cc gcc clang zig; python -c 'import ziglang' 2>/dev/null && echo zig"
+    shell = [engine, "run", "--rm", "--entrypoint", "sh", "dpbench"]
+    assert _run([*shell, "-c", f"{look}; true"], tmp_path) == "1000\n"
+
+
+def test_a_base_image_is_pinned_and_the_command_does_not_run_as_root() -> None:
+    """Each stage starts from one base, by tag and digest; the last steps run as the user."""
+    lines = (ROOT / "Dockerfile").read_text(encoding="utf-8").splitlines()
+    (base,) = (line for line in lines if line.startswith("ARG "))
+    assert re.search(r"python:3\.\d+\.\d+-slim-\w+@sha256:[0-9a-f]{64}$", base)
+    assert {line.split()[1] for line in lines if line.startswith("FROM ")} == {"${PYTHON}"}
+    user = lines.index("USER dpbench")
+    assert not [line for line in lines[user:] if line.startswith(("RUN", "COPY", "ADD"))]
+    assert 'ENTRYPOINT ["dpbench"]' in lines[user:]
