@@ -1,5 +1,6 @@
 """Counts of solvers' C in words, and as times at a clock and cycles per instruction."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -7,7 +8,13 @@ from dpbench.analysis.suites.embedded import APART, CountedSequence, EmbeddedRes
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.record.result_folder import UncountedSolver
 from dpbench.embedded.toolchain import TARGETS
-from dpbench.report.formats import format_count, format_sample_share, format_time, join_with_and
+from dpbench.report.formats import (
+    MISSING,
+    format_count,
+    format_sample_share,
+    format_time,
+    join_with_and,
+)
 
 CYCLES = 1.0
 """Cycles per instruction where the reader gives none: an assumption."""
@@ -60,7 +67,8 @@ class CoreTimes:
     def cells(self) -> tuple[str, ...]:
         """Texts of a row: solver, sequence, core; p99, worst step, and share of the deadline."""
         worst_ns = convert_instructions_to_ns(self.worst)
-        share = format_sample_share(worst_ns / self.deadline_ns)
+        known = math.isfinite(self.deadline_ns)
+        share = format_sample_share(worst_ns / self.deadline_ns) if known else MISSING
         return (
             self.solver,
             self.where,
@@ -68,6 +76,13 @@ class CoreTimes:
             format_time(worst_ns),
             share,
         )
+
+
+def describe_deadline(requirements: Requirements) -> str:
+    """Return a text on the deadline of a step."""
+    if not requirements.judges_step_times:
+        return "no deadline is known"
+    return f"deadline of {requirements.deadline_ms:g} ms"
 
 
 def make_calculator_rows(results: EmbeddedResults, requirements: Requirements) -> list[CoreTimes]:
@@ -91,13 +106,14 @@ def describe_embedded_cost(
     sequence, one = largest
     worst_ns = convert_instructions_to_ns(one.worst)
     core = name_core_and_precision(sequence.target, single=sequence.single)
+    share = format_sample_share(worst_ns / requirements.deadline_ns)
+    of_deadline = f", {share} of the {describe_deadline(requirements)}"
     return (
         f"As C on a {core} {solver} executes "
         f"{format_count(one.p99)} instructions a step at p99 and at most {format_count(one.worst)} "
         f"in {sequence.sequence}. At {CYCLES:g} cycle per instruction (an assumption) and "
-        f"{CLOCK_MHZ:g} MHz the worst takes {format_time(worst_ns)}, "
-        f"{format_sample_share(worst_ns / requirements.deadline_ns)} of the deadline of "
-        f"{requirements.deadline_ms:g} ms. {CAVEAT}"
+        f"{CLOCK_MHZ:g} MHz the worst takes {format_time(worst_ns)}"
+        f"{of_deadline * requirements.judges_step_times}. {CAVEAT}"
     )
 
 

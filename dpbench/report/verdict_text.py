@@ -57,17 +57,26 @@ NOBODY = "No solver was run, so there is nothing to judge."
 
 def describe_requirements(requirements: Requirements) -> str:
     """Return a sentence on the limits on a solver's error, failed steps and time."""
-    share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
     failed = (
         "no failed step"
         if requirements.failed_steps == 0
         else (f"at most {plural(requirements.failed_steps, 'failed step')} a run")
     )
+    limits = _describe_time_limits(requirements)
     return (
         f"The requirements: on every step the first move within {requirements.error_move:g} of "
-        f"the maximum increment of the certified optimum, {failed}, a p99 of the algorithmic step "
-        f"time of at most {requirements.p99_ms:g} ms ({share} % of the deadline), and every step "
-        f"within the deadline of {requirements.deadline_ms:g} ms."
+        f"the maximum increment of the certified optimum, {failed}, {limits}."
+    )
+
+
+def _describe_time_limits(requirements: Requirements) -> str:
+    """Return a part of a sentence on the limits on step time."""
+    if not requirements.judges_step_times:
+        return "and no limit on step time, as no deadline is known"
+    share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
+    return (
+        f"a p99 of the algorithmic step time of at most {requirements.p99_ms:g} ms ({share} % of "
+        f"the deadline), and every step within the deadline of {requirements.deadline_ms:g} ms"
     )
 
 
@@ -90,6 +99,7 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
     passing = [verdict.configuration.solver for verdict in good]
     named = [*passing[:MOST_NAMED], *_count_others(len(passing), "")]
     wording = [f"{len(good)} of {run} {'passes' if run == 1 else 'pass'}"]
+    wording[0] += " (lateness not judged)" * (not verdicts.requirements.judges_step_times)
     wording[0] += f": {join_with_and(named)}" * bool(good)
     by_default = {
         v.configuration.solver for v in verdicts.verdicts_on_references if v.state == "pass"

@@ -14,7 +14,10 @@ MARGIN = 0.1
 
 @dataclass(frozen=True)
 class Requirements:
-    """Limits that a controller sets on a solver: error, failed steps, p99, deadline."""
+    """Limits that a controller sets on a solver: error, failed steps, p99, deadline.
+
+    Where no deadline is known the limits on time are infinite: no step time is judged.
+    """
 
     error_move: float = 1e-2
     failed_steps: int = 0
@@ -26,7 +29,14 @@ class Requirements:
         """Return the limits on error, failed steps and time of a suite, or the defaults."""
         # Folders of earlier releases have them as `demand`.
         known: dict[str, Any] = {**suite.get("requirements", suite.get("demand", {}))}
+        if known.get("deadline_ms") == 0.0:
+            known |= {"p99_ms": math.inf, "deadline_ms": math.inf}
         return cls(**{f.name: known[f.name] for f in fields(cls) if f.name in known})
+
+    @property
+    def judges_step_times(self) -> bool:
+        """Whether step times have limits; False where no deadline is known."""
+        return math.isfinite(self.deadline_ms)
 
     @property
     def p99_ns(self) -> float:

@@ -370,7 +370,9 @@ class SpeedMargin:
 def compute_speed_margins(
     records: Records, requirements: Requirements
 ) -> Mapping[Configuration, SpeedMargin]:
-    """Return, by timed configuration, how much slower a computer may be."""
+    """Return, by timed configuration, how much slower a computer may be; empty without limits."""
+    if not requirements.judges_step_times:
+        return {}
     replays = [run for run in records.select_runs(mode="replay", units="scaled") if run.has_steps]
     of_configuration = group_by_key(
         replays, lambda run: run.configuration.moved_to_common_formulation

@@ -16,7 +16,6 @@ from dpbench.bench.plan.configurations import BASELINE_LAW, choose_solvers
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.study_points import RouteName
 from dpbench.bench.plan.suite import (
-    RequirementsTable,
     SuiteFile,
     build_sequence_suite,
     load_path_and_suite,
@@ -38,8 +37,8 @@ NO_P99 = "no replay has steps enough for a p99"
 MOST_NAMED = 3
 """Runs that a remark names; of the others their number is."""
 WITHOUT_SAMPLE = (
-    "no sample time is known of these QPs: the default limits on step times apply; a suite with "
-    "[[recorded]] and [requirements] sets others"
+    "no sample time is known of these QPs, so no step time is judged; a suite with [[recorded]] "
+    "and [requirements] sets limits"
 )
 """Remark on a sequence without a deadline of its own."""
 
@@ -99,7 +98,8 @@ class RunRequest:
             if self.routes or self.policies:
                 solvers = choose_solvers(document, self.solvers)
                 remarks = check_call_modes(document, solvers, "routes" in keys)
-            if document.requirements == RequirementsTable() and self.sequence is not None:
+            is_timed = document.requirements.deadline_ms > 0.0
+            if not is_timed and self.sequence is not None:
                 remarks += [WITHOUT_SAMPLE]
             if self.scenarios:
                 remarks += list_tables_left_out(document)
@@ -109,7 +109,9 @@ class RunRequest:
             if self.steps is not None:
                 remarks += list_runs_of_other_length(cells, self.steps)
         part = bool(self.solvers or self.scenarios or keys or self.steps is not None)
-        return Plan(name, path, document, cells, part, [*remarks, *_list_remarks(cells, choices)])
+        return Plan(
+            name, path, document, cells, part, [*remarks, *_list_remarks(cells, choices, is_timed)]
+        )
 
     @property
     def _suite_file(self) -> Path | None:
@@ -229,10 +231,12 @@ def _name_a_few(names: Sequence[str]) -> str:
     return ", ".join([*names[:MOST_NAMED], *more])
 
 
-def _list_remarks(planned: Sequence[PlannedCell], choices: Sequence[str]) -> list[str]:
+def _list_remarks(
+    planned: Sequence[PlannedCell], choices: Sequence[str], is_timed: bool
+) -> list[str]:
     """Return remarks on settings given twice, and on what the planned runs cannot measure.
 
-    choices : of solvers, as the suite or the request has them.
+    choices : of solvers, as the suite or the request has them; is_timed : step times are judged.
     """
     texts = Counter(
         text for one in choices if "[" in one for text in expand_choice_over_option_grid(one)
@@ -244,7 +248,7 @@ def _list_remarks(planned: Sequence[PlannedCell], choices: Sequence[str]) -> lis
         for p in planned
         if p.merged_settings
     )
-    timed = [p.cell for p in planned if p.cell.is_timed]
+    timed = [p.cell for p in planned if p.cell.is_timed and is_timed]
     longest = max((cell.steps for cell in timed), default=0)
     if timed and not has_enough_samples_for_percentile(longest, 99):
         of, hardest = max((cell.source.count_stretch_steps(0), cell.steps) for cell in timed)

@@ -95,8 +95,8 @@ class RequirementsTable(FileModel):
     """Most failed steps of a run."""
     p99_ms: Positive = 3.0
     """Largest p99 of the algorithmic step time [ms]."""
-    deadline_ms: Positive = 300.0
-    """The deadline of a step, for the slowdowns a solver survives [ms]."""
+    deadline_ms: NotNegative = 300.0
+    """The deadline of a step [ms]; 0: none is known, and no step time is judged."""
 
 
 class ScenarioRunsTable(RunsTable):
@@ -403,7 +403,8 @@ def build_sequence_suite(path: str | Path, meta: Mapping[str, object] | None = N
     """Build a suite that replays one sequence of QPs through every solver.
 
     A found worst case, as in `meta` of the sequence, is also replayed in the mode of its solver:
-    another route or policy has other iterations, or none. The deadline is the sample in `meta`.
+    another route or policy has other iterations, or none. The deadline is the sample in `meta`;
+    without one no step time is judged.
     """
     calls: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
     meta = meta or {}
@@ -430,7 +431,7 @@ def build_sequence_suite(path: str | Path, meta: Mapping[str, object] | None = N
 def _make_requirements_of_sample(sample_s: object) -> RequirementsTable:
     """Return the requirements of QPs that follow each other by a sample [s], if it is known."""
     if not isinstance(sample_s, float) or not SHORTEST_S <= sample_s <= LONGEST_S:
-        return RequirementsTable()
+        return RequirementsTable(deadline_ms=0.0)
     deadline_ms = 1e3 * sample_s
     return RequirementsTable(deadline_ms=deadline_ms, p99_ms=P99_SHARE * deadline_ms)
 

@@ -82,7 +82,7 @@ class _Requirements(TypedDict, total=False):
     error_move: _Positive
     failed_steps: Annotated[int, Field(ge=0)]
     p99_ms: _Positive
-    deadline_ms: _Positive
+    deadline_ms: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
 class _Report(TypedDict, total=False):

@@ -224,7 +224,7 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
     verdicts there. With `narrow` names stand above their bars; clicking sets `pick`.
 
     table : columns `analysis.times.solver_tables.TIMES`, the first row on top.
-    p99_ms : limit of the requirements.
+    p99_ms : limit of the requirements; both limits are infinite where there is none.
     """
     base = _scale_rows(table)
     x = _time_axis(table, deadline_ms)
@@ -235,7 +235,7 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
     )
     return style.set_style(
         alt.layer(*parts, width=560, height=alt.Step(style.ROW_STEP["wide"])),
-        "How close to the deadline",
+        "How close to the deadline" if isfinite(deadline_ms) else "Step times",
         "Step times of each solver from median over p99 to the largest, against the deadline.",
     )
 
@@ -249,7 +249,8 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
         m="datum.max_ms * slow",
         called="datum.p50_ms * datum.share * slow",
         left=f"{LOWEST_MS}",
-        now=f"({good}) && slow > 1 && slow > datum.margin ? 'late' : datum.verdict",
+        now=f"({good}) && slow > 1 && isValid(datum.margin) && slow > datum.margin"
+        " ? 'late' : datum.verdict",
         computer="'× ' + format(slow, '.3~g')",
         timing="format(datum.longest_ms, '.3~g') + (slow > 1 ? ', as measured' : '')",
     )
@@ -271,7 +272,7 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
 def _time_axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
     """Return a logarithmic time axis up to ten times the deadline, or beyond the slowest."""
     slowest = float(table[["max_ms", "longest_ms"]].max().max())
-    high = max(10.0 * deadline_ms, 1.0)
+    high = max(10.0 * deadline_ms, 1.0) if isfinite(deadline_ms) else 1.0
     highest = alt.ExprRef(f"max({high}, {1.5 * slowest if isfinite(slowest) else 0.0} * slow)")
     scale = style.log_scale(domainMin=LOWEST_MS, domainMax=highest, clamp=True)
     axis = alt.Axis(
@@ -322,7 +323,7 @@ def _draw_limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
         ("p99", p99_ms, f"p99 limit {p99_ms:g} ms", 0.75, style.LATE),
         ("deadline", deadline_ms, f"deadline {deadline_ms:g} ms", 1.5, style.INK),
     )
-    for name, at_ms, text, thick, colour in limits:
+    for name, at_ms, text, thick, colour in limits if isfinite(deadline_ms) else ():
         # On paper there is room for the first word alone.
         said = f"width < {ROOM} ? '{name}' : '{text}'"
         chart = alt.Chart(pd.DataFrame({name: [at_ms]})).transform_calculate(text=said)

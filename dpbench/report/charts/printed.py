@@ -112,7 +112,8 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
         axes.hlines(place, row["p50_ms"], row["max_ms"], color=colour, linewidth=1.5)
         axes.hlines(place, row["p50_ms"], p99_end, color=colour, linewidth=6)
         axes.plot(row["p50_ms"], place, _MARKERS[row["verdict"]], color=colour, markersize=6)
-    for at_ms, name, line in ((p99_ms, "p99 limit", "--"), (deadline_ms, "deadline", "-")):
+    limits = (p99_ms, "p99 limit", "--"), (deadline_ms, "deadline", "-")
+    for at_ms, name, line in limits if np.isfinite(deadline_ms) else ():
         axes.axvline(at_ms, color=style.INK, linestyle=line, linewidth=0.8, label=name)
     for state in (state for state in STATES if state in set(table["verdict"])):
         axes.plot([], [], _MARKERS[state], color=_COLOURS[state], label=state)

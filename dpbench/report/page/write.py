@@ -25,7 +25,13 @@ from dpbench.bench.record.machine import describe_revisions, describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.report.charts import style
 from dpbench.report.charts.render import FORMATS, compile_vega, render_svg
-from dpbench.report.embedded_text import CLOCK_MHZ, CYCLES, NOTE, make_calculator_rows
+from dpbench.report.embedded_text import (
+    CLOCK_MHZ,
+    CYCLES,
+    NOTE,
+    describe_deadline,
+    make_calculator_rows,
+)
 from dpbench.report.page.data import (
     GROUPS,
     MOST_ROWS,
@@ -57,7 +63,7 @@ def make_page_document(
 
     Arrays of numbers go into `data.block`; words : descriptions of experiments, by index.
     """
-    cells = list(data.cells())
+    cells, is_time_judged = list(data.cells()), data.requirements.judges_step_times
     verdicts = {v.configuration: v for v in data.verdicts.all_verdicts}
     rows = [
         _describe_configuration(data, recommendation, c, verdicts.get(c))
@@ -80,8 +86,8 @@ def make_page_document(
         "row_step": style.ROW_STEP,
         "requirements": {
             "error_move": data.requirements.error_move,
-            "deadline_ms": data.requirements.deadline_ms,
-            "p99_ms": data.requirements.p99_ms,
+            "deadline_ms": data.requirements.deadline_ms if is_time_judged else None,
+            "p99_ms": data.requirements.p99_ms if is_time_judged else None,
         },
         "answer": _select_at_opening(data, results, recommendation),
     }
@@ -272,7 +278,7 @@ def make_page_html(
         counts_note=NOTE,
         cycles=f"{CYCLES:g}",
         clock_mhz=f"{CLOCK_MHZ:g}",
-        deadline_ms=f"{data.requirements.deadline_ms:g}",
+        deadline=describe_deadline(data.requirements),
         picture=_encode_picture_as_url,
         judged=bool(data.verdicts.of) and not (lead and lead.id == "loops"),
         runs=bool(data.runs),

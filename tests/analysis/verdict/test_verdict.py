@@ -12,6 +12,7 @@ from dpbench.analysis.times.paired_times import (
     compare_paired_times,
 )
 from dpbench.analysis.verdict.requirements import MISSED, Finding, Requirements
+from dpbench.analysis.verdict.time_findings import compute_speed_margins
 from dpbench.analysis.verdict.verdict import judge_solvers, sort_fastest_first
 from dpbench.report.formats import strip_markdown
 from dpbench.report.page.recommendation import Recommendation
@@ -287,6 +288,29 @@ def test_a_hardest_step_beyond_the_deadline_is_late(records: Any) -> None:
     assert _why(verdict) == (
         "its hardest step takes 400 ms in the replay of `paper`, beyond the deadline"
     )
+
+
+def test_without_a_deadline_no_time_is_judged(records: Any) -> None:
+    """Steps of a minute pass, and have no speed margin; a wrong answer fails all the same."""
+    for solver, error in (("daqp", 1e-9), ("osqp", 0.4)):
+        records.loop(solver, error=error, raw_p50_ns=6e10)
+        records.replay(solver, error=error, median_us=6e7)
+    view = records.view()
+    unlimited = Requirements.from_suite({"requirements": {"p99_ms": 3.0, "deadline_ms": 0.0}})
+    verdicts = judge_solvers(view, unlimited)
+    assert {v.configuration.solver: v.state for v in verdicts.verdicts_on_references} == {
+        "daqp": "pass",
+        "osqp": "fail",
+    }
+    assert describe_which_solvers_pass(verdicts).startswith("1 of 2 pass (lateness not judged): d")
+    assert describe_requirements(unlimited).endswith(
+        "no limit on step time, as no deadline is known."
+    )
+    assert not compute_speed_margins(view, unlimited)
+    assert {v.state for v in judge_solvers(view, REQUIREMENTS).verdicts_on_references} == {
+        "late",
+        "fail",
+    }
 
 
 def test_borderline_is_counted_as_such(records: Any) -> None:

@@ -11,6 +11,7 @@ import scipy.io
 import scipy.sparse
 
 from dpbench import InputError, load_results, run_campaign
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.plan.run_request import WITHOUT_SAMPLE, RunRequest
 from dpbench.bench.record.energy import find_energy_counters
 from dpbench.bench.sequences.foreign_qps import read_acados_qp, read_maros_meszaros_problem
@@ -18,6 +19,7 @@ from dpbench.bench.sequences.sequence_file import read_problems
 from dpbench.bench.sequences.source import load_named_sequence
 from dpbench.cli.check import check_file
 from dpbench.qp.referee.referee import certify_all_steps
+from dpbench.report.report import Report
 
 INFINITY = 1e10  # of acados
 
@@ -132,7 +134,11 @@ def test_a_folder_of_dumps_runs_and_is_said_to_have_no_sample(tmp_path: Path) ->
     solvers = ["clarabel", "quadprog"]
     assert WITHOUT_SAMPLE in RunRequest(sequence=str(folder), solvers=solvers).make_plan().remarks
     out = run_campaign(None, tmp_path / "out", sequence=folder, solvers=solvers)
-    runs = load_results(out).runs.set_index(["solver", "settings"])
+    results = load_results(out)
+    assert not Requirements.from_suite(results.suite).judges_step_times
+    report = Report.from_results(results)
+    assert "no deadline is known" in report.recommendation.requirements and report.figures
+    runs = results.runs.set_index(["solver", "settings"])
     assert set(runs.loc["quadprog", "outcome"]) == {"refused"}
     assert runs.loc[("clarabel", "high"), "error_move_max"] < 1e-6
     energy_J = runs["energy_J_per_step"]

@@ -9,6 +9,7 @@ const listed = (rows, say = (row) => row.solver) => (rows.length && (rows.length
 // slower computer: of those that pass here, or that nothing contradicts where none does.
 function kept() {
   const { deadline_ms, p99_ms } = facts.requirements, margin = C().margin[state.c];
+  if (deadline_ms === null) return "Lateness is not judged, as no deadline is known.";
   const counted = facts.counts?.some((row) => row.solver === C().solver[state.c]);
   const own = margin === null || counted ? "" : `${C().solver[state.c]}: ${
     margin < state.slow ? "late beyond" : "up to"} × ${roundedDown(margin)}. `;

@@ -8,10 +8,10 @@ async function drawCoreTimes() {
   $("mhz").value = figure(state.mhz);
   const { deadline_ms } = facts.requirements, cycles = state.cpi === 1 ? "cycle" : "cycles";
   $("core-said").textContent = `${figure(state.cpi)} ${cycles} per instruction (an assumption) and `
-    + `${figure(state.mhz)} MHz; deadline ${deadline_ms} ms.`;
+    + `${figure(state.mhz)} MHz; ${deadline_ms === null ? "no deadline is known" : `deadline of ${deadline_ms} ms`}.`;
   const ns = (instructions) => 1e3 * instructions * state.cpi / state.mhz;
   facts.counts.forEach(({ p99, worst }, i) => {
-    const texts = [time(ns(p99)), time(ns(worst)), `${figure(ns(worst) / deadline_ms / 1e4, 2)} %`];
+    const texts = [time(ns(p99)), time(ns(worst)), deadline_ms === null ? "–" : `${figure(ns(worst) / deadline_ms / 1e4, 2)} %`];
     const { cells } = $("core-times").tBodies[0].rows[i];
     texts.forEach((text, j) => { cells[2 + j].textContent = text; });
   });
