@@ -122,7 +122,7 @@ def _read_description(path: Path, where: str) -> Any:
     if version not in _VERSIONS:
         raise InputError(where, key, f"FMI {version} in {path.name}", _WHAT)
     if described.coSimulation is None:
-        raise InputError(where, key, f"{path.name}, of model exchange alone", _WHAT)
+        raise InputError(where, key, f"{path.name}, which has no co-simulation", _WHAT)
     system = fmpy.platform_tuple if version == "3.0" else fmpy.platform
     if system not in systems and fmpy.platform not in systems:
         found = f"{path.name} for {', '.join(systems) or 'no system'}"
@@ -167,7 +167,7 @@ class _VariableReader:
             found = f"{name!r}, in {self._name} of causality {variable.causality} and type {kind}"
         word = "a variable that can be set at the start" if use == "start" else f"an {use}"
         word = "a parameter" if use == "parameter" else word
-        names = format_allowed_names(name, fitting) if fitting else "it has none"
+        names = format_allowed_names(name, fitting) if fitting else "the FMU has none"
         raise InputError(self._where, f"plant.fmu.{key}", found, f"{word}, a real number: {names}")
 
     def _find_factor(self, key: str, variable: Any, dimension: tuple[int, int, int]) -> float:

@@ -63,7 +63,7 @@ def test_no_fmu_at_all_is_one_line_of_the_command_line(
     ("old", "new", "words"),
     [
         ('fmiVersion="2.0"', 'fmiVersion="1.0"', "no FMU|FMI 1.0"),
-        ("CoSimulation modelIdentifier", "ModelExchange modelIdentifier", "model exchange alone"),
+        ("CoSimulation modelIdentifier", "ModelExchange modelIdentifier", "no co-simulation"),
         ('unit="N"', 'unit="lbf"', r"found 'Fx' in 'lbf', which ship2\.fmu does not define"),
     ],
 )
