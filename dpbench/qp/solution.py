@@ -49,7 +49,7 @@ class Status(IntEnum):
         return self in (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
 
 
-_UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS})
+_UNFINISHED = frozenset({Status.INACCURATE, Status.MAX_ITERATIONS, Status.TIME_LIMIT})
 _USABLE = _UNFINISHED | {Status.SOLVED, Status.UNKNOWN}
 
 

@@ -94,23 +94,23 @@ def describe_best_of_grids(own: Sequence[Verdict]) -> list[str]:
     """Return lines on the best of three or more settings of a solver that set the same options.
 
     Also the options of which it has the least or largest value that was tried. Limits of iterations
-    alone have a topic of their own.
+    or time alone have a topic of their own.
     """
     grids = group_by_key(own, lambda v: (v.configuration.solver, tuple(_format_options_by_name(v))))
     return [
         _describe_best_of_grid(points)
         for points in grids.values()
-        if len(points) >= LEAST_POINTS and not _differ_in_iteration_limit_alone(points)
+        if len(points) >= LEAST_POINTS and not _differ_in_limit_alone(points)
     ]
 
 
-def _differ_in_iteration_limit_alone(points: Sequence[Verdict]) -> bool:
-    """Return whether settings of a solver are the same but for its limit of iterations."""
+def _differ_in_limit_alone(points: Sequence[Verdict]) -> bool:
+    """Return whether settings of a solver are the same but for its limit of iterations or time."""
     record = find_solver_record_or_none(points[0].configuration.solver)
-    limit = "" if record is None else record.iteration_limit
+    limits = () if record is None else (record.iteration_limit, record.time_limit)
     options = [_format_options_by_name(verdict) for verdict in points]
     varied = {name for name in options[0] if len({own[name] for own in options}) > 1}
-    return varied == {limit}
+    return any(varied == {limit} for limit in limits)
 
 
 def _format_options_by_name(verdict: Verdict) -> dict[str, str]:

@@ -1,8 +1,9 @@
-"""Answers stopped early: runs of a configuration by its limit of iterations."""
+"""Answers stopped early: runs of a configuration by its limit of iterations or time."""
 
 import math
 from dataclasses import dataclass, replace
 from itertools import takewhile
+from typing import Literal
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import Mode, RunRecord, group_by_key
@@ -17,13 +18,15 @@ from dpbench.solvers.settings import (
     resolve_settings_with_fixed_options,
 )
 
+LimitOf = Literal["iterations", "time"]
+
 
 @dataclass(frozen=True, eq=False)
 class LimitedConfiguration:
-    """Runs of a configuration on one problem, by its limit of iterations in rising order."""
+    """Runs of a configuration on one problem, by its limit, a number or [s], in rising order."""
 
     configuration: Configuration
-    runs: dict[int, RunRecord]
+    runs: dict[float, RunRecord]
 
     @property
     def least_sufficient_limit(self) -> float:
@@ -35,32 +38,44 @@ class LimitedConfiguration:
 
 @dataclass(frozen=True, eq=False)
 class LimitedGroup:
-    """Runs with limits of iterations in one closed loop or on one replay, by configuration."""
+    """Runs with limits of one kind in one closed loop or on one replay, by configuration."""
 
+    limit_of: LimitOf
     mode: Mode
     problem: str
     configurations: tuple[LimitedConfiguration, ...]
 
     @property
-    def limits(self) -> list[int]:
-        """All limits of iterations of the group in rising order."""
+    def limits(self) -> list[float]:
+        """All limits of the group in rising order."""
         return sorted({limit for one in self.configurations for limit in one.runs})
 
 
-def find_iteration_limit(run: RunRecord) -> int | None:
-    """Return the limit of iterations among the options of a run; None without one."""
-    limit = decode_options_from_json(run.options).get(_find_key_of_limit(run.solver))
-    return limit if isinstance(limit, int) and limit > 0 else None
+def find_limit(run: RunRecord) -> tuple[LimitOf, float] | None:
+    """Return the limit among the options of a run, of iterations or time [s]; None without one.
+
+    No preset has a limit of time, so one counts before that of iterations, which presets have.
+    """
+    options = decode_options_from_json(run.options)
+    kinds: tuple[LimitOf, ...] = ("time", "iterations")
+    for limit_of in kinds:
+        limit = options.get(_find_key_of_limit(run.solver, limit_of))
+        if isinstance(limit, (int, float)) and limit > 0:
+            return limit_of, limit
+    return None
 
 
 def group_limited_runs(records: Records) -> list[LimitedGroup]:
-    """Return the runs of configurations with two limits of iterations or more on one problem."""
-    limited = [run for run in records.runs if find_iteration_limit(run) is not None]
+    """Return the runs of configurations with two limits of a kind or more on one problem."""
+    limits = {run: limit for run in records.runs if (limit := find_limit(run)) is not None}
     groups = []
-    for (mode, problem), runs in group_by_key(limited, lambda r: (r.mode, r.problem)).items():
+    alike = group_by_key(limits, lambda run: (limits[run][0], run.mode, run.problem))
+    for (limit_of, mode, problem), runs in alike.items():
         by_limit = {
-            configuration: {find_iteration_limit(run) or 0: run for run in own}
-            for configuration, own in group_by_key(runs, _remove_limit).items()
+            configuration: {limits[run][1]: run for run in own}
+            for configuration, own in group_by_key(
+                runs, lambda run: _remove_limit(run, limits[run][0])
+            ).items()
         }
         several = tuple(
             LimitedConfiguration(configuration, dict(sorted(own.items())))
@@ -68,19 +83,21 @@ def group_limited_runs(records: Records) -> list[LimitedGroup]:
             if len(own) > 1
         )
         if several:
-            groups.append(LimitedGroup(mode, problem, several))
+            groups.append(LimitedGroup(limit_of, mode, problem, several))
     return groups
 
 
-def _find_key_of_limit(solver: str) -> str:
-    """Return a solver's option that limits its iterations; "" where none is known."""
+def _find_key_of_limit(solver: str, limit_of: LimitOf) -> str:
+    """Return a solver's option that limits its iterations or time; "" where none is known."""
     record = find_solver_record_or_none(solver)
-    return "" if record is None else record.iteration_limit
+    if record is None:
+        return ""
+    return record.time_limit if limit_of == "time" else record.iteration_limit
 
 
-def _remove_limit(run: RunRecord) -> Configuration:
+def _remove_limit(run: RunRecord, limit_of: LimitOf) -> Configuration:
     """Return a run's configuration without the limit, under the name of a preset if it is one."""
-    key = _find_key_of_limit(run.solver)
+    key = _find_key_of_limit(run.solver, limit_of)
 
     def remove(options: Options) -> Options:
         return {name: value for name, value in options.items() if name != key}

@@ -35,7 +35,7 @@ class Requirements:
 
     @property
     def judges_step_times(self) -> bool:
-        """Whether step times have limits; False where no deadline is known."""
+        """Return whether step times have limits; False where no deadline is known."""
         return math.isfinite(self.deadline_ms)
 
     @property

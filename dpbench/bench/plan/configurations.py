@@ -78,25 +78,28 @@ class NamedSettings(NamedTuple):
 def list_settings_of_choice(choice: str, table: RunsTable, suite: SuiteFile) -> list[NamedSettings]:
     """Return the settings that a choice such as `osqp` or `osqp[rho=1.6]` runs with in a table."""
     settings = _list_settings_without_limits(choice, table, suite)
-    if not table.iteration_limits:
+    if not (table.iteration_limits or table.time_limits):
         return settings
     solver, _ = split_into_solver_and_options_text(choice)
-    key = find_solver_record(solver).iteration_limit
-    limits = table.iteration_limits if key else []
-    return [_limit_iterations(own, solver, key, limit) for own in settings for limit in limits]
+    record = find_solver_record(solver)
+    limits = [
+        *((record.iteration_limit, limit) for limit in table.iteration_limits),
+        *((record.time_limit, limit) for limit in table.time_limits),
+    ]
+    return [_limit(own, solver, key, limit) for own in settings for key, limit in limits if key]
 
 
-def _limit_iterations(own: NamedSettings, solver: str, key: str, limit: int) -> NamedSettings:
-    """Return settings that end a solve after `limit` iterations, as `high[max_iter=5]`."""
+def _limit(own: NamedSettings, solver: str, key: str, limit: float) -> NamedSettings:
+    """Return settings that end a solve at a limit of iterations or time, as `high[max_iter=5]`."""
     options = decode_options_from_json(own.options) or find_options_of_preset(own.name, solver)
     limited = encode_options_as_json({**options, key: limit})
-    return own._replace(name=f"{own.name}[{key}={limit}]", options=limited, alias=())
+    return own._replace(name=f"{own.name}[{key}={limit:g}]", options=limited, alias=())
 
 
 def _list_settings_without_limits(
     choice: str, table: RunsTable, suite: SuiteFile
 ) -> list[NamedSettings]:
-    """Return the settings of a choice in a table before its limits of iterations."""
+    """Return the settings of a choice in a table before its limits of iterations and time."""
     solver, text = split_into_solver_and_options_text(choice)
     if text:
         return [NamedSettings(text, encode_options_as_json(parse_options_of_choice(choice)))]

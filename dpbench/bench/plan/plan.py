@@ -318,7 +318,7 @@ def _plan_base_cells(
     suite: SuiteFile, table: StudyTable, base: Scenario, solvers: Sequence[str]
 ) -> list[PlannedCell]:
     """Return a planned run of a study's unchanged scenario for each solver configuration."""
-    names = ("solvers", "settings", "routes", "policies", "iteration_limits")
+    names = ("solvers", "settings", "routes", "policies", "iteration_limits", "time_limits")
     calls = {name: getattr(table, name) for name in names}
     loops = ClosedLoopTable(scenarios=[table.base], **calls)
     cells = [

@@ -40,6 +40,8 @@ class RunsTable(FileModel):
     """Policies: what is kept between two steps."""
     iteration_limits: list[Annotated[int, Field(ge=1)]] = []
     """Limits of iterations: each of the settings with each limit, for solvers that have one."""
+    time_limits: list[Annotated[float, Field(gt=0)]] = []
+    """Limits of the time of a solve [s], by the solver's own option and clock, in the same way."""
 
 
 class ReplicatesTable(FileModel):

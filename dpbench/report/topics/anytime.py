@@ -1,4 +1,4 @@
-"""Results of solvers that were stopped after a number of iterations."""
+"""Results of solvers that were stopped after a number of iterations or a time."""
 
 import math
 
@@ -6,7 +6,7 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.suites.anytime import LimitedGroup, group_limited_runs
+from dpbench.analysis.suites.anytime import LimitedGroup, LimitOf, group_limited_runs
 from dpbench.analysis.verdict.requirements import MARGIN, Requirements, compute_cost_ratio
 from dpbench.analysis.verdict.verdict import find_solver_record_or_none
 from dpbench.report.charts.lines import draw_lines
@@ -16,6 +16,7 @@ from dpbench.report.formats import (
     Table,
     format_count,
     format_error,
+    format_time,
     join_with_and,
     plural,
     significant,
@@ -24,15 +25,14 @@ from dpbench.report.page.section import Figure, Topic
 
 
 def build_anytime_topic(records: Records, requirements: Requirements) -> Topic | None:
-    """Return the report's part on limits of iterations; None unless a configuration ran two."""
+    """Return the report's part on limited solves; None unless a configuration ran two limits."""
     groups = group_limited_runs(records)
     if not groups:
         return None
     loops = [group for group in groups if group.mode == "closed_loop"]
     wording = (
         *(map(_describe_loops, loops) if loops else map(_describe_errors, groups)),
-        "Each solver ends every solve after so many iterations, and the loop applies the last "
-        "iterate. One iteration of one method does not cost as much as one of another.",
+        *(_LIMITS[kind] for kind in dict.fromkeys(group.limit_of for group in groups)),
         *_describe_outer_limits(groups),
     )
     figures = (_draw_group(group, requirements) for group in groups)
@@ -55,10 +55,8 @@ def _describe_loops(group: LimitedGroup) -> str:
     named = join_with_and(names) if len(names) <= 4 else plural(len(names), "configuration")
     never = sum(math.isinf(limit) for limit in least.values())
     others = f"; {never} of {len(least)} stay so at no limit" if never else ""
-    return (
-        f"In {group.problem} {plural(first, 'iteration')} a step {'is' if first == 1 else 'are'} "
-        f"enough for {named} to stay within {_SHARE}{others}."
-    )
+    limit = f"{_format_limit(group, first)} a step {'is' if first == 1 else 'are'}"
+    return f"In {group.problem} {limit} enough for {named} to stay within {_SHARE}{others}."
 
 
 def _describe_errors(group: LimitedGroup) -> str:
@@ -68,8 +66,22 @@ def _describe_errors(group: LimitedGroup) -> str:
     least, most = format_error(min(errors)), format_error(max(errors))
     return (
         f"In the replay of {group.problem} the largest error of the first move at "
-        f"{plural(last, 'iteration')} is {least} to {most}."
+        f"{_format_limit(group, last)} is {least} to {most}."
     )
+
+
+_LIMITS: dict[LimitOf, str] = {
+    "iterations": "Each solver ends every solve after so many iterations, and the loop applies the "
+    "last iterate. One iteration of one method does not cost as much as one of another.",
+    "time": "Each solver ends every solve after so much time by its own clock, and the loop "
+    "applies the last iterate. Most read the clock between iterations, so a step takes longer. The "
+    "clock counts waits for the processor core too.",
+}
+
+
+def _format_limit(group: LimitedGroup, limit: float) -> str:
+    """Return a limit of a group as text, with its unit."""
+    return format_time(1e9 * limit) if group.limit_of == "time" else plural(limit, "iteration")
 
 
 _SHARE = f"{100 * MARGIN:g} % of the cost of the reference loop"
@@ -90,9 +102,9 @@ def _draw_group(group: LimitedGroup, requirements: Requirements) -> Figure | Non
     steered = group.mode == "closed_loop"
     limit = 1.0 + MARGIN if steered else requirements.error_move
     points = [
-        {"name": one.configuration.label, "x": iterations, "y": y, "good": y <= limit}
+        {"name": one.configuration.label, "x": at, "y": y, "good": y <= limit}
         for one in group.configurations
-        for iterations, run in one.runs.items()
+        for at, run in one.runs.items()
         if math.isfinite(y := compute_cost_ratio(run) if steered else run.error_move_max)
     ]
     if not points:
@@ -104,10 +116,12 @@ def _draw_group(group: LimitedGroup, requirements: Requirements) -> Figure | Non
         if steered
         else ("Error", "largest error of the first move", "Dashed: the largest error allowed.")
     )
-    title = f"{name} over the limit of iterations, {group.problem}"
-    axes = ("limit of iterations", "d"), (quantity, "~g")
-    chart = draw_lines(table, title, *axes, limit=limit)
-    return Figure(f"anytime-{group.mode}-{group.problem}", chart, caption)
+    timed = group.limit_of == "time"
+    title = f"{name} over the limit of {group.limit_of}, {group.problem}"
+    axes = ("limit of time [s]", "~g") if timed else ("limit of iterations", "d")
+    chart = draw_lines(table, title, axes, (quantity, "~g"), limit=limit)
+    kind = "anytime-time" if timed else "anytime"
+    return Figure(f"{kind}-{group.mode}-{group.problem}", chart, caption)
 
 
 _UNKNOWN = math.nan, math.nan
@@ -115,24 +129,38 @@ _UNKNOWN = math.nan, math.nan
 
 def _make_table(group: LimitedGroup) -> Table:
     """Return the table of a closed loop: the least limit that suffices, and the ship below it."""
-    rows, smallest = [], group.limits[0]
+    rows, smallest, timed = [], group.limits[0], group.limit_of == "time"
+    at = _format_limit(group, smallest) if timed else f"{smallest:g}"
     for one in sorted(group.configurations, key=lambda one: one.least_sufficient_limit):
         enough = one.least_sufficient_limit
-        kept = one.runs.get(int(enough)) if math.isfinite(enough) else None
+        kept = one.runs.get(enough) if math.isfinite(enough) else None
         run = one.runs.get(smallest)
         cost, off_m = (compute_cost_ratio(run), run.dev_position_max_m) if run else _UNKNOWN
         rows.append(
             {
                 "configuration": one.configuration.label,
-                "within 10 % of the cost from": f"{enough:g}" if kept else "none",
+                "within 10 % of the cost from": _format_least_limit(group, enough),
                 "unfinished steps there": _format_unfinished(kept),
                 "largest error there": _format_error(kept),
-                f"cost ratio at {smallest}": _format_number(cost),
-                f"off the exact loop at {smallest} [m]": _format_number(off_m),
+                f"cost ratio at {at}": _format_number(cost),
+                f"off the exact loop at {at} [m]": _format_number(off_m),
             }
+            | (
+                {f"median timing at {at}": format_time(run.raw_p50_ns if run else math.nan)}
+                if timed
+                else {}
+            )
         )
     note = "A step is unfinished where its solve ended at the limit and its iterate was applied."
-    return Table.from_rows(rows, group.problem, note=note)
+    name = f"{group.problem}, limits of time" if timed else group.problem
+    return Table.from_rows(rows, name, note=note)
+
+
+def _format_least_limit(group: LimitedGroup, limit: float) -> str:
+    """Return the least limit of a group that suffices as text; "none" for an infinite one."""
+    if math.isinf(limit):
+        return "none"
+    return _format_limit(group, limit) if group.limit_of == "time" else f"{limit:g}"
 
 
 def _format_unfinished(run: RunRecord | None) -> str:

@@ -90,6 +90,27 @@ def test_the_topic_shows_least_limits_and_the_ship_at_the_smallest(records: Any)
     assert errors == {(1, 0.5, False), (5, 1e-16, True)}
 
 
+def test_limits_of_time_are_a_group_of_their_own(records: Any) -> None:
+    """The limit of iterations in the preset of clarabel is none that was asked for."""
+    preset = find_options_of_preset("high", "clarabel")
+    assert "max_iter" in preset
+    for seconds, cost in ((1e-4, 300.0), (1e-3, 101.0)):
+        options = json.dumps({**preset, "time_limit": seconds})
+        figures = {"closed_loop_cost": cost, "exact_cost": 100.0, "unconverged": 3}
+        records.loop("clarabel", settings=f"high {seconds}", options=options, **figures)
+    fill(records)
+    times, *others = group_limited_runs(records.view())
+    assert (times.limit_of, times.limits) == ("time", [1e-4, 1e-3])
+    assert {group.limit_of for group in others} == {"iterations"}
+    topic = build_anytime_topic(records.view(), Requirements())
+    assert topic is not None
+    assert topic.lines[0].startswith("In paper 1.00 ms a step are enough for clarabel (qpsolvers f")
+    table, _ = topic.tables
+    assert table.rows[0][1:5] == ("1.00 ms", "3 of 120", table.rows[0][3], "3.00")
+    assert table.heads[-1] == "median timing at 100 µs"
+    assert topic.figures[0].name == "anytime-time-closed_loop-paper"
+
+
 def test_replays_alone_have_their_errors(records: Any) -> None:
     for solver, error in (("osqp", 0.02), ("piqp", 0.5)):
         for iterations in (1, 5):

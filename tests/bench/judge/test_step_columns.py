@@ -16,7 +16,7 @@ from dpbench.scenario.scenario import load_scenario
 CONFIGURATION = {"solver": "x", "route": "native", "policy": "fresh", "settings": "default"}
 PAPER = load_scenario("paper").files
 REPLAY = Cell(mode="replay", scenario=PAPER, steps=3, rounds=2, **CONFIGURATION)
-STATUSES = [Status.SOLVED, Status.INACCURATE, Status.TIME_LIMIT]
+STATUSES = [Status.SOLVED, Status.INACCURATE, Status.ERROR]
 KINDS = ["linear", "infeasible", "none"]
 
 
@@ -69,7 +69,7 @@ def loop(slowdown: float = 0.0, deadline_s: float = 0.0, **columns: Any) -> dict
 
 def test_what_an_answer_claims_and_took() -> None:
     steps = loop()
-    assert steps["status"].tolist() == ["SOLVED", "INACCURATE", "TIME_LIMIT"]
+    assert steps["status"].tolist() == ["SOLVED", "INACCURATE", "ERROR"]
     assert steps["claimed"].tolist() == [True, False, False]
     assert steps["certificate"].tolist() == KINDS
     for i, phase in enumerate(PHASES):

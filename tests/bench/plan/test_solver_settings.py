@@ -89,6 +89,17 @@ def test_each_settings_run_at_each_limit_of_iterations(suite: str) -> None:
     assert len(cells) == 8
 
 
+def test_limits_of_time_are_added_to_those_of_iterations(suite: str) -> None:
+    """The paper's method has no option for time."""
+    text = Path(suite).read_text().replace('"daqp"]', '"daqp", "paper_active_set"]')
+    Path(suite).write_text(f"{text}iteration_limits = [1]\ntime_limits = [1e-4]\n")
+    cells = describe(RunRequest(suite, settings=["default"]).make_plan().cells)
+    assert [cell for cell in cells if cell[0] != "osqp"] == [
+        ("daqp", "default[iter_limit=1]", {"iter_limit": 1}),
+        ("daqp", "default[time_limit=0.0001]", {"time_limit": 1e-4}),
+    ]
+
+
 def test_a_limit_of_iterations_replaces_that_of_a_preset(suite: str) -> None:
     Path(suite).write_text(f"{Path(suite).read_text()}iteration_limits = [3]\n")
     plan = RunRequest(suite, solvers=["osqp"], settings=["high"]).make_plan()

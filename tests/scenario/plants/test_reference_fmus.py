@@ -43,7 +43,7 @@ def describe(path: Path) -> Any:
 
 
 def can_be_opened(path: Path, name: str) -> bool:
-    """Whether an FMU is one of a model, in a version that dpbench co-simulates."""
+    """Return whether an FMU is one of a model, in a version that dpbench co-simulates."""
     return path.stem == name and describe(path).fmiVersion in ("2.0", "3.0")
 
 

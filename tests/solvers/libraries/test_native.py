@@ -16,6 +16,7 @@ from dpbench.qp.solution import Solution, Status
 from dpbench.solvers.libraries import NATIVE
 from dpbench.solvers.libraries.native_workspace import WarmStart
 from dpbench.solvers.open import open_workspace
+from dpbench.solvers.settings import find_options_of_preset
 from dpbench.solvers.table import TABLE, find_solver_availability
 from tests.solvers.conftest import Sequence, solve_next, solve_qp
 
@@ -232,10 +233,24 @@ def test_a_time_limit_that_is_not_met_changes_no_bit(solver, route, policy, sequ
         np.testing.assert_array_equal(one.z, other.z)
 
 
+TIMED = sorted({name for name, route, _ in LIMITED if route == "native"})
+
+
+@pytest.mark.parametrize("solver", TIMED)
+def test_a_time_limit_of_no_time_gives_an_iterate(solver, sequence):
+    """An iterate that is not solved at the first reading of the clock is an unfinished one."""
+    options = {**find_options_of_preset("high", solver), TABLE[solver].time_limit: 1e-7}
+    workspace = open_workspace(solver, route="native", settings=options)
+    for step in sequence.steps[:3]:
+        workspace.setup(sequence.base.at(step))
+        workspace.solve()
+        answer = workspace.read()
+        assert answer.claimed or answer.status.is_applied_though_unfinished
+        assert np.isfinite(answer.z).all()
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "solver", sorted({name for name, route, _ in LIMITED if route == "native"})
-)
+@pytest.mark.parametrize("solver", TIMED)
 def test_a_time_limit_is_one_of_each_solve(solver, sequence):
     limit_s, policy = 0.2, opened(solver).policy
     workspace = open_workspace(solver, route="native", policy=policy, step_limit_s=limit_s)
