@@ -54,7 +54,9 @@ CELL_KEYS = (
 """Keys of a suite that are part of many or all of its cells: a change runs these again."""
 
 
-def make_jobs(cells: Sequence[PlannedCell], machine_id: str) -> list[CellJob]:
+def make_jobs(
+    cells: Sequence[PlannedCell], machine_id: str, campaign_utc: str = ""
+) -> list[CellJob]:
     """Return planned runs with their run_ids and the versions of their solvers' libraries."""
     solvers = {planned.cell.solver for planned in cells}
     libraries = {solver: find_solver_availability(solver) for solver in solvers}
@@ -63,7 +65,7 @@ def make_jobs(cells: Sequence[PlannedCell], machine_id: str) -> list[CellJob]:
         library = libraries[planned.cell.solver]
         identity = identify_libraries_of_cell(planned.cell, library)
         run_id = planned.cell.run_id(identity, machine_id, HARNESS_VERSION)
-        jobs.append(CellJob(planned, run_id, library, machine_id))
+        jobs.append(CellJob(planned, run_id, library, machine_id, campaign_utc=campaign_utc))
     return jobs
 
 
@@ -85,7 +87,10 @@ class Campaign:
         self.store = CellStore(out)
         self.set_stability_studies(designs, machine["id"], fresh=fresh)
         self.counts = EmbeddedCounts(counts, self.store.folder, fresh=fresh)
-        self.work = shard.select_jobs(make_jobs(plan.cells, machine["id"]))
+        self._started_utc = datetime.now(UTC)
+        started = self._started_utc.isoformat(timespec="milliseconds")
+        jobs = make_jobs(plan.cells, machine["id"], started)
+        self.work = shard.select_jobs(jobs)
         self._fresh = fresh
         if fresh:
             self.store.mark_unfinished(RequestedRuns(self.work).jobs)
@@ -104,7 +109,7 @@ class Campaign:
 
     def run(self, engine: Engine, progress: Progress) -> None:
         """Do all unfinished runs and stability studies on an engine; write the result tables."""
-        started_utc, started_s = datetime.now(UTC), time.monotonic()
+        started_s = time.monotonic()
         pending = self.find_unfinished_jobs()
         work = sum(count_steps(job.cell) for job in pending) + self.designs.work
         work += self.counts.work
@@ -124,7 +129,7 @@ class Campaign:
         self.designs.run(dispatcher, progress)
         self.counts.run(dispatcher, progress)
         wall_s = time.monotonic() - started_s
-        self.write_results(started_utc, wall_s, engine.remarks, progress=progress)
+        self.write_results(self._started_utc, wall_s, engine.remarks, progress=progress)
 
     def find_unfinished_jobs(self) -> list[CellJob]:
         """Return the runs still to be done; set the outcome of refused and of stored ones."""

@@ -56,15 +56,30 @@ def test_another_selection_is_refused(
 
 def test_the_same_selection_and_a_larger_one_go_on(suite: Path, tmp_path: Path) -> None:
     out = run_campaign(suite, tmp_path / "out", solvers=["daqp"], scenarios=["paper"])
-    first = load_results(out).runs.set_index("run_id")["raw_max_ns"]
+    before = load_results(out).runs.set_index("run_id")
+    first = before["raw_max_ns"]
     run_campaign(suite, out, scenarios=["paper"], solvers=["daqp"])
     run_campaign(suite, out)
     runs = load_results(out).runs.set_index("run_id")
     assert set(runs["study"]) == {"", "seas"} and len(runs) > len(first)
     assert (runs.loc[first.index, "raw_max_ns"] == first).all()
+    assert (runs.loc[first.index, "campaign_utc"] == before["campaign_utc"]).all()
+    # What an earlier command timed took no turns with what was added.
+    turns = {s: {*own} for s, own in runs[runs["turns"] != ""].groupby("solver")["turns"]}
+    assert len(turns["daqp"]) == len(turns["quadprog"]) == 1 and turns["daqp"] != turns["quadprog"]
     run_campaign(suite, out)
     run_campaign(suite, out, solvers=["daqp"], fresh=True)
     assert set(load_results(out).runs["solver"]) == {"daqp"}
+
+
+def test_replays_of_one_command_take_turns(whole: Path) -> None:
+    runs = load_results(whole).runs
+    done = runs[runs["steps_done"] > 0]
+    assert done["campaign_utc"].nunique() == 1
+    assert (done["judged_utc"] > done["campaign_utc"]).all()
+    replays = done[done["mode"] == "replay"]
+    assert len(replays) == 2 and replays["turns"].nunique() == 1 and replays["turns"].all()
+    assert not done.loc[done["mode"] == "closed_loop", "turns"].any()
 
 
 def test_an_unfinished_folder_takes_another_selection(suite: Path, tmp_path: Path) -> None:

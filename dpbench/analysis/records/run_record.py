@@ -33,6 +33,8 @@ from dpbench.solvers.contract import Policy, Route
 Count = float
 """A count that a run may not have: NaN then, as null in the table."""
 Mode = Literal["closed_loop", "replay"]
+SEPARATE = "timed in separate commands"
+"""Reason for no ratio of times: load and speed of the machine may differ from one to the other."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +76,9 @@ class RunRecord:
     outcome_detail: str
     machine_id: str
     concurrency: Count
+    campaign_utc: str
+    judged_utc: str
+    turns: str
     steps_planned: int
     steps_done: int
     # accuracy: `ACCURACY_COLUMNS`
@@ -179,6 +184,15 @@ class RunRecord:
         where = self.mode, self.problem, self.study, str(self.study_point), str(self.replicate)
         times = str(self.replay_s), str(self.raw_max_ns)
         return *where, replace(self.configuration, settings=settings), *times
+
+    def explain_separate_timing(self, other: "RunRecord") -> str:
+        """Return why the times of two replays make no paired ratio; "" if they were timed by turns.
+
+        Of two runs of an earlier release, which does not record it, turns are assumed.
+        """
+        if self.turns == other.turns:
+            return ""
+        return SEPARATE if self.campaign_utc != other.campaign_utc else "not timed by turns"
 
     @property
     def is_outside_verdicts(self) -> bool:

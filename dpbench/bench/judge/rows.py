@@ -5,6 +5,7 @@ hundred steps. A column that a run has not is left out; a missing integer is `MI
 """
 
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -196,8 +197,13 @@ def make_run_row(
     steps: StepColumns | None,
     *,
     concurrency: int | None = None,
+    campaign_utc: str = "",
+    turns: str = "",
 ) -> dict[str, Any]:
-    """Return the row of one run in `runs.parquet`; without steps only what identifies the run."""
+    """Return the row of one run in `runs.parquet`; without steps only what identifies the run.
+
+    concurrency, campaign_utc, turns : see the columns of these names.
+    """
     row: dict[str, Any] = {
         "run_id": run_id,
         **{name: getattr(cell, name) for name in _OF_CELL},
@@ -216,6 +222,9 @@ def make_run_row(
         "schema": SCHEMA_VERSION,
         "cell": cell.to_json(),
         "concurrency": pd.NA if concurrency is None else concurrency,
+        "campaign_utc": campaign_utc,
+        "judged_utc": datetime.now(UTC).isoformat(timespec="milliseconds") if campaign_utc else "",
+        "turns": turns,
         "steps_planned": cell.steps,
         "steps_done": 0,
     }

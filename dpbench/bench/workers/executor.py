@@ -14,7 +14,8 @@ from functools import partial
 from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
-from typing import Generic, TypeVar
+from secrets import token_hex
+from typing import Any, Generic, TypeVar
 
 from dpbench.bench.judge.rows import make_run_row
 from dpbench.bench.progress import Progress
@@ -147,6 +148,7 @@ class CellExecutor(ExitStack):
         self._refused: list[tuple[Batch, list[Result]]] = []
         self._log_bytes: dict[CellRun, int] = {}
         self._lost: dict[CellRun, list[Result]] = {}
+        self._turns: dict[str, str] = {}  # of each run_id the replays that it was timed with
         self._idle = IdleWorkers(context, cores[-1])
         self._sharing = self.enter_context(ExitStack())
         self.callback(self._idle.close)
@@ -277,6 +279,8 @@ class CellExecutor(ExitStack):
         share = sum(count_steps(cell) for _, cell in cells) // (rounds + 1)
         for run_id, _ in cells:
             delete_log_and_layout(folder / f"{run_id}.raw")
+        # Replays done again after a crash were not timed by turns with the others.
+        self._turns |= dict.fromkeys((run_id for run_id, _ in cells), token_hex(8))
         group = ReplayGroup(self._idle, folder, source, cells, alone=alone)
         how = EXCLUSIVE if self._concurrency == 1 else SHARED
         with self._lock_machine(how) as held, _avoid_core(core):
@@ -333,8 +337,16 @@ class CellExecutor(ExitStack):
         """Make the description of a cell that a worker process gets, with its source file."""
         cell, source = job.cell, sources[job.source_key]
         about = outcome, job.library, self._machine_id, self._plugin_path(job)
-        concurrency = self._concurrency if cell.is_timed else None
-        return BatchCell(job.run_id, cell.to_json(), cell.limit_s, source, *about, concurrency)
+        described = job.run_id, cell.to_json(), cell.limit_s, source
+        return BatchCell(*described, *about, **self._describe_timing(job))
+
+    def _describe_timing(self, job: CellJob) -> dict[str, Any]:
+        """Return the columns of a run's row that say when and with which others it was timed."""
+        return {
+            "concurrency": self._concurrency if job.cell.is_timed else None,
+            "campaign_utc": job.campaign_utc,
+            "turns": self._turns.get(job.run_id, ""),
+        }
 
     def _build_results(
         self, outcomes: Mapping[CellJob, Outcome], parts: Sequence[BatchPart], folder: Path
@@ -348,9 +360,8 @@ class CellExecutor(ExitStack):
                 became[job] = Outcome("lost", detail)
             elif outcome.outcome != "lost" and job.run_id not in kept:
                 about = job.run_id, job.cell, outcome, job.library, self._machine_id, None, None
-                concurrency = self._concurrency if job.cell.is_timed else None
                 without_steps[job.run_id] = (
-                    make_run_row(*about, concurrency=concurrency),
+                    make_run_row(*about, **self._describe_timing(job)),
                     make_empty_record_batch(),
                 )
             delete_log_and_layout(folder / f"{job.run_id}.raw")

@@ -28,13 +28,17 @@ Target = Callable[[str, Path, str, int, Path], None]
 
 @dataclass(eq=False)
 class CellJob:
-    """A planned run with its run_id, solver version and outcome; `machine_id` is in its run_id."""
+    """A planned run with its run_id, solver version and outcome; `machine_id` is in its run_id.
+
+    campaign_utc : see the column of that name.
+    """
 
     planned: PlannedCell
     run_id: str
     library: Availability
     machine_id: str
     outcome: Outcome | None = None
+    campaign_utc: str = ""
 
     @property
     def cell(self) -> Cell:

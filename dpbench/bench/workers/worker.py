@@ -97,7 +97,7 @@ def write_outcome(path: Path, outcome: Outcome) -> None:
 class BatchCell:
     """One run of a batch, with all that a worker process needs to do and judge it.
 
-    outcome : once it ran; library, machine_id, concurrency : for its row.
+    outcome : once it ran; library, machine_id, concurrency, campaign_utc, turns : for its row.
     hung : where earlier processes of it hung; its log is theirs.
     module : path of its plug-in on this machine; "" for none.
     """
@@ -111,6 +111,8 @@ class BatchCell:
     machine_id: str
     module: str = ""
     concurrency: int | None = None
+    campaign_utc: str = ""
+    turns: str = ""
     hung: tuple[Hang, ...] = ()
 
 
@@ -462,7 +464,8 @@ def _judge_cell(batch_cell: BatchCell, log: RawLog) -> tuple[Row, pa.RecordBatch
     evaluated = _evaluate_log(cell, batch_cell.source, log)
     steps = make_step_columns(cell, evaluated)
     about = batch_cell.name, cell, outcome, batch_cell.library, batch_cell.machine_id
-    row = make_run_row(*about, evaluated, steps, concurrency=batch_cell.concurrency)
+    when = {name: getattr(batch_cell, name) for name in ("concurrency", "campaign_utc", "turns")}
+    row = make_run_row(*about, evaluated, steps, **when)
     return row, make_step_record_batch(steps)
 
 
