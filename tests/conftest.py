@@ -326,6 +326,7 @@ class MadeRecords:
             "rounds": rounds,
             "disturbed_rounds": 0,
             "counting_disturbed": 0,
+            "turns": "made",
             "error_move_max": error,
             "failed_steps": failed,
             "true_share": 1.0 if error <= 1e-2 else 0.5,

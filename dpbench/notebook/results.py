@@ -21,8 +21,8 @@ from dpbench.errors import InputError, ResultsError, format_allowed_names, requi
 from dpbench.files.regular_files import make_folder_if_missing
 from dpbench.notebook.latex import make_tabular
 from dpbench.notebook.plots import ResultPlots
+from dpbench.report.commands_text import describe_disturbed_times
 from dpbench.report.formats import plural
-from dpbench.report.verdict_text import describe_disturbed_times
 
 if TYPE_CHECKING:
     from dpbench.report.report import Report

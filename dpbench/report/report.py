@@ -43,6 +43,7 @@ from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.errors import ResultsError
 from dpbench.files.regular_files import write_file_set_into_folder
 from dpbench.report.charts.render import NOT_DRAWN, can_draw
+from dpbench.report.commands_text import describe_machine_states
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import Table, escape_markdown, strip_markdown
 from dpbench.report.open_losses import find_open_losses
@@ -56,12 +57,20 @@ from dpbench.report.topics.all import build_topics
 from dpbench.report.topics.study import yield_disturbance_sentences
 from dpbench.report.verdict_text import (
     describe_calibration,
-    describe_disturbance,
     describe_which_solvers_pass,
 )
 from dpbench.report.words import read_words, render_document
 
-TERMINAL_NOTES = ("counted", "slower", "faster", "inconclusive", "next", "unanswered", "stopped")
+TERMINAL_NOTES = (
+    "counted",
+    "slower",
+    "faster",
+    "inconclusive",
+    "next",
+    "commands",
+    "unanswered",
+    "stopped",
+)
 """Notes of the recommendation on a terminal."""
 BESIDE = ("settings", "embedded", "slowdown", "anytime", "random", "consequence")
 """Topics with a line of their own on a terminal where they are not the answer."""
@@ -146,11 +155,9 @@ class Report:
             rows.append(("solvers", f"{describe_which_solvers_pass(verdicts)}."))
             rows += [("options", line) for line in describe_own_settings(verdicts)]
         records = self.data.records
-        disturbance = sum_disturbances(
-            select_timed_replays(records) or select_delayed_loops(records)
-        )
-        if disturbance.seconds > 0:
-            rows.append(("machine", f"{describe_disturbance(disturbance)}."))
+        timed = select_timed_replays(records) or select_delayed_loops(records)
+        if sum_disturbances(timed).seconds > 0:
+            rows.append(("machine", f"{describe_machine_states(timed)}."))
         if medians := find_largest_median_by_test_solver(records.calibration):
             rows.append(("harness", f"{describe_calibration(medians)}."))
         if disturbed := " ".join(yield_disturbance_sentences(self.data.studies)):

@@ -10,11 +10,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS, Interval
-from dpbench.analysis.times.machine import (
-    find_largest_by_name,
-    select_timed_replays,
-    sum_disturbances,
-)
+from dpbench.analysis.times.machine import find_largest_by_name, sum_disturbances
 from dpbench.analysis.times.paired_times import PairedComparison
 from dpbench.analysis.verdict.requirements import (
     PERHAPS_BY_MACHINE,
@@ -267,6 +263,9 @@ def describe_paired_times(by_size: Sequence[PairedComparison], in_windows: int =
 
 def _describe_time_ratio(compared: PairedComparison) -> str:
     """Return in words two configurations' step time ratio, its interval or why it has none."""
+    if compared.separate:
+        times = f"{format_time(compared.second_ns)} a step against {format_time(compared.first_ns)}"
+        return f"{times} (geometric means over the same steps), {compared.separate}, so no ratio"
     typically = "typically " if compared.is_unstable else ""
     wording = f"{typically}{significant(compared.ratio.value)} times as long over the same steps"
     if not math.isfinite(compared.ratio.high):
@@ -444,12 +443,6 @@ def describe_disturbance(disturbance: Disturbance) -> str:
     """Return words on whether other programs disturbed timing: "quiet", or disturbed by what."""
     complaints = disturbance.complaints()
     return f"disturbed: {join_with_and(complaints)}" if complaints else "quiet"
-
-
-def describe_disturbed_times(records: Records) -> str:
-    """Return what disturbed the timed replays, and what to do, as text; "" on a quiet machine."""
-    state = describe_disturbance(sum_disturbances(select_timed_replays(records)))
-    return "" if state == "quiet" else f"{state}: times are better measured again"
 
 
 def describe_calibration(p50_ns: dict[str, float]) -> str:

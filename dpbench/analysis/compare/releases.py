@@ -184,8 +184,10 @@ def _yield_timed_replays(records: Records) -> Iterator[RunRecord]:
     return (r for r in records.select_runs(mode="replay") if math.isfinite(r.algo_p50_ns))
 
 
-def _map_reference_times_by_problem(records: Records, solver: str) -> Mapping[str, float] | None:
-    """Return the reference solver's p50 [ns] by problem; None without a reference."""
+def _map_reference_times_by_problem(
+    records: Records, solver: str
+) -> Mapping[tuple[str, str], float] | None:
+    """Return the reference solver's p50 [ns] by problem and turns; None without a reference."""
     if not solver:
         return None
     runs = sorted(
@@ -193,11 +195,11 @@ def _map_reference_times_by_problem(records: Records, solver: str) -> Mapping[st
         key=make_usual_first_sort_key,
         reverse=True,
     )
-    return {run.problem: run.algo_p50_ns for run in runs}
+    return {(run.problem, run.turns): run.algo_p50_ns for run in runs}
 
 
 def _build_version_history(
-    runs: Mapping[str, RunRecord], units: Mapping[str, Mapping[str, float] | None]
+    runs: Mapping[str, RunRecord], units: Mapping[str, Mapping[tuple[str, str], float] | None]
 ) -> History:
     """Return the runs of one configuration on one problem by solver version, oldest first."""
     builds = len({run.build for run in runs.values()})
@@ -218,12 +220,12 @@ def _build_version_history(
 
 
 def _divide_time_by_reference(
-    run: RunRecord, column: str, unit: Mapping[str, float] | None
+    run: RunRecord, column: str, unit: Mapping[tuple[str, str], float] | None
 ) -> float:
-    """Return a replay's step time [ns] or its ratio to the reference's; NaN for closed loops."""
+    """Return a replay's step time [ns] or its ratio to the reference's, timed by turns; or NaN."""
     if run.mode != "replay":
         return math.nan  # loops run beside each other
-    divisor = 1.0 if unit is None else unit.get(run.problem, math.nan)
+    divisor = 1.0 if unit is None else unit.get((run.problem, run.turns), math.nan)
     return float(getattr(run, column)) / divisor
 
 

@@ -57,6 +57,8 @@ class Timing:
     own : standard error from inside the runs.
     median_ns : the median step in A and in B [ns].
     k, a_ns, b_ns : the steps of both runs and their minima [ns]; empty without steps.
+    group : name of the replays that were timed by turns in A and in B, which share the machine's
+        factor: the sequence, with a number where several commands timed it.
     """
 
     pair: Pair
@@ -68,11 +70,7 @@ class Timing:
     k: Ints
     a_ns: Floats
     b_ns: Floats
-
-    @property
-    def sequence_name(self) -> str:
-        """Name of the QP sequence on which the times were measured."""
-        return self.pair.a.problem
+    group: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +95,7 @@ class ComparedTimes:
 
 @dataclass(frozen=True)
 class SharedFactor:
-    """Step time ratio B/A that all configurations on one QP sequence share.
+    """Step time ratio B/A that all configurations of one group on a QP sequence share.
 
     factor : median over the configurations; kernel, load : of the reference and the load kernel, or
         NaN.
@@ -122,8 +120,24 @@ def compute_log_time_ratios(a: Records, b: Records, pairs: Sequence[Pair]) -> li
     replays = (
         pair for pair in pairs if pair.a.mode == "replay" and not pair.a.steps_searched_for_hardest
     )
-    timings = [time_of(a, b, pair) for pair in replays]
-    return list(map_first_by_key(filter(None, timings), _make_measurement_key).values())
+    timings = filter(None, [time_of(a, b, pair) for pair in replays])
+    return _name_groups(list(map_first_by_key(timings, _make_measurement_key).values()))
+
+
+def _name_groups(timings: Sequence[Timing]) -> list[Timing]:
+    """Return timings with the names of their groups."""
+    turns: dict[str, dict[tuple[str, str], int]] = {}
+    for timing in timings:
+        of_sequence = turns.setdefault(timing.pair.a.problem, {})
+        of_sequence.setdefault((timing.pair.a.turns, timing.pair.b.turns), len(of_sequence) + 1)
+    named = []
+    for timing in timings:
+        of_sequence = turns[timing.pair.a.problem]
+        number = of_sequence[timing.pair.a.turns, timing.pair.b.turns]
+        group = timing.pair.a.problem
+        group += f", command {number} of {len(of_sequence)}" if len(of_sequence) > 1 else ""
+        named.append(replace(timing, group=group))
+    return named
 
 
 def _make_measurement_key(timing: Timing) -> tuple[object, ...]:
@@ -133,15 +147,15 @@ def _make_measurement_key(timing: Timing) -> tuple[object, ...]:
 
 
 def explain_unjudged_sequences(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str, str]:
-    """Return, by QP sequence, why its speed test cannot measure the machine's speed; or "".
+    """Return, by group of replays, why its speed test cannot measure the machine's speed; or "".
 
     A kernel feels only some of what a solver feels of a busy machine, so both runs must have been
     quiet while they timed the sequence.
     """
     known = sum_disturbances_by_sequence(a), sum_disturbances_by_sequence(b)
     reasons = {}
-    for name, own in group_by_key(timings, lambda t: t.sequence_name).items():
-        disturbances = [by_sequence.get(name) for by_sequence in known]
+    for name, own in group_by_key(timings, lambda t: t.group).items():
+        disturbances = [by_sequence.get(own[0].pair.a.problem) for by_sequence in known]
         hidden = [one is None for one in disturbances]
         disturbed = [one is not None and bool(one.complaints()) for one in disturbances]
         if not np.isfinite(_compute_kernel_ratios(own).kernel):
@@ -176,15 +190,15 @@ def choose_reference_solver(timings: Sequence[Timing], asked: str | None) -> str
 
 
 def find_reference_indices(timings: Sequence[Timing], solver: str) -> Ints:
-    """Return for each timing the index of the reference solver's on its QP sequence, or −1.
+    """Return for each timing the index of the reference solver's in its group, or −1.
 
     Of several the most usual, see `make_usual_first_sort_key`.
     """
     runs = [timing.pair.a for timing in timings]
     own = [i for i, run in enumerate(runs) if run.solver == solver]
     usual_first = sorted(own, key=lambda i: make_usual_first_sort_key(runs[i]))
-    usual = map_first_by_key(usual_first, lambda i: runs[i].problem)
-    return np.array([usual.get(run.problem, -1) for run in runs], dtype=np.int64)
+    usual = map_first_by_key(usual_first, lambda i: timings[i].group)
+    return np.array([usual.get(timing.group, -1) for timing in timings], dtype=np.int64)
 
 
 def make_usual_first_sort_key(run: RunRecord) -> tuple[Any, ...]:
@@ -200,7 +214,7 @@ def compare_times_to_reference(
 
     rows : (N,) as of `find_reference_indices`; the timings they name have no verdict.
     """
-    groups = [t.sequence_name for t in timings]
+    groups = [t.group for t in timings]
     logs, own = np.array([t.log for t in timings]), np.array([t.own for t in timings])
     evidence = remove_reference_factor(logs, own, groups, rows, JACKKNIFE_SHARE)
     judged = np.setdiff1d(np.arange(len(timings)), rows)
@@ -235,11 +249,11 @@ def compare_times_and_shared_factors(
 
     unjudged : see `explain_unjudged_sequences`; such a sequence has no shared factor judged.
     """
-    groups = [t.sequence_name for t in timings]
+    groups = [t.group for t in timings]
     labels = np.asarray(groups)
     machines = {
         n: _compute_kernel_ratios(own)
-        for n, own in group_by_key(timings, lambda t: t.sequence_name).items()
+        for n, own in group_by_key(timings, lambda t: t.group).items()
     }
     fit = np.array(
         [np.nan if unjudged[name] else machines[name].predicted_log_ratio for name in groups]

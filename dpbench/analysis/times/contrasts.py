@@ -22,7 +22,7 @@ from dpbench.analysis.statistics import (
     estimate_paired_time_ratio,
     estimate_percentile_interval,
 )
-from dpbench.analysis.times.paired_times import match_times_by_step
+from dpbench.analysis.times.paired_times import TimedReplay, match_times_by_step
 from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
 from dpbench.bench.judge.rules import median_of_known, percentile_or_nan
 from dpbench.bench.record.cell import Configuration, sort_key_of_settings
@@ -51,8 +51,9 @@ ABOVE: dict[RoutePolicy, tuple[RoutePolicy, ...]] = {
 class RouteGain:
     """Speed-up of one call mode of a solver (interface, warm start) over the next simpler one.
 
-    gain : geometric mean of the neighbour's time over this one's, over their common steps.
-    median_ns : median of its algorithmic step time.
+    gain : geometric mean of the neighbour's time over this one's, over their common steps; unknown
+        where they were not timed by turns, for the reason `separate`.
+    median_ns, above_ns : median of its algorithmic step time, and of the neighbour's.
     """
 
     solver: str
@@ -61,6 +62,8 @@ class RouteGain:
     route: RoutePolicy
     gain: Interval
     median_ns: float
+    above_ns: float
+    separate: str
 
 
 def compare_routes(records: Records, sequence: str) -> list[RouteGain]:
@@ -74,23 +77,33 @@ def compare_routes(records: Records, sequence: str) -> list[RouteGain]:
     )
     for (solver, settings), runs in by_solver.items():
         timed = ((run, records.get_step_times(run)) for run in runs)
-        times: dict[RoutePolicy, StepTimes] = {
-            (run.route, run.policy): own for run, own in timed if own is not None
+        modes: dict[RoutePolicy, TimedReplay] = {
+            (run.route, run.policy): (run, own) for run, own in timed if own is not None
         }
-        if any(route == "native" for route, _ in times):
-            fastest = min(float(np.median(of_route.algo_ns)) for of_route in times.values())
+        if any(route == "native" for route, _ in modes):
+            fastest = min(float(np.median(own.algo_ns)) for _, own in modes.values())
             gains_of = medians.setdefault((fastest, solver), [])
-            for route, own in times.items():
-                above = next((above for above in ABOVE.get(route, ()) if above in times), None)
-                both = ((), ()) if above is None else match_times_by_step(times[above], own)
-                if above is not None and len(both[0]):
-                    gain, median_ns = (
-                        estimate_paired_time_ratio(*both),
-                        float(np.median(own.algo_ns)),
-                    )
-                    gains_of.append(RouteGain(solver, settings, above, route, gain, median_ns))
+            for route, replay in modes.items():
+                above = next((above for above in ABOVE.get(route, ()) if above in modes), None)
+                found = None if above is None else _compare_call_modes(modes[above], replay)
+                if above is not None and found is not None:
+                    gains_of.append(RouteGain(solver, settings, above, route, *found))
     gains = [gain for key in sorted(medians) for gain in medians[key]]
     return gains if any(gain.route[0] == "native" for gain in gains) else []
+
+
+def _compare_call_modes(
+    above: TimedReplay, own: TimedReplay
+) -> tuple[Interval, float, float, str] | None:
+    """Return gain, medians [ns] and why there is no gain or ""; None without common steps."""
+    (above_run, above_times), (run, times) = above, own
+    both = match_times_by_step(above_times, times)
+    if not len(both[0]):
+        return None
+    separate = run.explain_separate_timing(above_run)
+    medians = float(np.median(times.algo_ns)), float(np.median(above_times.algo_ns))
+    gain = UNKNOWN if separate else estimate_paired_time_ratio(*both)
+    return gain, *medians, separate
 
 
 def find_right_levels_by_solver(
@@ -108,9 +121,9 @@ def find_right_levels_by_solver(
 def count_wins_of_formulations(records: Records, requirements: Requirements) -> Counter[str]:
     """Return how often each QP formulation has the least median step time.
 
-    Of the configurations that are right on a sequence in two at least.
+    Of the configurations that are right on a sequence in two at least, timed by turns.
     """
-    by_case: dict[tuple[str, str, str], dict[str, float]] = {}
+    by_case: dict[tuple[str, ...], dict[str, float]] = {}
     for run in records.all_runs:
         times = (
             records.get_step_times(run)
@@ -118,7 +131,8 @@ def count_wins_of_formulations(records: Records, requirements: Requirements) -> 
             else None
         )
         if times is not None and is_right_on_every_step(run, requirements):
-            case = run.sequence, run.units, run.configuration.moved_to_common_formulation.label
+            label = run.configuration.moved_to_common_formulation.label
+            case = run.sequence, run.units, label, run.turns
             by_case.setdefault(case, {})[run.formulation] = median_of_known(times.algo_ns)
     cases = [forms for forms in by_case.values() if len(forms) > 1]
     return Counter(min(forms, key=lambda form: forms[form]) for forms in cases)
@@ -126,8 +140,8 @@ def count_wins_of_formulations(records: Records, requirements: Requirements) -> 
 
 def yield_matched_replays(
     records: Records, first: str, second: str
-) -> Iterator[tuple[RunRecord, StepTimes, StepTimes]]:
-    """Yield timed replays of two solvers in equal call modes, with both solvers' step times."""
+) -> Iterator[tuple[TimedReplay, TimedReplay]]:
+    """Yield timed replays of two solvers in equal call modes, with their step times."""
     for sequence in records.sequences:
         for run in records.select_replays(sequence, solver=first):
             rivals = (
@@ -140,8 +154,8 @@ def yield_matched_replays(
                 records.get_step_times(run),
                 None if rival is None else records.get_step_times(rival),
             )
-            if here is not None and there is not None:
-                yield run, here, there
+            if rival is not None and here is not None and there is not None:
+                yield (run, here), (rival, there)
 
 
 HORIZON_KEYS = ("prediction_horizon", "control_horizon")

@@ -82,6 +82,25 @@ def sum_disturbances(runs: Sequence[RunRecord]) -> Disturbance:
     return Disturbance.from_parts(parts)
 
 
+def sum_disturbances_by_campaign(runs: Sequence[RunRecord]) -> dict[str, Disturbance]:
+    """Return what disturbed timed runs, by the start of the command that timed them, worst first.
+
+    The start is "" where it is not recorded; a command without a known state is left out, unless
+    none has one.
+    """
+    campaigns = group_by_key(runs, lambda run: run.campaign_utc)
+    states = {campaign: sum_disturbances(own) for campaign, own in campaigns.items()}
+    known = {campaign: one for campaign, one in states.items() if one.seconds > 0}
+
+    def badness(campaign: str) -> tuple[float, ...]:
+        """Return a sort key: fewer broken limits, then a smaller share of disturbed rounds."""
+        one = known[campaign]
+        return len(one.complaints()), float(np.nan_to_num(one.disturbed / (one.rounds or np.nan)))
+
+    worst_first = sorted(known, key=badness, reverse=True)
+    return {campaign: known[campaign] for campaign in worst_first} or {"": sum_disturbances(runs)}
+
+
 def sum_disturbances_by_sequence(records: Records) -> dict[str, Disturbance]:
     """Return what disturbed the timing of replays, by QP sequence, where it is known.
 

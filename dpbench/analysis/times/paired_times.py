@@ -1,4 +1,7 @@
-"""Step times paired on the same steps: of two solvers, or of two settings of one."""
+"""Step times paired on the same steps: of two solvers, or of two settings of one.
+
+Only replays that were timed by turns make a ratio, see `RunRecord.explain_separate_timing`.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -27,6 +30,8 @@ class PairedComparison:
     """Step time ratio second/first of two configurations on the same steps of equal QP size.
 
     `leaders` names the faster one by each yardstick; where they differ the order is unstable.
+    first_ns, second_ns : geometric mean step time of each on these steps [ns].
+    separate : why there is no ratio, as they were not timed by turns; "" where they were.
     """
 
     first: str
@@ -35,6 +40,9 @@ class PairedComparison:
     ratio: Interval
     steps: int
     leaders: dict[str, str]
+    first_ns: float
+    second_ns: float
+    separate: str = ""
 
     @property
     def is_tied(self) -> bool:
@@ -49,7 +57,9 @@ class PairedComparison:
 
     @property
     def finding_text(self) -> str:
-        """Finding: "too few steps", "tied", "unstable", or the second is "slower" or "faster"."""
+        """Finding: "tied", "unstable", the second is "slower" or "faster", or why there is none."""
+        if self.separate:
+            return self.separate
         if not math.isfinite(self.ratio.high):
             return "too few steps"
         if self.is_tied:
@@ -64,7 +74,8 @@ class PairedComparison:
         ratio = {"ratio": self.ratio.value, "low": self.ratio.low, "high": self.ratio.high}
         names = {"first": self.first, "second": self.second}
         size = {"variables": self.variables}
-        return names | size | ratio | {"steps": self.steps, "finding": self.finding_text}
+        times = {"first_us": self.first_ns / 1e3, "second_us": self.second_ns / 1e3}
+        return names | size | ratio | times | {"steps": self.steps, "finding": self.finding_text}
 
 
 def match_times_by_step(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:
@@ -75,17 +86,21 @@ def match_times_by_step(first: StepTimes, second: StepTimes) -> tuple[Floats, Fl
     return first.algo_ns[in_first], second.algo_ns[in_second]
 
 
+TimedReplay = tuple[RunRecord, StepTimes]
+
+
 def compute_log_ratio_half_width(
-    first: Mapping[int, StepTimes], second: Mapping[int, StepTimes], sizes: Mapping[int, float]
+    first: Mapping[int, TimedReplay], second: Mapping[int, TimedReplay], sizes: Mapping[int, float]
 ) -> float:
     """Return the half-width of two configurations' log time ratio on their largest common QPs.
 
-    NaN if unknown. first, second : step times by the index of the replay; sizes : its variables.
+    NaN if unknown. first, second : replays by their index; sizes : the variables of each.
     """
     logs: dict[float, list[Floats]] = {}
     for p in first.keys() & second.keys():
-        first_ns, second_ns = match_times_by_step(first[p], second[p])
-        if len(first_ns):
+        (one, one_times), (other, other_times) = first[p], second[p]
+        first_ns, second_ns = match_times_by_step(one_times, other_times)
+        if len(first_ns) and not one.explain_separate_timing(other):
             logs.setdefault(sizes[p], []).append(np.log(second_ns / first_ns))
     ratio = estimate_pooled_ratio(logs[max(logs)]) if logs else UNKNOWN
     known = ratio.low > 0.0 and ratio.high < math.inf
@@ -117,29 +132,49 @@ def compare_configurations(
 
     percentiles : step times that name a leader beside the median, where a replay supports them.
     """
-    names = first.label, second.label
-    logs: dict[float, list[Floats]] = {}
-    leaders: dict[float, dict[str, str]] = {}
-    for sequence in records.sequences:
-        size, first_ns, second_ns = _find_common_times(records, sequence, first, second)
-        if len(first_ns):
-            logs.setdefault(size, []).append(np.log(second_ns / first_ns))
-            of_size = leaders.setdefault(size, {})
-            for percent in (50.0, *percentiles):
-                ends = [percentile_or_nan(one_ns, percent) for one_ns in (first_ns, second_ns)]
-                measure = "median" if percent == 50.0 else f"p{percent:g}"
-                if math.isfinite(ends[0]):
-                    of_size[f"{measure} on `{sequence}`"] = names[int(ends[0] > ends[1])]
-    return [
-        PairedComparison(
-            *names,
-            size,
-            estimate_pooled_ratio(logs[size]),
-            sum(map(len, select_long_series(logs[size]))),
-            leaders[size],
-        )
-        for size in sorted(logs)
+    found = [
+        common
+        for sequence in records.sequences
+        if (common := _find_common_times(records, sequence, first, second)) is not None
     ]
+    by_size = group_by_key(found, lambda common: common.variables)
+    return [
+        _compare_on_size(by_size[size], (first.label, second.label), percentiles)
+        for size in sorted(by_size)
+    ]
+
+
+def _compare_on_size(
+    found: Sequence["_CommonTimes"], names: tuple[str, str], percentiles: Sequence[float]
+) -> PairedComparison:
+    """Return the comparison of two configurations on replays of one size of QP.
+
+    Of replays that were timed by turns, if there are any.
+    """
+    paired = [common for common in found if not common.separate]
+    leaders: dict[str, str] = {}
+    for common in paired:
+        for percent in (50.0, *percentiles):
+            ends = [percentile_or_nan(ns, percent) for ns in (common.first_ns, common.second_ns)]
+            measure = "median" if percent == 50.0 else f"p{percent:g}"
+            if math.isfinite(ends[0]):
+                leaders[f"{measure} on `{common.sequence}`"] = names[int(ends[0] > ends[1])]
+    used = paired or found
+    logs = [np.log(common.second_ns / common.first_ns) for common in used]
+    means_ns = [
+        math.exp(float(np.mean([np.log(ns).mean() for ns in select_long_series(series)])))
+        for series in ([one.first_ns for one in used], [one.second_ns for one in used])
+    ]
+    return PairedComparison(
+        *names,
+        found[0].variables,
+        estimate_pooled_ratio(logs) if paired else UNKNOWN,
+        sum(map(len, select_long_series(logs))),
+        leaders,
+        first_ns=means_ns[0],
+        second_ns=means_ns[1],
+        separate="" if paired else found[0].separate,
+    )
 
 
 def count_common_window_steps(records: Records, first: Verdict, second: Verdict) -> int:
@@ -147,21 +182,32 @@ def count_common_window_steps(records: Records, first: Verdict, second: Verdict)
     replays = records.select_runs(mode="replay")
     windows = {run.sequence for run in replays if run.steps_searched_for_hardest}
     pair = first.configuration, second.configuration
-    return sum(len(_find_common_times(records, name, *pair)[1]) for name in windows)
+    found = (_find_common_times(records, name, *pair) for name in windows)
+    return sum(len(common.first_ns) for common in found if common is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class _CommonTimes:
+    """Step times (K,) [ns] of two configurations on the steps of a replay that both have done."""
+
+    sequence: str
+    variables: float
+    first_ns: Floats
+    second_ns: Floats
+    separate: str
 
 
 def _find_common_times(
     records: Records, sequence: str, first: Configuration, second: Configuration
-) -> tuple[float, Floats, Floats]:
-    """Return the number of variables of a QP sequence and two configurations' times on its steps.
-
-    The times (K,) [ns] are of the steps that both replayed; K is 0 without any.
-    """
+) -> _CommonTimes | None:
+    """Return two configurations' times on the common steps of a QP sequence; None without any."""
     runs = [_find_replay(records, sequence, wanted) for wanted in (first, second)]
     times = [None if run is None else records.get_step_times(run) for run in runs]
-    if runs[0] is None or times[0] is None or times[1] is None:
-        return math.nan, np.empty(0), np.empty(0)
-    return runs[0].n, *match_times_by_step(times[0], times[1])
+    if runs[0] is None or runs[1] is None or times[0] is None or times[1] is None:
+        return None
+    both = match_times_by_step(times[0], times[1])
+    separate = runs[0].explain_separate_timing(runs[1])
+    return _CommonTimes(sequence, runs[0].n, *both, separate) if len(both[0]) else None
 
 
 def find_faster_inconclusive(

@@ -16,10 +16,10 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
-from dpbench.analysis.records.run_steps import StepTimes
 from dpbench.analysis.records.thinned_runs import ThinnedRun
 from dpbench.analysis.times.machine import find_library_call_ns
 from dpbench.analysis.times.paired_times import (
+    TimedReplay,
     compare_paired_times,
     compare_settings_of_solvers,
     compute_log_ratio_half_width,
@@ -259,26 +259,45 @@ def tabulate_time_ratios(matrix: RunMatrix) -> pd.DataFrame:
     return pd.DataFrame([one.table_row for one in rows])
 
 
-def compute_half_widths_of_pairs(
-    matrix: RunMatrix,
-) -> tuple[list[int], list[float], dict[int, float]]:
-    """Return indices of timed configurations, and of each two the log time ratio's half-width.
+@dataclass(frozen=True, eq=False)
+class PairWidths:
+    """Half-widths of the log time ratio of each two timed configurations.
 
-    In the order (0, 1), (0, 2), ... (1, 2), ...; last the variables of the QPs of each replay,
-    0 if unknown.
+    timed : indices of the configurations; widths : of the pairs in the order (0, 1), (0, 2), ...
+        (1, 2), ...; sizes : variables of the QPs of each replay, 0 if unknown.
+    turns : by replay, for each configuration the numbers of the replays that it was timed with by
+        turns, which alone make a ratio, and of their command.
     """
-    timed: dict[int, dict[int, StepTimes]] = {}
+
+    timed: list[int]
+    widths: list[float]
+    sizes: dict[int, float]
+    turns: dict[int, dict[int, tuple[int, int]]]
+
+
+def compute_half_widths_of_pairs(matrix: RunMatrix) -> PairWidths:
+    """Return the half-widths of the log time ratio of each two timed configurations."""
+    timed: dict[int, dict[int, TimedReplay]] = {}
     sizes: dict[int, float] = {}
     for (c, p), run in matrix.runs.items():
         times = (
             matrix.records.get_step_times(run) if matrix.experiments[p].mode == "replay" else None
         )
         if times is not None:
-            timed.setdefault(c, {})[p] = times
+            timed.setdefault(c, {})[p] = run, times
             # A run that crashed has no size.
             sizes[p] = max(sizes.get(p, 0.0), 0.0 if isnan(run.n) else run.n)
     pairs = combinations(timed.values(), 2)
-    return list(timed), [compute_log_ratio_half_width(*two, sizes) for two in pairs], sizes
+    widths = [compute_log_ratio_half_width(*two, sizes) for two in pairs]
+    turns: dict[int, dict[int, tuple[int, int]]] = {p: {} for p in sizes}
+    numbers: dict[str, int] = {}
+    for c, replays in timed.items():
+        for p, (run, _) in replays.items():
+            group, command = (
+                numbers.setdefault(key, len(numbers)) for key in (run.turns, run.campaign_utc)
+            )
+            turns[p][c] = group, command
+    return PairWidths(list(timed), widths, sizes, turns)
 
 
 @dataclass(frozen=True)

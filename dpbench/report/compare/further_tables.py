@@ -76,4 +76,7 @@ def _format_ratio(found: PairedComparison | None) -> tuple[str, str]:
     if found is None:
         return MISSING, MISSING
     ratio = found.ratio
+    if found.separate:
+        times = (format_microseconds(ns) for ns in (found.second_ns, found.first_ns))
+        return " µs, ".join(times) + " µs", found.separate
     return f"{ratio.value:.3f}", format_interval(ratio.low, ratio.high)

@@ -19,7 +19,7 @@ from dpbench.analysis.suites.capability import (
     build_capability_results,
     build_consequence_analyses,
 )
-from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances
+from dpbench.analysis.times.machine import select_timed_replays
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.analysis.verdict.verdict import (
     Verdict,
@@ -40,6 +40,11 @@ from dpbench.report.capability_text import (
     describe_unanswered_qps,
 )
 from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
+from dpbench.report.commands_text import (
+    describe_commands,
+    describe_machine_states,
+    describe_turns,
+)
 from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
 from dpbench.report.formats import format_time, join_with_and, strip_markdown
 from dpbench.report.open_losses import find_open_losses
@@ -49,7 +54,6 @@ from dpbench.report.page.terms import DRAG_MISMATCH
 from dpbench.report.ship_text import describe_ship, describe_unmet, list_losses, summarise_ships
 from dpbench.report.verdict_text import (
     describe_deployment,
-    describe_disturbance,
     describe_hardest_wait,
     describe_judged_runs,
     describe_p99_interval,
@@ -237,7 +241,9 @@ def _fill_statement(
             ),
             [str(name) for name in versions],
         ),
-        machine_state=describe_disturbance(sum_disturbances(select_timed_replays(records))),
+        machine_state=describe_machine_states(select_timed_replays(records)),
+        commands=describe_commands(records.all_runs, str(results.suite.get("started_utc") or "")),
+        turns=describe_turns(records),
         c=c,
         v=chosen,
         wait=describe_hardest_wait(records, chosen.max_run),

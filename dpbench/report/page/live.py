@@ -104,9 +104,10 @@ def _find_replayed_configurations(data: PageData) -> set[int]:
 
 def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
     """Return JSON data: the half-width of each two configurations' log time ratio, packed."""
-    timed, widths, sizes = compute_half_widths_of_pairs(data)
-    reach = data.block.add_as_uint16_logs(widths)
-    return {"paired": {"c": timed, "reach": reach, "variables": sizes}}
+    pairs = compute_half_widths_of_pairs(data)
+    reach = data.block.add_as_uint16_logs(pairs.widths)
+    about = {"variables": pairs.sizes, "turns": pairs.turns}
+    return {"paired": {"c": pairs.timed, "reach": reach, **about}}
 
 
 def _draw_accuracy(data: PageData) -> Charts:

@@ -26,6 +26,7 @@ from dpbench.analysis.verdict.verdict import (
 from dpbench.bench.record.cell import Configuration
 from dpbench.errors import InputError, format_allowed_names
 from dpbench.report.capability_text import describe_consequence_solver, describe_unanswered_qps
+from dpbench.report.commands_text import describe_disturbed_times, describe_turns
 from dpbench.report.embedded_text import describe_embedded_cost
 from dpbench.report.formats import (
     format_error,
@@ -40,7 +41,6 @@ from dpbench.report.ship_text import ShipSummary, summarise_ships
 from dpbench.report.verdict_text import (
     NOBODY,
     describe_deployment,
-    describe_disturbed_times,
     describe_findings,
     describe_hardest_wait,
     describe_judged_runs,
@@ -129,7 +129,7 @@ def build_recommendation(
     return Recommendation(
         ship=ship,
         sentence=" ".join(filter(None, (_describe_lone_solver(known), choice))),
-        notes=(*_make_notes(data, found), *_yield_stopped_notes(data)),
+        notes=(*_make_notes(data, found), *_yield_notes_on_runs(data)),
         chips=tuple(_make_badges(data, first)),
         snippets=tuple(_make_snippets(chosen.configuration)) if chosen else (),
         requirements=describe_requirements(data.requirements) if data.verdicts.of else "",
@@ -221,7 +221,10 @@ def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
         yield "checked", f"Its p50, {p50}, is below the shortest wait checked, {shortest}."
     if found.faster is not None:
         label = found.faster.configuration.label
-        yield "faster", f"{label} is faster, and is not the answer: {found.because}."
+        compared = compare_paired_times(data.records, chosen, found.faster)
+        apart = bool(compared) and all(one.separate for one in compared)
+        lead = f"has a smaller p99, {compared[0].separate}" if apart else "is faster"
+        yield "faster", f"{label} {lead}, and is not the answer: {found.because}."
     yield from _yield_inconclusive_notes(data, found)
     if found.runner_up is not None:
         pair = data.records, chosen, found.runner_up
@@ -235,8 +238,10 @@ def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
             yield "unanswered", f"{silent}."
 
 
-def _yield_stopped_notes(data: PageData) -> Iterator[tuple[str, str]]:
-    """Yield a note on the runs that their time limit stopped, if any."""
+def _yield_notes_on_runs(data: PageData) -> Iterator[tuple[str, str]]:
+    """Yield notes on replays not timed by turns, and on runs that their time limit stopped."""
+    if turns := describe_turns(data.records):
+        yield "commands", turns
     if stopped := describe_stopped_runs(data.records.all_runs):
         yield "stopped", stopped
 

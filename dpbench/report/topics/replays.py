@@ -15,6 +15,7 @@ from dpbench.analysis.statistics import (
     estimate_percentile_interval,
 )
 from dpbench.analysis.times.contrasts import (
+    RouteGain,
     compare_routes,
     count_wins_of_formulations,
     find_right_levels_by_solver,
@@ -50,8 +51,8 @@ def build_routes_topic(records: Records) -> Topic | None:
         rows = []
         for found in compare_routes(records, sequence):
             change = f"{' '.join(found.above)} → {' '.join(found.route)}"
-            gains.setdefault(change, []).append(found.gain.value)
-            figures = _format_ratio(found.gain), format_time(found.median_ns)
+            gains.setdefault(change, []).extend([] if found.separate else [found.gain.value])
+            figures = _format_gain(found), format_time(found.median_ns)
             rows.append((found.solver, found.settings, change, *figures))
         if rows:
             head = ("solver", "settings", "from → to", "times as fast (95 %)", "p50")
@@ -61,12 +62,20 @@ def build_routes_topic(records: Records) -> Topic | None:
     wording = (
         "How many times as fast a step becomes, median over solvers and sequences: "
         + "; ".join(
-            f"{change} {significant(median_of_known(gain))}" for change, gain in gains.items()
+            f"{change} {significant(median_of_known(gain)) if gain else MISSING}"
+            for change, gain in gains.items()
         )
         + ".",
         "What calling a library natively saves, then keeping its workspace, then its last answer.",
     )
     return Topic("routes", "Routes", wording, (), tuple(tables))
+
+
+def _format_gain(found: RouteGain) -> str:
+    """Format the gain of a call mode; both medians where it was not timed by turns."""
+    if found.separate:
+        return f"{format_time(found.above_ns)}, {format_time(found.median_ns)}: {found.separate}"
+    return _format_ratio(found.gain)
 
 
 def _format_ratio(ratio: Interval) -> str:
@@ -160,7 +169,7 @@ def build_settings_topic(records: Records) -> Topic | None:
             "settings": one.second,
             "against": one.first,
             "variables": f"{one.variables:.0f}",
-            "ratio (95 %)": _format_ratio(one.ratio),
+            "ratio (95 %)": MISSING if one.separate else _format_ratio(one.ratio),
             "steps": format_count(one.steps),
             "finding": one.finding_text,
         }
@@ -180,22 +189,29 @@ def build_race_topic(records: Records) -> Topic | None:
         return None
     first, second = records.solvers
     replays = list(yield_matched_replays(records, first, second))
-    if len({run.configuration.call_text for run, *_ in replays}) != 1:
+    if len({run.configuration.call_text for (run, _), _ in replays}) != 1:
         return None
-    rows, wording = [], []
-    for run, *both in replays:
-        ratio = estimate_paired_time_ratio(*match_times_by_step(*both))
-        options = run.configuration.call_text
-        wording.append(f"{_format_ratio(ratio)} in {run.sequence} ({options})")
+    rows, wording, apart = [], [], []
+    for (run, here), (rival, there) in replays:
+        options, both = run.configuration.call_text, (here, there)
+        if not (ratio := run.explain_separate_timing(rival)):
+            ratio = _format_ratio(estimate_paired_time_ratio(*match_times_by_step(*both)))
+            wording.append(f"{ratio} in {run.sequence} ({options})")
+        else:
+            apart.append(f"{run.sequence} ({options})")
         p50 = [format_time(median_of_known(times.algo_ns)) for times in both]
         tails = [estimate_percentile_interval(times.algo_ns, 99) for times in both]
         p99 = [f"{format_time(tail.value)}{format_p99_interval(tail)}" for tail in tails]
-        rows.append((run.sequence, options, *p50, *p99, _format_ratio(ratio)))
+        rows.append((run.sequence, options, *p50, *p99, ratio))
     times = [f"{solver} {time}" for time in ("p50", "p99") for solver in (first, second)]
     head = ("sequence", "call mode", *times, "ratio (95 %)")
-    lead = f"{first} takes {', '.join(wording)} times as long a step as {second}."
+    leads = [f"{first} takes {', '.join(wording)} times as long a step as {second}."]
+    leads = leads if wording else []
+    leads += [f"Without a ratio, as not timed by turns: {join_with_and(apart)}."] if apart else []
     note = "Geometric mean of the paired ratios of all common steps."
-    return Topic("race", f"{first} against {second}", (lead, note), (), (Table(head, tuple(rows)),))
+    table = Table(head, tuple(rows))
+    title = f"{first} against {second}"
+    return Topic("race", title, (" ".join(leads), note), (), (table,))
 
 
 def _make_median_tables(

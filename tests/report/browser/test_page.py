@@ -451,6 +451,23 @@ def test_two_solvers_are_compared(selected: Any) -> None:
     assert len(markdown.encode()) < 3000
 
 
+def test_two_of_separate_commands_have_no_ratio(selected: Any) -> None:
+    page = selected("#s=piqp&w=qpsolvers-fresh&set=default&sc=paper&b=daqp~qpsolvers-fresh~default")
+    other = """async (number) => {
+      for (const own of Object.values(facts.paired.turns)) if (own[state.c]) own[state.c] = number;
+      await drawTwo();
+    }"""
+    before = page.evaluate("Object.values(facts.paired.turns).map((own) => own[state.c])[0]")
+    page.evaluate(other, [99, 99])
+    output = page.inner_text("#two-said")
+    assert re.search(r"takes [\d.]+ µs a step and daqp .* [\d.]+ µs, timed in separate", output)
+    assert "so there is no ratio" in output and "times as long" not in output
+    page.evaluate(other, [99, before[1]])
+    assert "not timed by turns" in page.inner_text("#two-said")
+    page.evaluate(other, before)
+    assert "times as long" in page.inner_text("#two-said")
+
+
 def test_any_two_have_the_interval_of_their_ratio(selected: Any, written: Any) -> None:
     facts = written.report.data
     timed = [v for v in facts.verdicts.all_verdicts if v.timed_on]

@@ -12,10 +12,17 @@ function together(first, second) {
       const i = a.first + j - b.first, other = y[i];
       if (ns > 0 && other > 0 && !((f[j] | g[i]) & HARD_ONLY)) rows.push({
         k: a.first + j, a_us: ns / 1e3, b_us: other / 1e3, sequence: experiment.label,
-        variables: facts.paired.variables[p] });
+        variables: facts.paired.variables[p], separate: whySeparate(first, second, p) });
     });
   });
   return rows;
+}
+
+// Why two replays make no ratio; "" where they were timed by turns.
+function whySeparate(first, second, p) {
+  const [a, b] = [first, second].map((c) => facts.paired.turns[p]?.[c]);
+  if (!a || !b || a[0] === b[0]) return "";
+  return a[1] === b[1] ? "not timed by turns" : "timed in separate commands";
 }
 
 // The steps of the largest QPs: the ratio depends on the size, and is not pooled over sizes.
@@ -44,6 +51,12 @@ function reachOf(first, second) {
   return log === null ? null : Math.exp(log);
 }
 
+// The geometric mean time of a step of the largest QPs [ns] of the first ("a") or second ("b").
+function meanOf(rows, which) {
+  const logs = ofLargest(rows).map((row) => Math.log(row[`${which}_us`]));
+  return 1e3 * Math.exp(logs.reduce((sum, x) => sum + x, 0) / logs.length);
+}
+
 // What tells a configuration from another: its solver, if that will do.
 const unlike = (c, other) => (C().solver[c] === C().solver[other] ? label(c) : C().solver[c]);
 
@@ -64,14 +77,19 @@ async function drawTwo() {
     .find((c) => others.includes(c));
   if (second === undefined) return;
   options("choose-other", others.map((c) => [c, label(c)]), second);
-  const rows = together(state.c, second), said = $("two-said");
+  const common = together(state.c, second), said = $("two-said");
+  const paired = common.filter((row) => !row.separate), rows = paired.length ? paired : common;
   if (!rows.length) { said.textContent = "No sequence was replayed by both."; $("figure-pairs").hidden = true; return; }
   $("figure-pairs").hidden = false;
   const ratio = Math.max(ratioOf(rows), 1 / ratioOf(rows)), reach = reachOf(state.c, second);
   const [slower, faster] = ratioOf(rows) >= 1 ? [second, state.c] : [state.c, second];
   const interval = reach === null ? "too few steps for an interval"
     : `95 % interval ${figure(ratio / reach)} to ${figure(ratio * reach)}`;
-  said.textContent = `${label(slower)} takes ${figure(ratio)} times as long as ${label(faster)} `
+  said.textContent = !paired.length
+    ? `${label(state.c)} takes ${time(meanOf(rows, "a"))} a step and ${label(second)} `
+    + `${time(meanOf(rows, "b"))}, ${rows[0].separate}, so there is no ratio: geometric means over `
+    + `${commonSteps(rows)}.`
+    : `${label(slower)} takes ${figure(ratio)} times as long as ${label(faster)} `
     + `(${interval}): geometric mean over ${commonSteps(rows)}. Below the dashed line `
     + `${unlike(second, state.c)} is faster.`;
   const view = await figureOf("pairs");

@@ -1,0 +1,82 @@
+"""The commands that filled a result folder, in words: when they ran, how quiet the machine was."""
+
+from collections.abc import Sequence
+
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
+from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances_by_campaign
+from dpbench.report.formats import join_with_and, plural
+from dpbench.report.verdict_text import describe_disturbance
+from dpbench.solvers.calibration import CALIBRATION
+
+MOST_COMMANDS = 3
+"""Commands, and sequences, that are named; of the others their number is."""
+
+
+def describe_disturbed_times(records: Records) -> str:
+    """Return what disturbed the timed replays, and what to do, as text; "" on a quiet machine."""
+    states = describe_machine_states(select_timed_replays(records))
+    return "" if states.startswith("quiet") else f"{states}: times are better measured again"
+
+
+def describe_machine_states(runs: Sequence[RunRecord]) -> str:
+    """Return words on what disturbed timed runs, of each command that timed some, worst first."""
+    states = sum_disturbances_by_campaign(runs)
+    texts = list(map(describe_disturbance, states.values()))
+    if len(texts) == 1 or {*texts} == {"quiet"}:
+        return texts[0] + (f" in all {len(texts)} commands" if len(texts) > 1 else "")
+    named = [
+        f"{text} ({f'command of {_format_utc(utc)}' if utc else 'an earlier command'})"
+        for utc, text in zip(states, texts, strict=True)
+    ]
+    more = [f"{len(named) - MOST_COMMANDS} more"] if len(named) > MOST_COMMANDS else []
+    return "; ".join([*named[:MOST_COMMANDS], *more])
+
+
+def describe_commands(runs: Sequence[RunRecord], started: str) -> str:
+    """Return when the commands of a result folder ran, as text: first start to last end.
+
+    started : by `suite.json`, of the last command, for folders whose runs do not record it.
+    """
+    known = {run.campaign_utc for run in runs if run.campaign_utc}
+    if not known:
+        return f"started {_format_utc(started)}" if started else "start not recorded"
+    ends = [run.judged_utc for run in runs if run.judged_utc]
+    count = f" in {plural(len(known), 'command')}" if len(known) > 1 else ""
+    unknown = any(not run.campaign_utc and run.has_steps for run in runs)
+    earlier = "; other runs are earlier, at times not recorded" if unknown else ""
+    return f"run from {_format_utc(min(known))} to {_format_utc(max(ends))}{count}{earlier}"
+
+
+def describe_turns(records: Records) -> str:
+    """Return a caution on replays that were not timed by turns, or may not have been; or ""."""
+    timed = [
+        run
+        for run in select_timed_replays(records)
+        if run.solver not in CALIBRATION and records.has_comparable_times(run)
+    ]
+    by_sequence = group_by_key(timed, lambda run: (run.sequence, run.units))
+    apart = {
+        sequence: reason
+        for (sequence, _), runs in by_sequence.items()
+        if (reason := max(run.explain_separate_timing(runs[0]) for run in runs))
+    }
+    if apart:
+        reason, others = max(apart.values()), len(apart) - MOST_COMMANDS
+        names = join_with_and([*apart][:MOST_COMMANDS])
+        more = f" and {others} more" if others > 0 else ""
+        return (
+            f"The solvers were {reason} on {names}{more}: such times make no ratio, and their "
+            "order may come from the machine. Run all solvers in one command, with --fresh."
+        )
+    if any(not run.turns for run in timed) and len({run.configuration for run in timed}) > 1:
+        return (
+            "Which replays were timed by turns is not recorded, as an earlier release wrote this "
+            "folder: its ratios hold if one command timed them all."
+        )
+    return ""
+
+
+def _format_utc(text: str) -> str:
+    """Return a time of a result folder to the second, as `2026-11-28 21:40:05 UTC`."""
+    return f"{text[:19].replace('T', ' ')} UTC"
