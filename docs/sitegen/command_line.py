@@ -21,8 +21,9 @@ def pages() -> dict[str, str]:
     for name, (command, summary) in commands().items():
         parts += [f"## {code(f'dpbench {name}')}\n", f"{prose(_sentence(summary))}\n"]
         parts += [_usage(command), _arguments(command)]
-        more = filter(None, (command.description, command.epilog))
-        parts += [f"{prose(_sentence(text))}\n" for text in more]
+        if command.description and command.description != f"{summary}.":
+            parts.append(f"{prose(command.description)}\n")
+        parts.append(f"```text\n{command.epilog}\n```\n")
     return {"reference/command-line.md": "\n".join(parts)}
 
 
