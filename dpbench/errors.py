@@ -31,8 +31,8 @@ class InputError(DpbenchError, ValueError):
     where : file or argument the mistake is in. An argument is in backquotes, as others in its text;
         the command line prints them as its options, `jobs` as --jobs.
     key : the key inside it ("" when the whole of it is meant).
-    found : what stands there.
-    allowed : what could stand there.
+    found : value that was found.
+    allowed : values that are allowed.
 
     Examples
     --------

@@ -4,7 +4,7 @@ from dpbench.bench.record import schema
 from sitegen.markup import code, prose, table
 
 GROUPS = {
-    "What a run is": schema.IDENTITY_COLUMNS,
+    "Identity of a run": schema.IDENTITY_COLUMNS,
     "Accuracy": schema.ACCURACY_COLUMNS,
     "Times": schema.TIMING_COLUMNS,
     "Machine and repeatability": schema.MACHINE_COLUMNS,
@@ -12,20 +12,20 @@ GROUPS = {
 }
 INTRODUCTION = f"""# Columns
 
-A result folder has two tables. `runs.parquet` has a row for each cell: a problem, a solver and
-its call mode. `steps.parquet` has a row for each step of each. Times are whole nanoseconds,
-everything else is in SI units. What is not known is missing (NaN or null), never made up; `Int64`
-is a whole number that may be missing. This is version {schema.SCHEMA_VERSION} of the schema. How
-the figures are computed stands in [Method](../method.md).
+A result folder has two tables. `runs.parquet` has one row per cell: a problem, a solver and its
+call mode. `steps.parquet` has one row per step of each cell. Times are whole
+nanoseconds; all other quantities are in SI units. An unknown value is missing (NaN or null).
+`Int64` is a whole number that may be missing. The schema has version {schema.SCHEMA_VERSION}.
+[Method](../method.md) has the formulas.
 
 `load_results(folder).runs` and `.steps` are the two tables as data frames, with all columns below.
 """
-STORAGE = """## How they are stored
+STORAGE = """## Storage
 
 Both are Parquet files, compressed with Zstandard, that pandas, polars, DuckDB and others read
 alone; each page carries its check sum. All columns above are in the file. The rows of a run follow
-each other in the order of its steps, in one row group; the runs of `steps.parquet` stand in the
-order in which they were finished, those of `runs.parquet` in that of the suite. In SQL, as of
+each other in the order of its steps, in one row group. The runs of `steps.parquet` are in the order
+in which they finished, those of `runs.parquet` in the order of the suite. In SQL, for example with
 DuckDB:
 
 ```sql
@@ -34,8 +34,8 @@ FROM 'steps.parquet' JOIN 'runs.parquet' USING (run_id)
 WHERE counts GROUP BY solver
 ```
 
-`scan_steps(folder, columns, run_ids)` of `dpbench.bench.record.recorded_steps` gives the columns
-that are asked for as Arrow tables of some hundred thousand rows, whatever the size of the file;
+`scan_steps(folder, columns, run_ids)` of `dpbench.bench.record.recorded_steps` gives the
+requested columns as Arrow tables of some hundred thousand rows, whatever the size of the file;
 `read_steps` gives them in one table. A column that a file does not have is read as missing. Files
 of other versions of the schema are refused.
 

@@ -10,8 +10,8 @@ from sitegen.markup import code, prose, table
 
 INTRODUCTION = """# Command line
 
-`dpbench COMMAND --help` prints the same. Bad input ends with exit code 2 and one line that says
-where, what was found and what is allowed.
+`dpbench COMMAND --help` prints the same. Bad input ends with exit code 2 and one line
+with the place, the value found and the allowed values.
 """
 
 

@@ -5,10 +5,10 @@ from dpbench.scenario.problem_files import list_shipped_problem_names
 from dpbench.scenario.scenario import load_scenario, load_vessel
 from sitegen.markup import code, prose, table
 
-INTRODUCTION = """# What comes with it
+INTRODUCTION = """# Suites, scenarios and vessels
 
-A scenario runs with another vessel as `rough@osv`. Every file is under `problems/`, and says where
-its numbers come from.
+To run a scenario with another vessel, write `rough@osv`. Every file is under `problems/` and
+names the source of its numbers.
 """
 
 

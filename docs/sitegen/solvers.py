@@ -70,7 +70,7 @@ def _index() -> str:
 def _page(row: SolverRecord) -> str:
     parts = [f"# {row.name}\n", f"{prose(row.method[0].upper() + row.method[1:])}.\n", _facts(row)]
     for route, can in row.routes.items():
-        parts += [f"## Route {code(route)}\n", f"How it is run {ROUTES[route]}.\n"]
+        parts += [f"## Route {code(route)}\n", f"Run {ROUTES[route]}.\n"]
         parts += [_abilities(row, route, can), *_faults(can)]
     parts += ["## Settings\n", _settings(row)]
     known = [
@@ -79,7 +79,7 @@ def _page(row: SolverRecord) -> str:
     ]
     known += PITFALLS.get(row.name, [])
     if known:
-        parts += ["## What to know before you use it\n"]
+        parts += ["## Notes for users\n"]
         parts += ["\n".join(f"- {prose(text)}" for text in known), ""]
     return "\n".join(parts)
 
@@ -89,7 +89,7 @@ def _facts(row: SolverRecord) -> str:
     rows = [
         ("name in dpbench", code(row.name), ""),
         ("family", row.family, ""),
-        ("comes", f"{install}{EXTRAS[row.extra]}", ""),
+        ("installation", f"{install}{EXTRAS[row.extra]}", ""),
         ("matrices", {"dense": "dense", "csc": "sparse, by columns"}[row.form], ""),
         ("P has to be positive definite", _yes(row.needs_strict_convexity), ""),
         ("may be deployed on a ship as it is", _unless(row.reason_not_deployable), ""),
@@ -105,7 +105,7 @@ def _facts(row: SolverRecord) -> str:
         better = f"[{row.choose_instead}]({row.choose_instead}.md)"
         rows.append(("choose instead", f"{better}; suite `standard` leaves this one out", ""))
     rows += [(what, prose(fact.value), prose(fact.source)) for what, fact in stated.items()]
-    return table(("", "", "where its project says so"), rows)
+    return table(("", "", "source"), rows)
 
 
 def _yes(value: bool) -> str:
@@ -113,7 +113,7 @@ def _yes(value: bool) -> str:
 
 
 def _unless(reason: str) -> str:
-    """ "yes" where nothing stands against it; else the reason, where it says more than "no"."""
+    """Format "yes" without a reason against it; else "no" with the reason, if there is one."""
     if reason == NOT_OFFERED:
         return "no"
     return f"no: {prose(reason)}" if reason else "yes"
@@ -136,7 +136,7 @@ def _abilities(row: SolverRecord, route: Route, can: RouteRecord) -> str:
     ]
     if can.keeps:
         rows.append(("a kept workspace also keeps", prose(can.keeps)))
-    return table(("what it can do", ""), rows)
+    return table(("capability", ""), rows)
 
 
 def _faults(can: RouteRecord) -> list[str]:
@@ -149,7 +149,7 @@ def _faults(can: RouteRecord) -> list[str]:
 def _settings(row: SolverRecord) -> str:
     same, names = "", list_preset_names(row.name)
     if not has_distinct_tolerance_presets(row.name):
-        same = "It has no tolerance to set: all levels are the same.\n"
+        same = "It has no tolerance to set: all presets are the same.\n"
         names = tuple(name for name in names if name not in TOLERANCES)
         if names == (DEFAULT,):
             return same
@@ -158,4 +158,4 @@ def _settings(row: SolverRecord) -> str:
         keys = find_options_of_preset(name, row.name).items()
         options = ", ".join(code(f"{key}={value!r}") for key, value in keys)
         rows.append((code(name), options or "the library's own defaults"))
-    return same + ("\n" if same else "") + table(("settings", "what they set"), rows)
+    return same + ("\n" if same else "") + table(("settings", "options"), rows)

@@ -77,7 +77,7 @@ def meanings(model: type[FileModel]) -> dict[str, str]:
 def _page(kind: str, model: type[FileModel]) -> str:
     parts = [
         f"# Keys of a {kind} file\n",
-        f"What `problems/{kind}s/*.toml` and files of your own may say. An unknown key is an "
+        f"These are the keys of `problems/{kind}s/*.toml` and of your files. An unknown key is an "
         "error; `dpbench check FILE.toml` names the first one.\n",
     ]
     for section in sections(model):

@@ -161,7 +161,7 @@ def _describe_missing_ship(run: JudgedRun) -> tuple[str, str]:
     """Return what was found, and what is allowed, where a figure needs a ship."""
     if run.signals is None:
         return "a replay", "a closed loop; a replay has no ship"
-    found = "a closed loop of a plant of one's own, which has no ship"
+    found = "a closed loop of a custom plant, which has no ship"
     return found, "a ship's closed loop; `run.plot.signals()` plots the plant"
 
 

@@ -248,18 +248,18 @@ def run_closed_loop(
         `LinearMPC`, for a plant that is no ship.
     workspace : an object of `open_workspace`, or the name of a solver.
     steps : only the first so many; by default the whole scenario.
-    backup : name of a second solver, asked before the fallback acts; "" for none.
+    backup : name of a second solver, called before the fallback acts; "" for none.
     slowdown : how much slower than this machine the ship's computer is (≥ 1), so that answers
         arrive late; 0 for a ship that waits for each. Time is simulated, not waited for.
     deadline_s : what a step may take of its time [s], at most the sample; 0 for the sample.
-    plant : class or function that makes a `Plant` of one's own, called for this loop and for the
+    plant : class or function that makes a custom `Plant`, called for this loop and for the
         reference loop; it replaces the scenario's ship, and is needed for a `LinearMPC`.
 
     Raises
     ------
     InputError : for an unknown formulation, fallback or backup, "sparse" for a scenario that has
         none, a slowdown, deadline or number of steps that cannot be, or weather that would push a
-        plant of one's own.
+        custom plant.
     PlantError : for a plant that fails, or whose state or measurement has another shape or NaN.
     TypeError : for a scenario, workspace or number of steps of another type.
 

@@ -1,4 +1,4 @@
-"""Verdicts on settings of one's own in plain words, and the best of each grid of them."""
+"""Verdicts on custom settings in plain words, and the best of each grid of them."""
 
 import math
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ LEAST_POINTS = 3
 
 
 def describe_own_settings(verdicts: Verdicts) -> list[str]:
-    """Return lines on the verdict on each settings of one's own, and the best of each grid."""
+    """Return lines on the verdict on each custom settings, and the best of each grid."""
     own = list_best_verdict_of_own_settings(verdicts)
     modes = group_own_settings(verdicts).values()
     shown = zip(own[:MOST_OWN], modes, strict=False)
@@ -51,7 +51,7 @@ def _name_own_settings(verdict: Verdict) -> str:
 
 
 def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) -> str:
-    """Return verdict, error, failed steps and p99 of a solver at settings of one's own as text.
+    """Return verdict, error, failed steps and p99 of a solver at custom settings as text.
 
     modes : verdicts on all call modes of these settings, of which the verdict is the best.
     """

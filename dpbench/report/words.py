@@ -27,7 +27,7 @@ FILTERS = {
     "toml": formats.format_as_toml,
 }
 _FILE = Path(__file__).with_name("glossary.toml")
-_HEAD = "# Glossary\n\nEvery term that dpbench prints. Columns stand in the reference of columns.\n"
+_HEAD = "# Glossary\n\nColumns and the values in them are in the reference of columns.\n"
 
 
 @cache

@@ -137,7 +137,7 @@ class Scenario:
     velocity : (3,) of the start, [u, v, r] over ground along the ship's axes in m/s, m/s, rad/s.
     smoothed, preview : reference filter, and whether the controller sees the reference coming.
     files : the documents from which `build_scenario_from_documents` makes it again.
-    fmu : functional mock-up unit that is steered in place of `true_ship`; None for none.
+    fmu : functional mock-up unit that replaces `true_ship`; None for none.
 
     Examples
     --------
@@ -331,7 +331,7 @@ def _check_and_identify_fmu(spec: ScenarioFile, table: FmuTable, path: Path) -> 
     """Return a scenario file whose FMU is found, checked and identified by its SHA-256."""
     file = next((p for p in (path.parent / table.file, Path(table.file)) if p.is_file()), None)
     if file is None:
-        allowed = "an FMU, looked for beside this file first"
+        allowed = "an FMU; a relative path starts at the folder of this file"
         raise InputError(str(path), "plant.fmu.file", f"no file {table.file!r}", allowed)
     read_fmu_interface(file, table, str(path))
     own = hash_fmu(file)

@@ -88,7 +88,7 @@ class Workspace(ABC):
         """Return a copy of the answer: status, solution z and multipliers."""
 
     def open_again_with_equal_settings(self) -> "Workspace":
-        """Return the same solver opened anew with equal settings; SituationError unless by name."""
+        """Return the same solver, opened with equal settings; SituationError unless by name."""
         if self.reopen is None:
             sentence = "a cascade needs two workspaces; open this one by open_workspace"
             raise SituationError(f"solver {self.solver}", sentence)
@@ -156,7 +156,7 @@ POLICIES: Mapping[Policy, str] = {
 # Why a policy is missing, where a record does not say more.
 NOT_OFFERED = "not offered"
 REFUSED_BY_QPSOLVERS: Mapping[Policy, str] = {
-    "reuse": "qpsolvers sets the library up anew at every solve, so nothing can be reused",
+    "reuse": "qpsolvers sets the library up again at every solve, so nothing can be reused",
     "warm": "it ignores a start handed over by qpsolvers, so it cannot differ from fresh",
 }
 

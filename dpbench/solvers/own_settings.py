@@ -1,4 +1,4 @@
-"""Settings of one's own: a solver's options as written by a person, as grids and as text.
+"""Custom settings: a solver's options as written by a person, as grids and as text.
 
     osqp[rho=1.6,eps_abs=1e-5]    OSQP with two options
     osqp[rho=[0.1,1,10]]          a grid: OSQP three times, with one value each

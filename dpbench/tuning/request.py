@@ -132,7 +132,7 @@ def make_request(
         raise InputError("--name", "", repr(name)[:90], allowed)
     space = make_space(solver, ranges, widened, given)
     start = space.convert_to_range_types(given) if given else None
-    # Options of one's own hold in every trial, and so do ranges in place of the stated ones.
+    # Custom options hold in every trial, and so do ranges in place of the stated ones.
     known = {} if ranges else find_trial_presets(solver)
     presets = [{**options, **space.fixed} for options in known.values()]
     native = tuned.route == "native"

@@ -303,7 +303,7 @@ def tune_solver(
 
     Parameters
     ----------
-    solver : a name, or with settings of one's own as `osqp[rho=1.6]`: the search starts with these,
+    solver : a name, or with custom settings as `osqp[rho=1.6]`: the search starts with these,
         keeps those of their options that it does not search, and measures them beside the best.
     training, test : recorded sequences or scenarios; by default those in `request.py`.
     ranges : texts such as `rho=[1e-3,10]`, in place of the stated ranges of the solver.

@@ -1,4 +1,4 @@
-"""Settings of one's own reach the solver, and the results say which they were."""
+"""Custom settings reach the solver, and the results say which they were."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Settings of one's own: text, grids, names, and back."""
+"""Custom settings: text, grids, names, and back."""
 
 import pytest
 

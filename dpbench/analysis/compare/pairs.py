@@ -45,7 +45,7 @@ class Pair:
 
     @property
     def changed_options_text(self) -> str:
-        """Options of settings of one's own that differ, such as `rho 1.6 → 0.01`; "" for none."""
+        """Options of custom settings that differ, such as `rho 1.6 → 0.01`; "" for none."""
         old, new = (
             format_each_option_as_toml(decode_options_from_json(run.options))
             for run in (self.a, self.b)
@@ -79,7 +79,7 @@ def list_machine_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list
 def pair_runs_of_folders(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     """Return the runs of two result folders, paired by configuration and problem.
 
-    Settings of one's own whose options changed are paired by their name. A cell refused in both is
+    Custom settings whose options changed are paired by their name. A cell refused in both is
     left out; one whose problem changed under its name has no partner.
 
     Raises

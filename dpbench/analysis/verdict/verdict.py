@@ -305,7 +305,7 @@ def _find_unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
 ALIKE = 0.03
 """Settings whose figures differ by less are equally fast: another day may swap them."""
 MOST_OWN = 12
-"""Settings of one's own that are listed."""
+"""Custom settings that are listed."""
 
 
 def sort_fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
@@ -443,13 +443,13 @@ def list_best_verdict_of_each_solver(verdicts: Verdicts) -> list[Verdict]:
 
 
 def group_own_settings(verdicts: Verdicts) -> dict[tuple[str, str], list[Verdict]]:
-    """Return the verdicts on settings of one's own, grouped by solver and options."""
+    """Return the verdicts on custom settings, grouped by solver and options."""
     own = [verdict for verdict in verdicts.all_verdicts if verdict.configuration.options]
     return group_by_key(own, lambda v: (v.configuration.solver, v.configuration.options))
 
 
 def list_best_verdict_of_own_settings(verdicts: Verdicts) -> list[Verdict]:
-    """Return the best verdict over the call modes of each solver's settings of one's own.
+    """Return the best verdict over the call modes of each solver's custom settings.
 
     Only the call modes count that were judged in a closed loop and in the most runs of all.
     """
@@ -464,7 +464,7 @@ def _choose_of_most_judged(alike: Sequence[Verdict]) -> Verdict:
 
 
 def list_main_verdicts(verdicts: Verdicts) -> list[Verdict]:
-    """Return each solver's best verdict and the `MOST_OWN` best on settings of one's own.
+    """Return each solver's best verdict and the `MOST_OWN` best on custom settings.
 
     They are sorted from pass to fail, then by time.
     """

@@ -53,7 +53,7 @@ class PlannedCell:
     """A planned run of one solver on one problem, or the reason why it is refused.
 
     `alias_settings` are further names of the same settings, shown as rows of their own;
-    `merged_settings` are further names of the same options of one's own, which get no row.
+    `merged_settings` are further names of the same custom options, which get no row.
     """
 
     cell: Cell

@@ -63,7 +63,7 @@ Table = ClosedLoopTable | ReplayTable | RandomTable | RecordedTable | Capability
 
 
 class NamedSettings(NamedTuple):
-    """Settings by name: options of one's own as JSON, or a preset with other names of the same.
+    """Settings by name: custom options as JSON, or a preset with other names of the same.
 
     route, policy : of settings that have a call mode of their own.
     """
@@ -154,7 +154,7 @@ def refuse_unknown_settings_names(
 
 
 def refuse_invalid_own_settings(suite: SuiteFile, choices: Iterable[str], where: str) -> None:
-    """Raise SettingsError for settings of one's own that an installed solver does not accept.
+    """Raise SettingsError for custom settings that an installed solver does not accept.
 
     where : the place of the choices of solvers.
 
@@ -217,7 +217,7 @@ def _refuse_unaccepted_options(solver: str, options: Options) -> None:
 def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     """Return the solvers of a suite, or those of `only` where some are chosen.
 
-    A solver with options of one's own is a text such as `osqp[rho=1.6]`. "all" leaves out those of
+    A solver with custom options is a text such as `osqp[rho=1.6]`. "all" leaves out those of
     an optional extra that is not installed, and what the suite does not want as superseded.
     UnknownNameError for an unknown solver; SettingsError
     for options that a solver does not have; InputError for a baseline of the report, or solvers of

@@ -118,7 +118,7 @@ def _load_horizon_variants(
 
 
 def _unify_own_settings(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
-    """Return cells in which equal options of one's own of a solver have the first of their names.
+    """Return cells in which equal custom options of a solver have the first of their names.
 
     The other names are noted at the first of these cells.
     """

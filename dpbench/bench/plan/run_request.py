@@ -153,7 +153,7 @@ def reduce_suite(
     """Return a suite reduced to some scenarios, calls and `steps` of each loop and replay.
 
     calls : `settings`, `routes` and `policies` in place of those of every table; the last two also
-        of settings of one's own.
+        of custom settings.
 
     Unless the suite names all `scenarios`, they replace its own, by name or TOML file: each closed
     loop and replay runs with them, from the first step on. InputError for less than one step.

@@ -48,7 +48,7 @@ class ReplicatesTable(FileModel):
     """Repetitions of each study point with other values of one parameter, by default the sea."""
 
     key: str = "environment.seed"
-    """Dotted name of the key that tells replicates apart."""
+    """Dotted name of the key in which replicates differ."""
     count: Annotated[int, Field(ge=1, le=MOST_CELLS)] = 1
     """Number of realisations of each point."""
     first: Annotated[int, Field(ge=0, le=MOST_CELLS)] = 1
@@ -101,7 +101,7 @@ class StudyTable(RunsTable):
     """
 
     base: str
-    """The scenario by name, scenario@vessel, or a TOML file beside the suite."""
+    """The scenario by name, scenario@vessel, or a TOML file in the suite's folder."""
     name: str = ""
     """Name, one word for each study of a suite; by default that of its scenario."""
     radius_m: Annotated[float, Field(gt=0)] = 1.0

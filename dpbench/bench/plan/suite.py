@@ -118,7 +118,7 @@ class ClosedLoopTable(ScenarioRunsTable):
     """Closed loops of a suite: every solver controls the ship of each scenario by itself."""
 
     scenarios: list[str]
-    """Scenarios by name, scenario@vessel, or TOML files beside the suite."""
+    """Scenarios by name, scenario@vessel, or TOML files in the suite's folder."""
     vessels: list[str] = []
     """Run every scenario with each of these vessels instead of its own."""
     fallback: Fallback = DEFAULT_FALLBACK
@@ -208,7 +208,7 @@ class RandomTable(RunsTable):
 class RecordedTable(RunsTable):
     """Recorded QPs of a suite: a stored sequence by name, a `.npz` file, or a folder.
 
-    A relative path is looked for beside the suite first. Such QPs have no units but their own.
+    A relative path starts at the suite's folder. Such QPs have no units but their own.
     """
 
     units: ClassVar[list[Units]] = ["scaled"]
@@ -228,7 +228,7 @@ class CapabilityTable(RunsTable):
     units: ClassVar[list[Units]] = ["scaled"]
     formulations: ClassVar[list[FormulationName]] = ["condensed_box"]
     vessel: str
-    """A vessel with `[[thrusters]]` and `[capability]`, by name or a TOML file beside the suite."""
+    """A vessel with `[[thrusters]]` and `[capability]`, or its TOML file in the suite's folder."""
     sides: Annotated[int, Field(ge=4, multiple_of=2)] = 16
     """Sides of the polygons in place of circles."""
 
@@ -263,7 +263,7 @@ class ReportTable(FileModel):
     """Settings of a suite's report: the solver to compare with, and the step it shows first."""
 
     baseline: str | None = None
-    """The solver set beside the answer; by default the next best."""
+    """The solver to compare the recommendation with; by default the next best."""
     step: Count | None = None
     """Step that the report shows first."""
     configuration: str | None = None
@@ -271,7 +271,7 @@ class ReportTable(FileModel):
 
 
 class SettingsTable(FileModel):
-    """Settings of one's own: each solver's options by its own keys; a list is a grid."""
+    """Custom settings: each solver's options by its own keys; a list is a grid."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset({"route", "policy"})
     model_config = ConfigDict(extra="allow")
@@ -324,7 +324,7 @@ class SuiteFile(FileModel):
     report: ReportTable = ReportTable()
     """First view of the report."""
     settings: dict[str, SettingsTable] = {}
-    """Settings of one's own by name: options of each solver, and a call mode."""
+    """Custom settings by name: options of each solver, and a call mode."""
     design: DesignTable | None = None
     """Stability and region of attraction of the controllers; not studied without this table."""
     embedded: EmbeddedTable | None = None
@@ -386,7 +386,7 @@ def load_path_and_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     kind = next((kind for key, kind in _OTHER_FILES.items() if key in document), None)
     if kind is not None:
         own = "`run_campaign(SUITE, scenarios=[FILE])` or `dpbench run SUITE --scenario FILE`"
-        allowed = f"a suite; a scenario of one's own by {own}"
+        allowed = f"a suite; a custom scenario by {own}"
         raise InputError(str(path), "", kind, allowed)
     return path, validate_settings_as_model(document, SuiteFile, str(path))
 

@@ -189,7 +189,7 @@ class Cell:
         deadline of a step; 0 to wait for every answer, and for the whole sample.
     seed : of the order of configurations within a round.
     solver_module : file of the solver's plug-in; "" for none.
-    options : options of settings of one's own, as JSON; "" where `settings` names a preset.
+    options : options of custom settings, as JSON; "" where `settings` names a preset.
     """
 
     mode: Literal["closed_loop", "replay"]
@@ -220,7 +220,7 @@ class Cell:
 
     @property
     def solver_settings(self) -> Settings:
-        """Settings to open the solver with: options of one's own, or the name of a preset."""
+        """Settings to open the solver with: custom options, or the name of a preset."""
         return decode_options_from_json(self.options) or self.settings
 
     @property
@@ -342,7 +342,7 @@ HARNESS_VERSION = version("dpbench")
 class Configuration:
     """A solver with call mode, settings, units and formulation, as results are compared by.
 
-    `options` of settings of one's own are JSON, "" with a preset; `alias` has further names of the
+    `options` of custom settings are JSON, "" with a preset; `alias` has further names of the
     same settings, where settings have no effect.
     """
 
@@ -357,12 +357,12 @@ class Configuration:
 
     @property
     def solver_settings(self) -> Settings:
-        """Settings to open the solver with: options of one's own, or the name of a preset."""
+        """Settings to open the solver with: custom options, or the name of a preset."""
         return decode_options_from_json(self.options) or self.settings
 
     @property
     def options_text(self) -> str:
-        """Options of settings of one's own, where their name does not show them; "" else."""
+        """Options of custom settings, where their name does not show them; "" else."""
         text = format_options_as_toml(decode_options_from_json(self.options))
         return "" if text == self.settings else text
 

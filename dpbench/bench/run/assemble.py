@@ -52,9 +52,9 @@ def build_closed_loop_setup(
     """Build what a closed-loop run needs: QP builder, timed solver, log, backup, time limits.
 
     `hung` are steps in which an earlier process hung, whose log `new_log` opens; for a step that is
-    there twice, the backup and the second solver of a cascade hung too. `plant` makes a plant of
-    one's own, which replaces the scenario's ship. InputError for "sparse"
-    without stages, an impossible delay, or a backup or second workspace that cannot be opened.
+    there twice, the backup and the second solver of a cascade hung too. `plant` makes a custom
+    plant, which replaces the scenario's ship. InputError for "sparse" without stages, an impossible
+    delay, or a backup or second workspace that cannot be opened.
     """
     scenario = adapt_scenario_to_cell(cell, scenario)
     delay = make_delay_of_cell(cell, scenario.sample_s)

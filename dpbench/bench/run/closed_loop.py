@@ -184,7 +184,7 @@ class ClosedLoopSetup:
     the run. `delay` is that of a slow computer, None where the ship waits for each answer; `usage`
     counts preemptions there.
     `allocating` is the solver of a cascade's second QP; `drawn` the precomputed weather; `backup`
-    the second solver; `plant` makes a plant of one's own in place of the scenario's ship.
+    the second solver; `plant` makes a custom plant in place of the scenario's ship.
     """
 
     scenario: Case
@@ -205,7 +205,7 @@ class ClosedLoopSetup:
 def record_closed_loop(setup: ClosedLoopSetup) -> bool:
     """Run a closed loop and record every step; return False when the time limit stopped it.
 
-    PlantError where a plant of one's own fails.
+    PlantError where a custom plant fails.
     """
     steered, own = build_steered_system(setup.scenario, setup.plant, setup.drawn)
     try:

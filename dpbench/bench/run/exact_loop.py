@@ -200,7 +200,7 @@ def solve_loop_exactly(
     """Run a scenario's closed loop with the certified optimum of every step; return its record.
 
     report : called with the steps done and the steps of the loop, after each.
-    plant : makes a plant of one's own, an instance for this loop, which replaces the ship.
+    plant : makes a custom plant, an instance for this loop, which replaces the ship.
 
     Where a step has no feasible point, or nothing can be proven, the loop follows its last plan.
     """

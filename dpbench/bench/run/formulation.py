@@ -30,7 +30,7 @@ from dpbench.scenario.scenario import Scenario
 from dpbench.ship.layout import AXES, STATE
 
 Case = Scenario | LinearMPC
-"""Task of a closed loop: a ship's scenario, or a linear MPC with a plant of one's own."""
+"""Task of a closed loop: a ship's scenario, or a linear MPC with a custom plant."""
 
 
 class QPBuilder:

@@ -26,7 +26,7 @@ from dpbench.ship.plant import SUBSTEPS, Sensors, ShipPlant
 Result = TypeVar("Result")
 
 plant_observers: list[Callable[[bool], None]] = []
-"""Called with True before and with False after each call of a plant of one's own."""
+"""Called with True before and with False after each call of a custom plant."""
 
 
 class Steered(ABC):
@@ -101,7 +101,7 @@ class SteeredShip(Steered):
 
 
 class SteeredPlant(Steered):
-    """A plant of one's own, steered by a linear MPC."""
+    """A custom plant, steered by a linear MPC."""
 
     def __init__(self, mpc: LinearMPC, plant: "ObservedPlant") -> None:
         self._plant, self._C = plant, mpc.model.C
@@ -123,7 +123,7 @@ class SteeredPlant(Steered):
 
 
 class ObservedPlant:
-    """A plant of one's own whose answers are checked; `plant_observers` know when it is called.
+    """A custom plant whose answers are checked; `plant_observers` know when it is called.
 
     size : of its state and of its measurement.
     """
@@ -183,9 +183,9 @@ class ObservedPlant:
 def build_steered_system(
     case: Case, make: PlantMaker | None, drawn: WeatherDraw | None = None
 ) -> tuple[Steered, ObservedPlant | None]:
-    """Return what a closed loop steers, and the plant of one's own in it, if any.
+    """Return what a closed loop steers, and the custom plant in it, if any.
 
-    make : of a plant of one's own; by default the scenario's FMU, if it has one, or its ship.
+    make : of a custom plant; by default the scenario's FMU, if it has one, or its ship.
     InputError for a linear MPC without a plant; PlantError where the plant fails or does not fit.
     """
     if isinstance(case, LinearMPC):

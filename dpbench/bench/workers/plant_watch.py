@@ -1,4 +1,4 @@
-"""Tell faults of a plant of one's own from those of a solver."""
+"""Tell faults of a custom plant from those of a solver."""
 
 import signal
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from dpbench.bench.workers.shared_status import Phase, set_phase
 
 
 class PlantWatch:
-    """Observer of a plant of one's own, so that its faults are told from those of a solver.
+    """Observer of a custom plant, so that its faults are told from those of a solver.
 
     after : phase of the process between calls of the plant. call_limit_s : time of one call after
     which the kernel ends the process, where no supervisor limits it; 0 for none.

@@ -45,7 +45,7 @@ _BY_SOLVERS = (
 
 
 class Phase(IntEnum):
-    """Phases of a worker process: starting, benchmark's own work, solver, plant of one's own."""
+    """Phases of a worker process: starting, benchmark's own work, solver, custom plant."""
 
     STARTING = 0
     HARNESS = 1

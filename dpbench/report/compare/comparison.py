@@ -380,7 +380,7 @@ def _describe_machine(view: Records) -> str:
 
 
 def describe_changed_options(pairs: Pairs) -> list[str]:
-    """Return lines on options of settings of one's own that changed under the same name."""
+    """Return lines on options of custom settings that changed under the same name."""
     changed = [pair for pair in pairs.pairs if pair.changed_options_text]
     return list(
         dict.fromkeys(

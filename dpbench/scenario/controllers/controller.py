@@ -47,7 +47,7 @@ FIXED_MODEL = Linearisation(CondensedQP)  # One model for the whole run
 
 def make_factory_of_relinearised_qps(psi0_rad: float) -> Linearisation:
     """Return the factory of QPs that are re-linearised at each measured heading."""
-    why = "sparse: the model is linearised anew at each step, and its stages with it"
+    why = "sparse: the model is linearised again at each step, and its stages with it"
     return Linearisation(partial(RelinearisedQP, psi0_rad=psi0_rad), why)
 
 

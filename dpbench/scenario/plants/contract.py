@@ -1,4 +1,4 @@
-"""The contract of a plant: a simulator of one's own, which a controller steers."""
+"""The contract of a plant: a custom simulator, which a controller steers."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -12,7 +12,7 @@ PlantMaker = Callable[[], "Plant"]
 
 
 class PlantError(SituationError):
-    """A fault of a plant of one's own, such as a failed call; never charged to a solver.
+    """A fault of a custom plant, such as a failed call; never charged to a solver.
 
     Examples
     --------
@@ -22,7 +22,7 @@ class PlantError(SituationError):
 
 
 class Plant(Protocol):
-    """Simulator of one's own, which a controller steers for one run.
+    """Custom simulator, which a controller steers for one run.
 
     Of a ship: `u` (3,) is the force in surge, sway and yaw [N, N, N·m]; `state` and the measurement
     are [u, v, r, n, e, ψ] (6,) in m/s, m/s, rad/s, m, m, rad, where ψ may wrap. Of a `LinearMPC`:
@@ -68,5 +68,5 @@ def refuse_loads_on_own_plant(environment: Environment, where: str) -> None:
     }
     for key, is_load in loads.items():
         if is_load:
-            allowed = "none, as a plant of one's own simulates its own weather"
+            allowed = "none, as a custom plant simulates its own weather"
             raise InputError(where, f"environment.{key}", "a load on the ship", allowed)

@@ -1,4 +1,4 @@
-"""A linear MPC of one's own, for a plant that need not be a ship.
+"""A custom linear MPC, for a plant that need not be a ship.
 
 Its QPs are built as those of the ship's controller: from the incremental model of x⁺ = A x + B u,
 y = C x, with limits of u and of its change, condensed.

@@ -78,7 +78,7 @@ class FmuStartTable(FileModel):
 
 
 class FmuTable(FileModel):
-    """Co-simulation FMU (2.0 or 3.0) that is steered in place of dpbench's own ship.
+    """Co-simulation FMU (2.0 or 3.0) that replaces dpbench's own ship.
 
     It is code: it runs with all rights of the user. Every run has an instance of its own.
     """
@@ -86,7 +86,7 @@ class FmuTable(FileModel):
     later_keys: ClassVar[frozenset[str]] = frozenset({"sha256"})
 
     file: str
-    """The FMU, looked for beside this file first."""
+    """The FMU; a relative path starts at the folder of this file."""
     step_s: keys.Seconds | None = None
     """Communication step of the FMU [s], a whole fraction of the sample; by default the sample."""
     inputs: FmuInputsTable
@@ -226,7 +226,7 @@ class ControllerTable(FileModel):
     model_heading_deg: keys.Degrees = 0.0
     """Heading the model is linearised at [°]."""
     linearisation: Literal["fixed", "each_step"] = "fixed"
-    """fixed: one model; each_step: the model, and with it P, anew at every measured heading."""
+    """fixed: one model; each_step: the model, and so P, is computed at every measured heading."""
     amplitude: Literal["reachable", "hard", "soft"] = "reachable"
     """Amplitude limits. reachable: widened to what the rate can reach; hard: as they are, may
     be infeasible; soft: slacks with an exact penalty."""
@@ -346,7 +346,7 @@ class ScenarioFile(FileModel):
     shows: str
     """Purpose of the scenario."""
     vessel: str
-    """A vessel by name, or a TOML file, looked for beside this one first."""
+    """A vessel by name, or a TOML file, in the folder of this file first."""
     sample_s: keys.Seconds
     """Time between two answers of the controller [s]."""
     duration_s: keys.Seconds

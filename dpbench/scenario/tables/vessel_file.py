@@ -26,11 +26,11 @@ class LimitsTable(FileModel):
     """Limits of the control force and of its rate of change."""
 
     surge_N: keys.Two
-    """Least and largest surge force [N]; zero lies between."""
+    """Least and largest surge force [N]; zero is between them."""
     sway_N: keys.Two
-    """Least and largest sway force [N]; zero lies between."""
+    """Least and largest sway force [N]; zero is between them."""
     yaw_Nm: keys.Two
-    """Least and largest yaw moment [N·m]; zero lies between."""
+    """Least and largest yaw moment [N·m]; zero is between them."""
     rate_max_N_per_s: keys.ThreePositive
     """Fastest change of surge, sway [N/s] and yaw [N·m/s]."""
 

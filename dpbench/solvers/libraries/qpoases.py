@@ -60,7 +60,7 @@ RECORD = SolverRecord(
             two_sided=True,
             refused={
                 "reuse": "casadi keeps its working set from solve to solve and cannot reset it "
-                "without making everything anew, which is fresh"
+                "without a new set-up of everything, which is fresh"
             },
         )
     },

@@ -1,4 +1,4 @@
-"""Settings of one's own in a suite and on the command line, from the text to the cells."""
+"""Custom settings in a suite and on the command line, from the text to the cells."""
 
 from pathlib import Path
 from traceback import format_exception
@@ -13,7 +13,7 @@ from dpbench.solvers.settings import find_options_of_preset
 
 OSQP = "osqp = { rho = 1.6, eps_abs = 1e-5 }"
 SUITE = """
-title = "Settings of one's own"
+title = "Custom settings"
 solvers = ["osqp", "daqp"]
 baseline_law = false
 

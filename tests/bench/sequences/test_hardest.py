@@ -115,7 +115,7 @@ def test_a_window_that_cannot_be_is_refused(table: dict[str, object], words: str
 
 
 def test_fewer_steps_cut_the_window_and_its_stretch() -> None:
-    """`--steps` is the most of every replay; a scenario of one's own may be shorter too."""
+    """`--steps` is the most of every replay; a custom scenario may be shorter too."""
     cut = reduce_suite(suite_of(steps=450, hardest=50), steps=20)
     assert [p.cell.steps for p in plan_suite(cut)] == [20]
     wide = reduce_suite(suite_of(steps=450, hardest=50), steps=100)

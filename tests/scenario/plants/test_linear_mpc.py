@@ -1,4 +1,4 @@
-"""A linear MPC of one's own, and plants by the public contract."""
+"""A custom linear MPC, and plants by the public contract."""
 
 from typing import Any
 
@@ -90,7 +90,7 @@ def test_a_loop_reaches_its_reference_within_all_limits(formulation: Any) -> Non
         assert run.steps[name].isna().all()
     assert "ship" not in run._repr_html_()
     for draw in (run.plot.ship, run.plot.errors, run.plot.forces):
-        with pytest.raises(InputError, match=r"plant of one's own, which has no ship; .*signals"):
+        with pytest.raises(InputError, match=r"custom plant, which has no ship; .*signals"):
             draw()
 
 

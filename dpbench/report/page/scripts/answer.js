@@ -16,7 +16,7 @@ function kept() {
   const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
   const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");
   if (!right.length) return own;
-  // A solver has further rows for settings of one's own.
+  // A solver has further rows for custom settings.
   const solvers = right.sort((a, b) => b.margin - a.margin).filter((row, i) => right.findIndex((r) => r.solver === row.solver) === i);
   const safe = solvers.filter((row) => state.slow <= 1 || row.margin >= state.slow);
   return `${own}${safe.length} of the ${solvers.length} that ${passing.length ? "pass" : "nothing contradicts"
