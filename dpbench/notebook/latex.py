@@ -56,19 +56,27 @@ _ESCAPES = str.maketrans(_SPECIAL | {sign: f"${math}$" for sign, math in _MATH.i
 _NUMBER = re.compile(r"(?<![\w.)])-?\d+(?:\.\d+)?e[+-]?\d+(?!\w)|(?<![\w.)])-(?=\d)")
 """A number with an exponent, or the minus of another one."""
 _DIGITS = 3
+_COLUMN_NAME = re.compile(r"[a-z]\w*", re.ASCII)
+_UNITS = {unit: unit for unit in ("ns", "ms", "s", "m", "cm", "N", "kN", "mps", "J")} | {
+    "us": "µs",
+    "deg": "°",
+    "mps": "m/s",
+}
+"""Units that column names end with."""
 
 
 def make_tabular(table: pd.DataFrame) -> str:
     r"""Return a table as a LaTeX `tabular` with the rules of `booktabs`, one line a row.
 
-    Numbers have three digits and stand to the right; a missing value is an empty cell.
+    Numbers have three digits and stand to the right; a missing value is an empty cell. Heads are
+    column names with spaces and the unit in brackets.
 
     Examples
     --------
     >>> print(make_tabular(pd.DataFrame({"p50_us": [5.468], "error": [2.64e-12]})))
     \begin{tabular}{rr}
     \toprule
-    p50\_us & error \\
+    p50 [$\mu$s] & error \\
     \midrule
     5.47 & $2.64\cdot 10^{-12}$ \\
     \bottomrule
@@ -76,11 +84,25 @@ def make_tabular(table: pd.DataFrame) -> str:
     <BLANKLINE>
     """
     align = "".join("r" if _has_only_numbers(table[name]) else "l" for name in table)
-    heads = (escape_latex(str(name)) for name in table)
+    heads = (escape_latex(make_table_head(str(name))) for name in table)
     rows = [map(format_latex_cell, row) for row in table.itertuples(index=False, name=None)]
     head, *body = (" & ".join(cells) + r" \\" for cells in (heads, *rows))
     lines = [r"\toprule", head, r"\midrule", *body, r"\bottomrule"]
     return "\n".join((f"\\begin{{tabular}}{{{align}}}", *lines, r"\end{tabular}", ""))
+
+
+def make_table_head(name: str) -> str:
+    """Return the head of a column for print: a name with words apart and its unit in brackets.
+
+    >>> make_table_head("longest_wait_us")
+    'longest wait [µs]'
+    """
+    if _COLUMN_NAME.fullmatch(name) is None:
+        return name
+    words, _, unit = name.rpartition("_")
+    if not words or unit not in _UNITS:
+        words, unit = name, ""
+    return words.replace("_", " ") + (f" [{_UNITS[unit]}]" if unit else "")
 
 
 def _has_only_numbers(column: pd.Series) -> bool:

@@ -114,8 +114,8 @@ class Results(result_folder.Results):
         Each solver's best against the fastest, and its settings, in one call mode, against
         `default` or the first of them. One row for each number of `variables`. `low` and `high`
         bound the mean ratio. `finding` is "slower" or "faster" (the second), "tied" where they
-        include 1, "unstable" where another measure names another one as faster, or "too few steps"
-        for an interval, which is then 0 to inf.
+        include 1, "unstable" where another measure names another one as faster, "one run" of
+        settings without effect, or "too few steps" for an interval; these two have 0 to inf.
         """
         return self.tables["paired_ratios"]
 

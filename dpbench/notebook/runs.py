@@ -188,7 +188,10 @@ class Run:
         counting = self.steps[self.steps["counts"]]
         waited = counting["waited_ns"].sum() / max(counting["total_ns"].sum(), 1)
         if waited >= NOTED_WAIT:
-            parts.append(f"{format_share(waited)} of the times are waits for the core")
+            parts.append(
+                f"in {format_share(waited)} of the timed span the solver waited for the processor "
+                "core, which other programs had"
+            )
         return "; ".join(parts)
 
     @property

@@ -268,6 +268,8 @@ def _describe_time_ratio(compared: PairedComparison) -> str:
         return f"{times} (geometric means over the same steps), {compared.separate}, so no ratio"
     typically = "typically " if compared.is_unstable else ""
     wording = f"{typically}{significant(compared.ratio.value)} times as long over the same steps"
+    if compared.is_of_one_run:
+        return "the same run under another name: the settings make no difference"
     if not math.isfinite(compared.ratio.high):
         few = f"; fewer than {LEAST_STEPS} steps" if compared.steps < LEAST_STEPS else ""
         wording += f" (geometric mean of {plural(compared.steps, 'step')}{few}, so no interval)"

@@ -56,5 +56,5 @@ def test_a_text_is_escaped(text: str, latex: str) -> None:
 def test_numbers_are_to_the_right_of_a_table() -> None:
     table = pd.DataFrame({"a_b": ["x"], "n": [2], "is": [True], "t": [0.5]})
     lines = make_tabular(table).splitlines()
-    assert lines[0] == r"\begin{tabular}{lrlr}" and lines[2] == r"a\_b & n & is & t \\"
+    assert lines[0] == r"\begin{tabular}{lrlr}" and lines[2] == r"a b & n & is & t \\"
     assert lines[4] == r"x & 2 & True & 0.5 \\" and lines[-1] == r"\end{tabular}"

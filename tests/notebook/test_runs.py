@@ -364,4 +364,5 @@ def test_a_replay_names_what_disturbed_it() -> None:
     for text in (repr(both), both._repr_html_()):
         assert text.index("the machine was disturbed") < text.index("first solved")
     waiting = replace(calm, steps=still.assign(waited_ns=still["total_ns"] // 4))
-    assert "25.0 % of the times are waits for the core" in repr(waiting)
+    waits = "in 25.0 % of the timed span the solver waited for the processor core, which other"
+    assert waits in repr(waiting)

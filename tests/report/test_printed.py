@@ -1,5 +1,6 @@
 """Figures by Matplotlib show the tables that the page's figures show."""
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -129,6 +130,21 @@ def test_accuracy_has_hollow_points_for_what_does_not_pass() -> None:
     assert [text.get_text() for text in axes.texts] == ["osqp", "daqp"]
     assert axes.texts[0].xy == (60.0, 1e-5)
     assert _legend(figure) == ["active set", "first order"]
+
+
+def test_labels_of_a_short_logarithmic_axis_stand_apart() -> None:
+    """From 40 to 70 µs, where each of nine ticks would have a label."""
+    columns = {"solver": ["osqp", "daqp"], "error": [1e-5, 1e-6], "p50_us": [70.0, 40.0]}
+    columns |= {"family": ["first order", "active set"], "verdict": ["pass", "pass"]}
+    figure = _printed().draw_accuracy(pd.DataFrame(columns), 0.01)
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    labels = [*axes.xaxis.get_majorticklabels(), *axes.xaxis.get_minorticklabels()]
+    boxes = [label.get_window_extent() for label in labels if label.get_text()]
+    low, high = axes.get_window_extent().intervalx
+    inside = sorted(box.intervalx.tolist() for box in boxes if low <= box.intervalx.mean() <= high)
+    assert inside
+    assert all(end < start for (_, end), (start, _) in pairwise(inside))
 
 
 @pytest.mark.slow

@@ -56,10 +56,17 @@ class PairedComparison:
         return len({*self.leaders.values()} | (set() if self.is_tied else by_ratio)) > 1
 
     @property
+    def is_of_one_run(self) -> bool:
+        """True if all times are the same: settings without effect are two names of one run."""
+        return self.ratio.value == 1.0 and not math.isfinite(self.ratio.high)
+
+    @property
     def finding_text(self) -> str:
-        """Finding: "tied", "unstable", the second is "slower" or "faster", or why there is none."""
+        """Finding in a word or two: the second is slower or faster, or why it is neither."""
         if self.separate:
             return self.separate
+        if self.is_of_one_run:
+            return "one run"
         if not math.isfinite(self.ratio.high):
             return "too few steps"
         if self.is_tied:

@@ -8,7 +8,9 @@ import numpy as np
 import pandas as pd
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator
 
 from dpbench.analysis.verdict.requirements import STATES
 from dpbench.bench.record.schema import FORCES
@@ -17,6 +19,8 @@ from dpbench.report.charts.ship_tables import STEP, TIME, Panel, PathTables
 
 COLUMN_IN = 3.5
 """Width of a figure in one column of a two-column paper [inch]."""
+FEW_DECADES = 1.5
+"""Decades below which a logarithmic axis has labels between powers of ten."""
 _DASHES = ("-", "--", "-.", ":")
 _SMALL: dict[str, Any] = {"fontsize": 7}
 _LIMIT: dict[str, Any] = {"color": style.FAIL, "linestyle": "--", "linewidth": 0.8}
@@ -61,6 +65,8 @@ def draw_panels(panels: Sequence[Panel], over: str = TIME) -> Figure:
         for limit in panel.limits:
             axes.axhline(limit, color=style.SOFT, linestyle="--", linewidth=0.8)
         axes.set(ylabel=panel.title, yscale="log" if panel.is_log else "linear")
+        if panel.is_log:
+            _label_log_axis(axes.yaxis)
         axes.annotate(
             panel.note, (0.98, 0.95), xycoords="axes fraction", ha="right", va="top", **_SMALL
         )
@@ -86,6 +92,8 @@ def draw_step_strips(
         errors.plot(some["k"], some["error"].clip(lower=style.FLOOR), color=colour, **dots)
     errors.axhline(error_limit, **_LIMIT)
     errors.set(ylabel="error_move", yscale="log")
+    for axes in (times, errors):
+        _label_log_axis(axes.yaxis)
     iterations.fill_between(table["k"], table["active"], step="post", color=style.LINE)
     iterations.plot(table["k"], table["iterations"], color=style.INK, **dots)
     iterations.set(ylabel="iterations, active")
@@ -118,6 +126,7 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
     for state in (state for state in STATES if state in set(table["verdict"])):
         axes.plot([], [], _MARKERS[state], color=_COLOURS[state], label=state)
     axes.set(xscale="log", xlabel="step time [ms]")
+    _label_log_axis(axes.xaxis)
     axes.set_yticks(range(len(table)), table["label"], **_SMALL)
     axes.set_ylim(len(table) - 0.5, -0.5)
     return _add_legend(figure, axes)
@@ -143,6 +152,8 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Figure:
         axes.plot([], [], "o", color=style.FAMILY_COLOURS[family], label=family)
     axes.axhline(error_limit, **_LIMIT)
     axes.set(xscale="log", yscale="log", xlabel="p50 [µs]", ylabel="largest error_move")
+    for axis in (axes.xaxis, axes.yaxis):
+        _label_log_axis(axis)
     return _add_legend(figure, axes)
 
 
@@ -158,12 +169,23 @@ def _make_axes(
     for one in rows:
         one.grid(color=style.GRID, linewidth=0.6)
         one.set_axisbelow(True)
-        one.tick_params(labelsize=7)
+        one.tick_params(labelsize=7, which="both")
         one.xaxis.label.set_fontsize(8)
         one.yaxis.label.set_fontsize(8)
         one.spines[["top", "right"]].set_visible(False)
     figure.align_ylabels(rows)
     return figure, rows
+
+
+def _label_log_axis(axis: Axis) -> None:
+    """Label 2 and 5 between the powers of ten of an axis that spans few of them, else none."""
+
+    def label(value: float, _: int | None = None) -> str:
+        low, high = np.log10(axis.get_view_interval())
+        return f"{value:.3g}" if high - low < FEW_DECADES else ""
+
+    axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+    axis.set_minor_formatter(FuncFormatter(label))
 
 
 def _draw_laws(axes: Axes, table: pd.DataFrame, x: str, y: str, **look: Any) -> None:

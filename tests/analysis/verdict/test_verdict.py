@@ -10,6 +10,7 @@ import pytest
 
 from dpbench.analysis.times.paired_times import (
     compare_paired_times,
+    compare_settings_of_solvers,
 )
 from dpbench.analysis.verdict.requirements import MISSED, Finding, Requirements
 from dpbench.analysis.verdict.time_findings import compute_speed_margins
@@ -427,6 +428,16 @@ def test_a_tie_is_called_a_tie(records: Any) -> None:
     found = _duel(records, 20.0)
     assert found.is_tied and found.finding_text == "tied"
     assert "no significant difference" in describe_paired_times([found])
+
+
+def test_two_names_of_one_run_are_called_so(records: Any) -> None:
+    """Settings without effect have the same times on all 1000 steps: enough for an interval."""
+    for level in ("default", "high"):
+        records.loop("quadprog", settings=level)
+        records.replay("quadprog", settings=level, median_us=20.0, spread=0.0)
+    (found,) = compare_settings_of_solvers(records.view())
+    assert found.steps == 1000 and found.finding_text == "one run"
+    assert describe_paired_times([found]).startswith("the same run under another name")
 
 
 @pytest.mark.parametrize("median_us", [20.2, 45_200.0])

@@ -5,7 +5,7 @@
 function beside() {
   const first = facts.answer.first, rows = first === state.c ? [] : together(first, state.c);
   return rows.length
-    ? `, ${figure(ratioOf(rows))} × the time of ${unlike(first, state.c)} (geometric mean of the same steps)` : "";
+    ? `, ${figure(ratioOf(rows), 2)} × the time of ${unlike(first, state.c)} (geometric mean of the same steps)` : "";
 }
 
 // The line that stays: the chosen one with its times and where it is shown; on a phone without what

@@ -83,13 +83,14 @@ async function drawTwo() {
   $("figure-pairs").hidden = false;
   const ratio = Math.max(ratioOf(rows), 1 / ratioOf(rows)), reach = reachOf(state.c, second);
   const [slower, faster] = ratioOf(rows) >= 1 ? [second, state.c] : [state.c, second];
-  const interval = reach === null ? "too few steps for an interval"
-    : `95 % interval ${figure(ratio / reach)} to ${figure(ratio * reach)}`;
+  // The packed times hold two digits of a ratio.
+  const interval = reach !== null ? `95 % interval ${figure(ratio / reach, 2)} to ${figure(ratio * reach, 2)}`
+    : ratio === 1 ? "one run: the settings make no difference" : "too few steps for an interval";
   said.textContent = !paired.length
     ? `${label(state.c)} takes ${time(meanOf(rows, "a"))} a step and ${label(second)} `
     + `${time(meanOf(rows, "b"))}, ${rows[0].separate}, so there is no ratio: geometric means over `
     + `${commonSteps(rows)}.`
-    : `${label(slower)} takes ${figure(ratio)} times as long as ${label(faster)} `
+    : `${label(slower)} takes ${figure(ratio, 2)} times as long as ${label(faster)} `
     + `(${interval}): geometric mean over ${commonSteps(rows)}. Below the dashed line `
     + `${unlike(second, state.c)} is faster.`;
   const view = await figureOf("pairs");
