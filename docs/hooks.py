@@ -22,6 +22,8 @@ SOURCES = {
     "problems": "reference/library.md",
 }
 """Pages of the site by the file or folder of the repository that they are made from."""
+FIGURES = "results/reference/figures"
+"""Figures of the reference run, which guides show."""
 ROOT = Path(__file__).parents[1]
 MAKERS = (
     toml_keys.pages,
@@ -59,13 +61,15 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
     up = "../" * (page.file.src_uri.count("/") + 1)
     for source, made in SOURCES.items():
         markdown = markdown.replace(f"]({up}{source})", f"]({up[3:]}{made})")
-    return markdown
+    return markdown.replace(f"]({up}{FIGURES}/", f"]({up[3:]}pictures/reference/")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages and pictures."""
     for name, text in pages().items():
         files.append(File.generated(config, name, content=text))
-    for name, picture in notebook.pictures().items():
+    reference = {f"pictures/reference/{path.name}": path for path in (ROOT / FIGURES).glob("*.svg")}
+    pictures = {name: path.read_bytes() for name, path in reference.items()}
+    for name, picture in (pictures | notebook.pictures()).items():
         files.append(File.generated(config, name, content=picture))
     return files
