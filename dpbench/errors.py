@@ -31,20 +31,27 @@ class InputError(DpbenchError, ValueError):
     where : file or argument the mistake is in. An argument is in backquotes, as others in its text;
         the command line prints them as its options, `jobs` as --jobs.
     key : the key inside it ("" when the whole of it is meant).
-    found : value that was found.
-    allowed : values that are allowed.
+    found : the value there, or "nothing" for a key or option that is missing.
+    allowed : the values that are accepted.
 
     Examples
     --------
     >>> raise InputError("my.toml", "steps", -1, "1 or more")
     Traceback (most recent call last):
     dpbench.errors.InputError: my.toml: steps: found -1; allowed: 1 or more
+    >>> raise InputError("dpbench init", "--length", "nothing", "a number above 0 [m]")
+    Traceback (most recent call last):
+    dpbench.errors.InputError: dpbench init: --length: missing; required: a number above 0 [m]
     """
 
     def __init__(self, where: str, key: str, found: object, allowed: str) -> None:
         self.where, self.key, self.found, self.allowed = where, key, found, allowed
         place = f"{where}: {key}" if key else where
-        super().__init__(" ".join(f"{place}: found {found}; allowed: {allowed}".split()))
+        is_missing = found == "nothing"
+        fault = (
+            f"missing; required: {allowed}" if is_missing else f"found {found}; allowed: {allowed}"
+        )
+        super().__init__(" ".join(f"{place}: {fault}".split()))
 
     def __reduce__(self) -> "tuple[type[InputError], tuple[str, str, object, str]]":
         return type(self), (self.where, self.key, self.found, self.allowed)

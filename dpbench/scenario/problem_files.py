@@ -194,7 +194,7 @@ def validate_settings_as_model(document: dict[str, Any], model: type[_Model], wh
             )
             raise InputError(where, key, "an unknown key", allowed) from None
         if first["type"] == "missing":
-            raise InputError(where, key, "nothing", "this key is required") from None
+            raise InputError(where, key, "nothing", "a value") from None
         message = str(first["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
         value = first["input"]
         found = f"keys {', '.join(value)}" if isinstance(value, dict) else repr(value)[:200]

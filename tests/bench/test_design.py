@@ -174,7 +174,7 @@ def test_a_design_whose_process_fails_is_missing_with_the_reason(tmp_path: Path)
     assert broken.records == ()
     (missing,) = broken.missing
     assert (missing.vessel, missing.controller) == ("supply_fs99", "paper")
-    assert "this key is required" in missing.reason
+    assert "missing; required: a value" in missing.reason
 
 
 @pytest.mark.parametrize(
@@ -219,7 +219,7 @@ DAMAGE = {
     "cut": (lambda text: text[: len(text) // 2], "no JSON"),
     "a list": (lambda text: f"[{text}]", "list"),
     "a newer one": (_edited(lambda d: d.update(schema=3)), "schema: found schema 3"),
-    "no records": (_edited(lambda d: d.pop("records")), "records: found nothing"),
+    "no records": (_edited(lambda d: d.pop("records")), "records: missing"),
     "a key too few": (_edited(lambda d: d["records"][0].pop("N_p")), "records.0.N_p: found"),
     "a key too many": (_edited(lambda d: d["records"][0].update(extra=1)), "0.extra: found 1"),
     "no number": (_edited(lambda d: d["records"][0].update(N_p="1")), "0.N_p: found '1'"),

@@ -153,7 +153,7 @@ def test_renewing_the_baseline(write: Write, tmp_path: Path) -> None:
     [
         ("{", "no such numbers"),
         ('{"benchmarks": []}', "benchmarks: found none"),
-        ('{"benchmarks": [{"fullname": "a", "stats": {"min": 1}}]}', "q1: found nothing"),
+        ('{"benchmarks": [{"fullname": "a", "stats": {"min": 1}}]}', "q1: missing"),
         ('{"benchmarks": [{"fullname": "a", "stats": {"min": "x", "q1": 1}}]}', "no such numbers"),
         ('{"benchmarks": [{"fullname": "a", "stats": {"min": 0, "q1": 1, "rounds": 1}}]}', "times"),
     ],

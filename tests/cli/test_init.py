@@ -195,8 +195,8 @@ def test_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[s
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        (without("--draught"), ["--draught", "nothing", "0.5 to 40 m"]),
-        (without("--thrust"), ["--thrust", "nothing", "kN"]),
+        (without("--draught"), ["--draught", "missing", "0.5 to 40 m"]),
+        (without("--thrust"), ["--thrust", "missing", "kN"]),
         ([*SHIP, "--length", "eighty"], ["--length", "'eighty'", "10 to 500 m"]),
         ([*SHIP, "--length", "nan"], ["--length", "'nan'", "10 to 500 m"]),
         ([*SHIP, "--breadth", "-18"], ["--breadth", "'-18'", "2 to 100 m"]),
@@ -209,7 +209,7 @@ def test_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[s
         ([*SHIP, "--from-mss", "a.mat", "--from-csv", "b.csv"], ["--from-csv", "give one of them"]),
         ([*SHIP, "--from-mss", "no.mat"], ["no.mat", "no such file"]),
         (["init", "../my_ship", *SHIP[2:]], ["NAME", "'../my_ship'", "letters"]),
-        (["init", "my_ship"], ["--length", "nothing"]),
+        (["init", "my_ship"], ["--length", "missing"]),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(

@@ -407,7 +407,7 @@ def test_thrusters_are_asked_for(
                 "-30,0,1200,board B", "-30,0,1200,board B,150,"
             ),
             (),
-            "thruster 5: barred_to_deg: found nothing",
+            "thruster 5: barred_to_deg: missing",
         ),
         (TABLE, ("--thrust", "300"), "--thrusters and --thrust exclude each other"),
         (TABLE + "main,1,2,3,board A,more\n", (), "thruster 6: found 6 cells"),

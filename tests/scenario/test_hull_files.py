@@ -113,8 +113,8 @@ def test_a_file_of_one_frequency(hull: Hull, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "parts"),
     [
-        (lambda v: v.pop("Bv"), ["vessel.Bv", "nothing", "viscous"]),
-        (lambda v: v.pop("MRB"), ["vessel.MRB", "nothing"]),
+        (lambda v: v.pop("Bv"), ["vessel.Bv", "missing", "viscous"]),
+        (lambda v: v.pop("MRB"), ["vessel.MRB", "missing"]),
         (lambda v: v.update(A=np.ones((6, 6, 2))), ["vessel.A", "(6, 6, 2)", "(6, 6, 3)"]),
         (lambda v: v.update(MRB=np.eye(3)), ["vessel.MRB", "(3, 3)", "(6, 6)"]),
         (lambda v: v.update(MRB=np.full((6, 6), np.nan)), ["vessel.MRB", "NaN"]),
@@ -204,7 +204,7 @@ def test_couplings_may_be_left_out(tmp_path: Path) -> None:
     [
         ("", ["first row", "an empty file", "coefficient,value"]),
         ("name;value\n", ["first row", "name;value"]),
-        (GOOD.replace("M22,8e6\n", ""), ["M22", "nothing"]),
+        (GOOD.replace("M22,8e6\n", ""), ["M22", "missing"]),
         (GOOD + "M12,3\n", ["M12", "an unknown coefficient", "M11"]),
         (GOOD + "D66,3e8\n", ["D66", "a second row"]),
         (GOOD.replace("8e6", "-8e6"), ["M22", "'-8e6'", "above zero"]),

@@ -204,7 +204,7 @@ def read_float_array(
     `infinite` has the signs of allowed infinities: "+", "-", "+-" or none; `nan` allows NaN.
     """
     if name not in arrays:
-        raise InputError(where, name, "nothing", "this array is required")
+        raise InputError(where, name, "nothing", "an array")
     array = arrays[name]
     if array.dtype.kind not in "fiu":
         raise InputError(where, name, f"type {array.dtype}", "real numbers")

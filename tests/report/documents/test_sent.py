@@ -132,7 +132,7 @@ def _gone(name: str) -> Callable[[Path], None]:
         (_written("suite.json", "{"), ("suite.json", "no JSON")),
         (_written("report.html", " " * MOST_BYTES), (f"at most {MOST_BYTES} in all",)),
         (_written("notes.txt", ""), ("notes.txt", "a file", "only report.html")),
-        (_written(SENDER, ""), (SENDER, "who", "this key is required")),
+        (_written(SENDER, ""), (SENDER, "who", "missing")),
         (_written(SENDER, SIGNED.replace("Ada", " ")), (SENDER, "who: found ' '")),
         (_written(SENDER, SIGNED.replace("2026-11-22", '"today"')), (SENDER, "when")),
         (_written(SENDER, f'{SIGNED}mail = "a"\n'), (SENDER, "mail: found an unknown key")),
