@@ -7,6 +7,7 @@ from math import isfinite
 import numpy as np
 import psutil
 import pytest
+from packaging.version import Version
 
 from dpbench.bench.run.formulation import BoxFormulation
 from dpbench.bench.run.timed_solver import StepTimeLimitError, TimedSolver, is_usable
@@ -15,7 +16,7 @@ from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
 from dpbench.solvers.contract import INFEASIBLE_CALLED_ERROR
-from dpbench.solvers.table import TABLE
+from dpbench.solvers.table import TABLE, find_solver_availability
 
 LAST_BITS = 1e-14
 """Rounding of kernels that begin where memory is aligned, as in ProxQP; a trace of an earlier solve
@@ -285,15 +286,22 @@ def interrupted(solver):
     return read
 
 
+MENDED = {("highs", "qpsolvers"): "1.16"}
+"""Releases without the recorded fault of a NaN, which the lowest version declared still has."""
+
+
 # Multipliers may come back infinite.
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
 @pytest.mark.parametrize("fault", ["nan in q", "nan in u"])
 def test_a_nan_is_not_claimed_solved(configuration, sequence, fault, solve_next):
     workspace = configuration.open(**patience(configuration))
     workspace.setup(sequence.base)
-    assert solve_next(workspace, spoil(sequence.steps[0], fault)).claimed == (
-        f"solved despite a {fault}" in configuration.record.faults
+    mended = MENDED.get((configuration.solver, configuration.route))
+    version = find_solver_availability(configuration.solver).version
+    has_fault = f"solved despite a {fault}" in configuration.record.faults and (
+        mended is None or Version(version) < Version(mended)
     )
+    assert solve_next(workspace, spoil(sequence.steps[0], fault)).claimed == has_fault
 
 
 def test_recovery_from_an_iteration_limit(recovering_configuration, sequence, solve_qp, solve_next):

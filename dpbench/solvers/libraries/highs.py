@@ -11,7 +11,6 @@ from dpbench.errors import DpbenchError
 from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import Claim, QpsolversAdapter, read_solved_flag_as_claim
 from dpbench.solvers.contract import (
-    NAN_IGNORED,
     RouteRecord,
     SolverRecord,
     make_project_facts,
@@ -30,7 +29,11 @@ RECORD = SolverRecord(
     extra="solvers",
     form="csc",
     routes={
-        "qpsolvers": RouteRecord(("fresh",), detects_infeasibility=False, faults=NAN_IGNORED),
+        "qpsolvers": RouteRecord(
+            ("fresh",),
+            detects_infeasibility=False,
+            faults={"solved despite a nan in u": "before 1.16 a NaN limit limits nothing"},
+        ),
         "native": RouteRecord(
             ("fresh", "reuse"),
             updates="vectors",
