@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import scipy.io
 
 from dpbench.bench.capability.edge_qps import COLUMNS, load_capability_plots, write_capability_plots
 from dpbench.bench.design import load_stability_records
@@ -30,6 +31,7 @@ from dpbench.report.report import Report
 from dpbench.scenario.hull_files import read_hull_from_csv_table, read_hull_from_mss_file
 from dpbench.scenario.problem_files import find_folder_of_shipped_problems
 from dpbench.scenario.scenario import load_scenario, load_vessel
+from tests.bench.sequences.test_foreign_qps import maros_meszaros, two_stages
 from tests.conftest import MadeRecords
 from tests.embedded.made_counts import make_counts
 from tests.soak.mutations import of_archive, of_bytes, of_json, of_part, of_table, of_text
@@ -91,7 +93,10 @@ class Toml(Soaked):
 
 
 class Sequences(Soaked):
-    """Some of the sequences that ship, and problems by qpsolvers."""
+    """Some of the sequences that ship, and QPs of others: by qpsolvers, acados, Maros-Meszaros.
+
+    One of twenty is a `.mat` file, which takes a process each.
+    """
 
     def __init__(self, folder: Path) -> None:
         some = ("paper-30-5", "thruster_loss_soft-30-5", "thrusters_cascade-30-5")
@@ -100,9 +105,17 @@ class Sequences(Soaked):
         path = folder / "problem.npz"
         np.savez(path, P=np.eye(3), q=np.ones(3), G=np.ones((2, 3)), h=np.ones(2), lb=-np.ones(3))
         self.files[path.name] = path.read_bytes()
+        self.files["acados.json"] = json.dumps(two_stages()).encode()
+        scipy.io.savemat(folder / "HS99.mat", maros_meszaros())
+        self.files["HS99.mat"] = (folder / "HS99.mat").read_bytes()
+
+    def choose(self, rng: random.Random) -> str:
+        quick = sorted(name for name in self.files if not name.endswith(".mat"))
+        return "HS99.mat" if rng.random() < 0.05 else rng.choice(quick)
 
     def mutate(self, name: str, data: bytes, rng: random.Random) -> bytes:
-        return of_archive(data, rng)
+        by_ending = {".npz": of_archive, ".json": of_json, ".mat": of_bytes}
+        return by_ending[Path(name).suffix](data, rng)
 
     def read(self, folder: Path, name: str, rng: random.Random) -> None:
         read_sequence(folder / name)
