@@ -238,7 +238,7 @@ COMMANDS: dict[str, CommandHelp] = {
         _ANALYSE,
         "Count the active sets that a controller's QPs visit",
         options.add_active_sets_options,
-        ("active-sets paper", "active-sets move rough-30-5"),
+        ("active-sets paper", "active-sets rough-30-5 --instructions"),
     ),
     "tune-solver": CommandHelp(
         _ANALYSE,

@@ -376,27 +376,17 @@ def _prove_iteration_bound(arguments: argparse.Namespace) -> int:
 
 
 def _count_active_sets(arguments: argparse.Namespace) -> None:
-    """Print how many active sets QPs visit (`dpbench active-sets`)."""
-    from dpbench.analysis.suites.active_sets import count_visited_sets_of
+    """Print how many active sets QPs visit, and what their laws save (`dpbench active-sets`)."""
+    from dpbench.analysis.suites.active_sets import count_saved_work, count_visited_sets_of
     from dpbench.cli.terminal import make_console, make_report_table
-    from dpbench.report.formats import Table, format_count, format_share
+    from dpbench.report.active_sets_text import make_table_of_saved_work, make_table_of_visited_sets
 
-    rows = [
-        {
-            "QPs": visited.name,
-            "n": str(visited.n),
-            "steps": str(visited.steps),
-            "sets": str(visited.sets),
-            "seen once": str(visited.once),
-            "unseen mass": f"{format_share(visited.unseen_mass)} ± {visited.unseen_error:.1%}",
-            "most active": str(visited.most_active),
-            "table, bytes": format_count(visited.table_bytes),
-        }
-        for visited in map(count_visited_sets_of, arguments.names)
-    ]
-    note = "Unseen mass: share of further steps whose set was not visited (Good-Turing)."
-    screen = make_console()
-    screen.print(make_report_table(Table.from_rows(rows, "Active sets visited", note=note), screen))
+    screen, names = make_console(), arguments.names
+    visited = make_table_of_visited_sets([*map(count_visited_sets_of, names)])
+    screen.print(make_report_table(visited, screen))
+    if arguments.instructions:
+        saved = make_table_of_saved_work([*map(count_saved_work, names)])
+        screen.print(make_report_table(saved, screen))
 
 
 def _tune_controller(arguments: argparse.Namespace) -> int:

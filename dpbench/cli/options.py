@@ -210,6 +210,8 @@ def add_iteration_bound_options(bound: Command) -> None:
 def add_active_sets_options(visited: Command) -> None:
     """Add the arguments of `dpbench active-sets` to its parser."""
     visited.add_argument("names", nargs="+", metavar="NAME", help="scenario, sequence or .npz file")
+    counted = "count what stored laws save on an emulated Cortex-M7 (extra embedded)"
+    visited.add_argument("--instructions", action="store_true", help=counted)
 
 
 def add_check_options(check: Command) -> None:

@@ -13,14 +13,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dpbench.arrays import Floats
 from dpbench.bench.sequences.source import load_named_sequence, record_scenario
+from dpbench.embedded.recipe import find_recipes
+from dpbench.embedded.toolchain import find_target_by_name, require_extra
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.scenario.problem_files import list_shipped_problem_names
 from dpbench.scenario.scenario import load_scenario
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.own.active_set_memory import ActiveSetMemoryWorkspace
 
 _ZERO = 1e-9
 """Multipliers below this share of the largest one, or of 1, are those of no active limit."""
@@ -88,11 +94,65 @@ def count_visited_sets_of(name: str) -> VisitedSets:
     ------
     InputError : for a name of neither, or QPs whose matrices change, as one law holds for one P.
     """
+    sequence, optima = _load_with_constant_matrices(name)
+    return count_visited_sets(sequence.name, sequence.base.n, optima)
+
+
+@dataclass(frozen=True, eq=False)
+class SavedWork:
+    """Work that a memory of active sets saves along K QPs.
+
+    answered : (K,) whether a stored law answered the step.
+    instructions : (K,) of the paper's method, warm, as C on an emulated Cortex-M7.
+    multiply_adds : (K,) of the laws that the memory tries, with their checks.
+    """
+
+    name: str
+    answered: NDArray[np.bool_]
+    instructions: Floats
+    multiply_adds: Floats
+
+    @property
+    def least_instructions(self) -> Floats:
+        """Least instructions of each step with a memory (K,): one for each multiply-add.
+
+        A core takes more, as it loads the numbers.
+        """
+        return self.multiply_adds + np.where(self.answered, 0.0, self.instructions)
+
+
+def count_saved_work(name: str) -> SavedWork:
+    """Count what a memory of active sets saves in the QPs of a scenario or a sequence.
+
+    InputError as of `count_visited_sets_of`; errors of `count_instructions_along_sequence`.
+    """
+    require_extra()
+    # The emulator takes a while to load.
+    from dpbench.embedded.count import count_instructions_along_sequence
+
+    sequence, optima = _load_with_constant_matrices(name)
+    workspace = open_workspace("active_set_memory", policy="warm")
+    assert isinstance(workspace, ActiveSetMemoryWorkspace)
+    workspace.setup(sequence.base)
+    hits, multiply_adds = [0], []
+    for k in range(len(sequence)):
+        workspace.update(sequence.step(k))
+        workspace.solve()
+        hits.append(workspace.hits)
+        multiply_adds.append(float(workspace.multiply_adds))
+    recipe, core = find_recipes()["paper_active_set"], find_target_by_name("m7")
+    counted = count_instructions_along_sequence(recipe, sequence, core, optima=optima)
+    instructions = counted.steps["instructions"].astype(np.float64)
+    return SavedWork(sequence.name, np.diff(hits) > 0, instructions, np.array(multiply_adds))
+
+
+def _load_with_constant_matrices(name: str) -> tuple[QPSequence, Sequence[Optimum]]:
+    """Return QPs by name, with their optima; InputError where their matrices change."""
     sequence, optima = _load(name)
     if sequence.P is not None or sequence.A is not None:
         found = f"{name}, whose matrices change from step to step"
         raise InputError("active-sets", "", found, "QPs with constant matrices")
-    return count_visited_sets(sequence.name, sequence.base.n, optima)
+    return sequence, optima
 
 
 def _load(name: str) -> tuple[QPSequence, Sequence[Optimum]]:

@@ -60,12 +60,13 @@ def make_law(G: Matrix, C: Matrix, rows: np.ndarray, side: Vector) -> StoredLaw:
 class ActiveSetMemoryWorkspace(PaperActiveSetWorkspace):
     """The paper's method with a memory of the sets it found; `warm` keeps it from step to step.
 
-    `hits` counts steps that a stored law answered, with 0 iterations.
+    `hits` counts steps that a stored law answered, with 0 iterations; `multiply_adds` those of the
+    last solve that the laws it tried take.
     """
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         super().__init__(solver, route, policy)
-        self.hits = 0
+        self.hits = self.multiply_adds = 0
         self._laws: dict[bytes, StoredLaw] = {}
         self._bytes = 0
         self._remembered: Solution | None = None
@@ -97,7 +98,8 @@ class ActiveSetMemoryWorkspace(PaperActiveSetWorkspace):
             n = len(self._q)
             self._G = arrays["G"].reshape(-1, n)
             self._C = np.vstack([np.eye(n), self._problem.A])
-        base = -self._G[: len(self._q)] @ self._q
+        n = len(self._q)
+        base, self.multiply_adds = -self._G[:n] @ self._q, n * n
         for key in list(reversed(self._laws))[:TRIED]:
             if (answer := self._apply(self._laws[key], base)) is not None:
                 self._laws[key] = self._laws.pop(key)  # The last one in order is the one used last.
@@ -113,9 +115,11 @@ class ActiveSetMemoryWorkspace(PaperActiveSetWorkspace):
         assert problem is not None
         g = np.where(law.side > 0, problem.high[law.rows], problem.low[law.rows])
         lam = law.gain @ np.concatenate([base, g])
+        self.multiply_adds += law.gain.size
         if not (lam * law.side >= 0.0).all():
             return None
         values = self._C @ (base - law.back @ lam)
+        self.multiply_adds += law.back.size + problem.A.size  # of C = [I; A] the I takes none
         values[law.rows] = g
         over = np.maximum(values - problem.high, problem.low - values)
         if not (over <= _TOLERANCE * (1.0 + np.abs(values))).all():

@@ -3,10 +3,20 @@
 import numpy as np
 import pytest
 
-from dpbench.analysis.suites.active_sets import count_visited_sets, count_visited_sets_of
+from dpbench.analysis.suites.active_sets import (
+    SavedWork,
+    count_saved_work,
+    count_visited_sets,
+    count_visited_sets_of,
+)
 from dpbench.cli.main import main
+from dpbench.embedded.toolchain import has_extra
 from dpbench.errors import InputError
+from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.referee.optimum import Optimum
+from dpbench.report.active_sets_text import make_table_of_saved_work
+from dpbench.solvers.open import open_workspace
+from dpbench.solvers.own.active_set_memory import ActiveSetMemoryWorkspace
 
 
 def make_optimum(*multipliers: float, bound: float = 0.0) -> Optimum:
@@ -43,3 +53,41 @@ def test_changing_matrices_are_refused() -> None:
     """One law holds for one P."""
     with pytest.raises(InputError, match="constant matrices"):
         count_visited_sets_of("turn-30-5")
+
+
+def test_multiply_adds_of_laws_by_hand() -> None:
+    """n = 2, m = 1, one active limit: 4 for the base, 1·(2 + 1) and 2·1 for the law, 1·2 for A."""
+    qp = QuadraticProgram(
+        np.eye(2), [-3.0, 0.0], [[1.0, 1.0]], [-9.0], [9.0], [-1.0, -1.0], [1.0, 1.0]
+    )
+    workspace = open_workspace("active_set_memory", policy="warm")
+    assert isinstance(workspace, ActiveSetMemoryWorkspace)
+    workspace.setup(qp)
+    counted = []
+    for _ in range(2):
+        workspace.update(QPStep(qp.q, qp.l, qp.u))
+        workspace.solve()
+        counted.append((workspace.hits, workspace.multiply_adds))
+    assert counted == [(0, 4), (1, 4 + 3 + 2 + 2)]
+
+
+def test_a_step_without_a_law_takes_the_method_too() -> None:
+    """Of the step that a law answers the multiply-adds alone remain."""
+    saved = SavedWork(
+        "hand", np.array([True, False]), np.array([900.0, 500.0]), np.array([90.0, 50.0])
+    )
+    assert saved.least_instructions.tolist() == [90.0, 550.0]
+    (row,) = make_table_of_saved_work([saved]).rows
+    assert row[:4] == ("hand", "1 of 2", "900 and 900", "90 and 90")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not has_extra(), reason="the extra embedded is not installed")
+def test_stored_laws_save_nothing_at_the_p99_of_the_paper() -> None:
+    """Hard steps have new sets: there the tried laws come on top of the method."""
+    saved = count_saved_work("paper-30-5")
+    assert saved.answered.sum() > 50 and not saved.answered[0]
+    hardest = saved.instructions.argmax()
+    assert not saved.answered[hardest]
+    assert saved.least_instructions.max() >= saved.instructions.max()
+    assert np.median(saved.least_instructions) < np.median(saved.instructions)
