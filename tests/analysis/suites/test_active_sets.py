@@ -72,7 +72,7 @@ def test_multiply_adds_of_laws_by_hand() -> None:
 
 
 def test_a_step_without_a_law_takes_the_method_too() -> None:
-    """Of the step that a law answers the multiply-adds alone remain."""
+    """The multiply-adds alone remain of the step that a law answers."""
     saved = SavedWork(
         "hand", np.array([True, False]), np.array([900.0, 500.0]), np.array([90.0, 50.0])
     )
