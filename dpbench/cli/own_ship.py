@@ -127,7 +127,7 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
             remarks += list_thruster_cautions(thrusters)
     else:
         if sea is None:
-            instead = f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or describe the ship anew"
+            instead = f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or describe the ship again"
             raise SituationError(WHERE, f"{vessel_file} exists; {instead}")
         vessel = load_vessel(vessel_file)
     held = None if vessel.thrusters is None else find_held_sea(vessel)

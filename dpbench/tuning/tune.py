@@ -118,7 +118,7 @@ class Tuning:
         heads = ("", "sequence", "settings", "time", "error", "accurate")
         note = (
             "Time: p99 of the steps, each the fastest of its rounds; where a sequence is too short "
-            "for it the p95 or p50, named beside it. Error: of the first move, at most "
+            "for it the p95 or p50, named next to it. Error: of the first move, at most "
             f"{limit.error_move:g} of the maximum increment."
         )
         return Table(heads, tuple(rows), title, note, text_columns=3)
@@ -132,7 +132,7 @@ class Tuning:
     def lines(self) -> list[str]:
         """The result in words: the best settings, and what they gain on either kind of sequence."""
         edges = [
-            f"the best lies at the edge of the searched range, {text}"
+            f"the best is at the edge of the searched range, {text}"
             for text in self.request.space.describe_edges(self.best.options)
         ]
         if self.path is None:
@@ -211,8 +211,8 @@ class Tuning:
         """Work that an interrupted search has not done, as phrases."""
         left = self.request.trials - self.drawn
         parts = [f"{left} of {self.request.trials} settings to try"] if left else []
-        parts.append("the measurement on test sequences, beside the presets")
-        go_on = "the same command goes on"
+        parts.append("the measurement on test sequences, with the presets")
+        go_on = "the same command continues"
         return [f"interrupted, not done: {join_with_and(parts)}; {go_on}"] * self.is_interrupted
 
     @property

@@ -93,9 +93,9 @@ def test_bad_input_is_one_line_and_exit_2(words: list[str], parts: list[str], re
         ),
         (
             lambda: export_sequence("paper-30-5", "out.npz", at=3, every=2),
-            "`at`: found 3 beside `steps` or `every`",
+            "`at`: found 3 with `steps` or `every`",
             ["export", "paper-30-5", "--out", "out.npz", "--at", "3", "--every", "2"],
-            "--at: found 3 beside --steps or --every",
+            "--at: found 3 with --steps or --every",
         ),
         (
             lambda: run_campaign("smoke", "out", solvers=["quadprgo"]),

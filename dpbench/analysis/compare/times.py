@@ -163,7 +163,7 @@ def explain_unjudged_sequences(a: Records, b: Records, timings: Sequence[Timing]
         elif any(disturbed):
             reasons[name] = f"{_name_flagged_runs(disturbed)} disturbed"
         elif any(hidden):
-            reasons[name] = f"nothing tells how quiet {_name_flagged_runs(hidden)}"
+            reasons[name] = f"no counters show how quiet {_name_flagged_runs(hidden)}"
         else:
             reasons[name] = ""
     return reasons

@@ -107,7 +107,7 @@ def export_sequence(
     if (suffix := FILES.get(format)) and target.suffix != suffix:
         raise InputError("`out`", "", repr(target.name), f"a file name that ends in {suffix}")
     if at is not None and (steps is not None or every != 1):
-        raise InputError("`at`", "", f"{at} beside `steps` or `every`", "one step, or several")
+        raise InputError("`at`", "", f"{at} with `steps` or `every`", "one step, or several")
     if part not in get_args(Part):
         raise InputError("`part`", "", repr(part), " | ".join(get_args(Part)))
     recorded = _record_requested(what, _parse_horizons(horizons), steps, every, at, part)
@@ -135,7 +135,7 @@ def check_export_options(options: dict[str, Any]) -> None:
     defaults = {"every": 1, "format": "npz", "part": "controller"}
     for key in ("what", "horizons", "steps", "every", "format", "at", "part"):
         if options[key] != defaults.get(key):
-            found = f"{key} {options[key]} beside --all"
+            found = f"{key} {options[key]} with --all"
             raise InputError("export", "", found, "--all, which follows its manifest, and --out")
 
 

@@ -263,7 +263,7 @@ def _read_optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> lis
             allowed = ", ".join(get_args(Kind))
             raise InputError(where, f"certificate[{k}]", repr(kind), allowed)
         if np.isfinite(bound[k]) and not all(np.isfinite(c[k]).all() for c in columns):
-            raise InputError(where, f"z, y, y_box[{k}]", "NaN beside a finite bound", "numbers")
+            raise InputError(where, f"z, y, y_box[{k}]", "NaN with a finite bound", "numbers")
     rows = zip(*columns, bound.tolist(), kinds, strict=True)
     return [Optimum(*row) for row in rows]
 

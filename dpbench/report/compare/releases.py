@@ -196,9 +196,9 @@ def _make_version_tables(histories: Histories) -> list[Table]:
     """Return a table of versions for each solver, and one of solvers with one version."""
     changed = _group_histories_by_solver(histories)
     note = (
-        "To the one before: its p50 over that of the release above it, below 1 is faster; the load "
-        "kernel, timed in the same rounds, tells what of that its neighbours on the machine did. "
-        "Counts are per round. Closed loops run beside each other and are not timed."
+        "To the one before: p50 over that of the previous release; below 1 is faster. The "
+        "calibration workload, timed in the same rounds, shows the effect of other load. Counts "
+        "are per round. Closed loops run in parallel and are not timed."
     )
     tables = [
         Table.from_rows(

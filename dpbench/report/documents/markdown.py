@@ -285,7 +285,7 @@ def compare_solver(
     suite = report.results.suite
     made_by = f"Suite {suite.get('name', '')}, dpbench {suite.get('harness_version', '')}."
     parts = [
-        f"# {escape_markdown(solver)} beside {escape_markdown(names)}",
+        f"# {escape_markdown(solver)} compared with {escape_markdown(names)}",
         *make_ship_lines(report.recommendation.ship),
         escape_markdown_paragraph(
             _describe_verdict(best[solver], data.verdicts.of[solver][0], len(own))

@@ -208,7 +208,7 @@ def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
     chosen = found.chosen
     if chosen is None:
         return
-    yield "aboard", describe_deployment(chosen.configuration.solver)
+    yield "deployment", describe_deployment(chosen.configuration.solver)
     if counted := describe_embedded_cost(
         data.counts, data.requirements, chosen.configuration.solver
     ):

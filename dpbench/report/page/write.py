@@ -207,7 +207,7 @@ FILES = {
     "capability.parquet": "one row a QP at the edge of what thrusters hold",
     "machine.json": "the machine and the versions",
     "suite.json": "the suite that was requested",
-    "tables/runs.csv": "the runs as CSV; README.md beside it explains all tables",
+    "tables/runs.csv": "the runs as CSV; README.md in its folder explains all tables",
 }
 VARIABLES = {
     style.INK: "var(--ink)",

@@ -148,7 +148,7 @@ def _yield_failed_steps_sentences(study: Study) -> Iterator[str]:
         f"{study.name}: steps failed in {len(failing)} of {plural(len(study.runs), 'run')}, most "
         f"of them with {worst['configuration']} at point {worst['point']}, realisation "
         f"{worst['replicate']}: {worst['failed_steps']:.0f} of "
-        f"{plural(worst['steps_done'], 'step')}. The fallback steered there, or an unfinished "
+        f"{plural(worst['steps_done'], 'step')}. The fallback acted there, or an unfinished "
         "iterate."
     )
 

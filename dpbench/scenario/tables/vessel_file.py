@@ -260,7 +260,7 @@ class VesselFile(FileModel):
         if self.limits is None and not self.thrusters:
             raise ValueError("limits, or thrusters to derive them from")
         if self.capability is not None and self.windage is None:
-            raise ValueError("windage beside capability, which takes its areas from there")
+            raise ValueError("windage with capability, which has the same areas")
         if self.drag == "cross_flow" and self.capability is None:
             raise ValueError('capability beside drag = "cross_flow", for the hull of it')
         return self

@@ -154,7 +154,7 @@ class OsqpWorkspace(NativeWorkspace):
         """Pass a step's cost, limits and shifted warm start to OSQP."""
         self._write_clipped_row_limits(low, high)
         if self._solver.update_data_vec(q=q, l=self._low, u=self._high):
-            raise DpbenchError("OSQP refuses the vectors: a lower limit lies above the upper one")
+            raise DpbenchError("OSQP refuses the vectors: a lower limit is above the upper one")
         if self._shift_warm_start_if_any():
             self._solver.warm_start(self._start.z, self._start.dual)
 

@@ -174,7 +174,7 @@ def renamed(a: Arrays) -> Arrays:
         (with_nan("P"), ["P[14, 0]", "nan"]),
         (with_nan("q"), ["q[29, 0]", "nan"]),
         (with_nan("u"), ["u[29, 0]", "nan"]),
-        (with_nan("z"), ["z, y, y_box[29]", "NaN beside a finite bound"]),
+        (with_nan("z"), ["z, y, y_box[29]", "NaN with a finite bound"]),
         (put("q", np.full((STEPS, 15), np.inf)), ["q[0, 0]", "inf", "finite"]),
         (renamed, ["certificate[0]", "hearsay", "linear"]),
     ],

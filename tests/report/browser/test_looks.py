@@ -72,13 +72,13 @@ def test_axe_has_nothing_to_say(opened: Any, size: tuple[int, int]) -> None:
 
 def test_who_has_no_name_among_the_points_is_named_below_when_chosen(opened: Any) -> None:
     page = opened(CHOSEN, size=PHONE)
-    assert "the chosen one: osqp (" in page.inner_text("#accuracy figcaption")
+    assert "the selection: osqp (" in page.inner_text("#accuracy figcaption")
     points = page.locator("#figure-accuracy .mark-symbol path[aria-label*='solver: quadprog']")
     click_middle(page, points.first)
     page.wait_for_function("location.hash.includes('s=')")
     page.wait_for_timeout(300)
     chosen = page.evaluate("label(state.c)")
-    assert f"the chosen one: {chosen}." in page.inner_text("#accuracy figcaption")
+    assert f"the selection: {chosen}." in page.inner_text("#accuracy figcaption")
     page.evaluate(
         """() => select({ c: all().find((c) => !rowsDrawn("accuracy").values
           .some((row) => Number(row.id) === c)) })"""

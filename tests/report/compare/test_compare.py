@@ -223,7 +223,7 @@ HIDDEN: dict[str, Any] = {"steal_s": np.nan, "replay_s": np.nan, "involuntary_sw
         (STOLEN, {}, "run A was disturbed"),
         ({"disturbed_rounds": 1}, {}, "run A was disturbed"),
         ({}, {"involuntary_switches": 11.0}, "run B was disturbed"),
-        (HIDDEN, {}, "nothing tells how quiet run A was"),
+        (HIDDEN, {}, "no counters show how quiet run A was"),
         ({}, {"reference_kernel_ns": np.nan}, "the reference kernel was not timed"),
     ],
 )

@@ -340,7 +340,7 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     assert notes["next"].startswith("Next: scs (qpsolvers fresh), p99 ")
     assert records.ending()["next"].startswith("scs (qpsolvers fresh), p99 ")
     licence = "Licence: MIT; language: C, library-free; C code: yes, it writes its workspace as C."
-    assert notes["aboard"] == licence
+    assert notes["deployment"] == licence
 
 
 def test_the_p99_of_a_replay_has_its_interval(records: Any) -> None:

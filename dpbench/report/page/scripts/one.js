@@ -248,7 +248,7 @@ function drawShip(run) {
   const X = (e) => width / 2 + ((e - mid[1]) / half) * (width / 2);
   const Y = (n) => width / 2 - ((n - mid[0]) / half) * (width / 2);
   const root = shape("svg", { viewBox: `0 0 ${width} ${width}`, role: "img",
-    "aria-label": `Path of the ship in ${experiment.label} and its hull at the chosen step` });
+    "aria-label": `Path of the ship in ${experiment.label} and its hull at the selected step` });
   const clip = shape("g", {}, root);
   const path = (n, e) => n.map((v, i) => (v === null ? "" : `${i ? "L" : "M"}${X(e[i]).toFixed(1)} ${Y(v).toFixed(1)}`)).join("");
   const hull = (n, e, angle, look) => {
