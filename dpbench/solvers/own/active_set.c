@@ -350,29 +350,31 @@ static void leave(active_set *s, int i) {
     s->lam[i] = 0;
 }
 
-/* Drop the k-th active row: plane rotations make the factor triangular again. T, L⁻¹ of something,
+/* Drop the k-th active row: plane rotations of pairs of columns make the factor triangular again. Each
+ * row moves to the one before; what the next rotation turns stays behind. T, L⁻¹ of something,
  * becomes that of the same without this row. */
 SELDOM static void drop_row(active_set *s, int k) {
     const int w = --s->count;
-    as_real last = s->T[k], *to = factor_row(s, k), *p = s->r_low, *q = s->e;
+    as_real last = s->T[k], *row = factor_row(s, k), *to = row + k;
     leave(s, s->active[k]);
-    for (int r = k; r < w; r++) {
-        const as_real *from = to + r + 1;
-        as_real x = from[k], y = 1 / from[r + 1], next = s->T[r + 1];
+    for (int r = k; r < w; row += ++r) {
         s->active[r] = s->active[r + 1];
-        copy(to, from, k);
-        for (int c = k; c < r; c++) {
-            const as_real v = from[c + 1];
-            to[c] = p[c] * x + q[c] * v;
-            x = p[c] * v - q[c] * x;
+        copy(row, row + r + 1, k);
+    }
+    for (; k < w; to++) {
+        const as_real x = to[k + 1], y = 1 / to[k + 2], h = root(x * x + y * y), p = x / h, q = y / h;
+        const as_real next = s->T[k + 1];
+        s->T[k] = p * last + q * next;
+        last = p * next - q * last;
+        *to = 1 / h;
+        as_real *from = to += ++k;
+        for (ptrdiff_t length = k + 1; length <= w; length++) {
+            as_real *before = from;
+            from += length;
+            const as_real u = from[0], v = from[1];
+            *before = p * u + q * v;
+            from[1] = p * v - q * u;
         }
-        const as_real h = root(x * x + y * y);
-        p[r] = x /= h;
-        q[r] = y /= h;
-        to[r] = 1 / h;
-        s->T[r] = x * last + y * next;
-        last = x * next - y * last;
-        to += r + 1;
     }
 }
 
