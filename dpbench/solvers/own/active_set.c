@@ -304,9 +304,10 @@ static void append_row(active_set *s, int i, int side, as_real d) {
     s->side[i] = side;
 }
 
-/* Refine the combination R of active rows for row j, and T, once; returns the square of the distance
- * of row j from them in the norm of P⁻¹: y = c_j − Σ R_k c_k is formed and yᵀP⁻¹y taken. */
-SELDOM static as_real refine_combination(active_set *s, int j) {
+/* Refine the combination R of active rows for row j, and T, once unless it is exact; returns the
+ * square of the distance of row j from them in the norm of P⁻¹, of `square`, that of its length:
+ * y = c_j − Σ R_k c_k is formed and yᵀP⁻¹y taken. */
+SELDOM static as_real refine_combination(active_set *s, int j, as_real square) {
     const int n = s->n, w = s->count;
     as_real *y = s->r, *x = s->e, *more = s->r_low;
     for (int again = 0;; again++) {
@@ -314,7 +315,8 @@ SELDOM static as_real refine_combination(active_set *s, int j) {
         add_row(s, j, 1, y);
         for (int k = 0; k < w; k++) add_row(s, s->active[k], -s->R[k], y);
         multiply_inverse(s, x, 1, y);
-        if (again) return larger(dot(x, y, n), 0);
+        const as_real d = dot(x, y, n);
+        if (again || d <= VIOLATED * VIOLATED * square) return larger(d, 0);
         for (int k = 0; k < w; k++) more[k] = row_times(s, s->active[k], x);
         substitute_forward(s->L, more, w);
         add_scaled(s->T, 1, more, w);
@@ -341,7 +343,7 @@ static as_real split(active_set *s, int j, as_real square) {
     const as_real d = square - dot(s->T, s->T, w);
     write_combination(s);
     if (w > 0 && (whole ? size_of(d) > DEPENDENT * square : d < CLOSE * square))
-        return refine_combination(s, j);
+        return refine_combination(s, j, square);
     return d;
 }
 
@@ -546,7 +548,7 @@ static int activate(active_set *s, int j, int which, as_real gap, as_real allowe
         const int blocking = find_blocking(s, side, dependent ? NO_PART / s->unit[j] : 0, &t);
         if (dependent && blocking < 0) {
             if (!(gap * s->unit[j] > allowed)) return DOUBTFUL;
-            if (whole) refine_combination(s, j);
+            refine_combination(s, j, 0); /* a proof has no rounding to spare */
             return write_ray(s, j, side);
         }
         advance(s, t * side);
