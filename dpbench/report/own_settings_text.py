@@ -16,7 +16,6 @@ from dpbench.analysis.verdict.verdict import (
 from dpbench.report.formats import (
     as_float,
     format_error,
-    format_time,
     join_with_and,
     plural,
     strip_markdown,
@@ -24,7 +23,7 @@ from dpbench.report.formats import (
 from dpbench.report.verdict_text import (
     describe_finding,
     describe_first_finding,
-    describe_p99_interval,
+    format_usual_time,
 )
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
 from dpbench.solvers.settings import list_tolerances_left_at_default
@@ -61,11 +60,11 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) ->
     if verdict.refusal:
         return f"{name}: {verdict.state}: {verdict.refusal}."
     findings = verdict.causes or verdict.findings_that_bar_pass
+    time = f", {format_usual_time(verdict)}" if verdict.timed_on else ""
     why = f": {describe_first_finding(findings)}" if findings else ""
     return (
         f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
-        f"{plural(verdict.failed_steps, 'failed answer')}, p99 {format_time(verdict.p99_ns)}"
-        f"{describe_p99_interval(verdict)}{why}."
+        f"{plural(verdict.failed_steps, 'failed answer')}{time}{why}."
         f"{_describe_tolerances_left(verdict)}{_describe_failing_modes(verdict, modes)}"
     )
 
