@@ -173,9 +173,12 @@ def _estimate_sources_s(cells: Iterable[Cell]) -> float:
     """Return the expected time of all reference loops and sequences that runs need [s]."""
     seconds: dict[tuple[object, ...], float] = {}
     for cell in cells:
-        point = cell.study and (cell.study.point, cell.study.replicate)
-        key = (cell.scenario.get("name"), cell.source.name, point, cell.units)
-        steps = max(cell.first + cell.steps, cell.source.count_stretch_steps(cell.steps))
+        # A loop is solved once, whatever is made of it.
+        key: tuple[object, ...] = (cell.source.name,)
+        if cell.scenario:
+            study = cell.study and (cell.study.name, cell.study.point, cell.study.replicate)
+            key = (cell.scenario["name"], study)
+        steps = cell.steps_needed_in_file
         own = SOURCE_STEP_S * measure_qp_size(cell) / USUAL_SIZE * steps
         seconds[key] = max(seconds.get(key, 0.0), own)
     return sum(seconds.values())

@@ -21,7 +21,9 @@ from dpbench.bench.estimate import (
     START_S,
     STATED_RATES,
     TIMED_CELL_S,
+    USUAL_SIZE,
     Rates,
+    _estimate_sources_s,
     describe_what_is_not_forecast,
     estimate_step_s,
     estimate_time_and_size,
@@ -34,6 +36,7 @@ from dpbench.bench.record.cell import (
     CapabilitySource,
     Cell,
     ConsequenceSource,
+    HardestSource,
     RandomSource,
     RecordedSource,
 )
@@ -74,6 +77,23 @@ def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
     assert both.time_s - alone.time_s >= 3 * (205 * 0.002 + TIMED_CELL_S)
     assert (both.cells, both.steps) == (93, 36_000 + 3 * 205)
     assert both.size_bytes == pytest.approx(93 * 500 + 90 * both.steps)
+
+
+def test_a_reference_loop_is_solved_once_whatever_is_made_of_it() -> None:
+    """Closed loops, a replay, hardest steps, a consequence analysis; of SI units too."""
+    files = load_scenario("paper").files
+    uses: list[dict[str, object]] = [
+        {"mode": "closed_loop"},
+        {"mode": "closed_loop", "units": "si"},
+        {"mode": "replay", "first": 20},
+        {"mode": "replay", "source": HardestSource("paper hardest 5", 180)},
+        {"mode": "replay", "source": ConsequenceSource("paper, A lost", "A", 1.25)},
+    ]
+    cells = [cell("daqp", 100, scenario=files, **use).cell for use in uses]
+    step_s = SOURCE_STEP_S * measure_qp_size(cells[0]) / USUAL_SIZE
+    assert _estimate_sources_s(cells) == pytest.approx(180 * step_s)
+    other = cell("daqp", 100, scenario=load_scenario("calm").files).cell
+    assert _estimate_sources_s([*cells, other]) == pytest.approx(280 * step_s)
 
 
 def test_a_budget_and_a_limit_bound_the_time_of_a_run() -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import dask
 from cryptography import x509  # noqa: F401 # Dask makes certificates with it and looks late
-from distributed import Client, Nanny, Scheduler, SpecCluster, Worker
+from distributed import Client, Nanny, Scheduler, SpecCluster, Worker, get_worker
 from distributed.comm import connect
 from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.registry import get_backend
@@ -23,6 +23,7 @@ from distributed.security import Security
 
 from dpbench.bench.engines.engine import TlsFiles
 from dpbench.bench.engines.on_worker import WorkerInfo, describe_worker, interrupt_tasks
+from dpbench.bench.progress import Silent
 from dpbench.bench.record.cell import HARNESS_VERSION
 from dpbench.bench.workers.child import hide_main_module
 from dpbench.bench.workers.interrupts import block_terminal_signals, delay_signals
@@ -176,6 +177,17 @@ def _open_own_cluster(workers: int) -> Iterator[Client]:
             stack.enter_context(cluster)
             client = stack.enter_context(Client(cluster, set_as_default=False))
         yield client
+
+
+class StepEvents(Silent):
+    """Receiver of progress on a Dask worker that sends what is at work to a campaign's client."""
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+
+    def advance(self, *report: object, **_: object) -> None:
+        """Send the name of the latest work; what is finished the client knows by itself."""
+        get_worker().log_event(self.topic, str(report[-1]))
 
 
 class Cluster:

@@ -18,7 +18,13 @@ from uuid import uuid4
 from distributed import CancelledError, Future, KilledWorker
 
 from dpbench.bench.engines import on_worker
-from dpbench.bench.engines.dask_cluster import EXCLUSIVE, Cluster, connect_client, start_own_cluster
+from dpbench.bench.engines.dask_cluster import (
+    EXCLUSIVE,
+    Cluster,
+    StepEvents,
+    connect_client,
+    start_own_cluster,
+)
 from dpbench.bench.engines.engine import (
     BATCHES_AHEAD,
     Completed,
@@ -90,15 +96,21 @@ class DaskEngine(ExitStack):
         self._files, self._progress = sources, progress
         modules = {job.cell.solver_module for job in jobs} - {""}
         texts = {path: Path(path).read_text(encoding="utf-8") for path in modules}
-        self._context = on_worker.CampaignContext(modules=texts)
+        steps = StepEvents(f"dpbench-steps-{next(self._names)}")
+        self._context = on_worker.CampaignContext(modules=texts, progress=steps)
         if self._cluster is None:
             client = self.enter_context(start_own_cluster(self._workers))
             self._cluster = Cluster(client, is_own=True)
+        self._cluster.client.subscribe_topic(steps.topic, self._show_step)
         if (kinds := self._cluster.kinds) > 1:
             progress.remark(f"workers on {kinds} kinds of machines: replays of one kind are ranked")
         if not self._cluster.exclusive and any(job.cell.is_timed for job in jobs):
             progress.remark(NOT_ALONE)
         self._refreshed_s = time.monotonic()
+
+    def _show_step(self, event: tuple[float, str]) -> None:
+        """Show the step of a reference loop that a Dask worker reports."""
+        self._progress.advance(0, event[1])
 
     @property
     def slots(self) -> int:

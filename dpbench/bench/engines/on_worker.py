@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
-from dpbench.bench.progress import Silent
+from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Cell, Outcome
 from dpbench.bench.record.machine import describe_machine
 from dpbench.bench.record.result_folder import MachineDescription
@@ -41,9 +41,10 @@ class WorkerInfo:
 
 @dataclass(frozen=True)
 class CampaignContext:
-    """Texts of plug-ins by the paths in the cells, of all cluster tasks."""
+    """Texts of plug-ins by the paths in the cells, and receiver of steps, of all cluster tasks."""
 
     modules: Mapping[str, str] = field(default_factory=dict)
+    progress: Progress = field(default_factory=Silent)
 
 
 @dataclass(frozen=True)
@@ -220,7 +221,7 @@ def _open_executor_and_folder(
             stack.enter_context(Scratch(place)),
             cores,
             1,
-            Silent(),
+            context.progress,
             describe_worker().machine["id"],
             modules=modules,
             concurrency=concurrency,

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import pytest
@@ -125,6 +126,17 @@ def test_a_cluster_of_this_machine_gives_the_same(
     assert (runs.loc[timed, "concurrency"] == 1).all()
     assert runs.loc[~timed, "concurrency"].isna().all()
     assert sorted(path.name for path in (out / "cells").iterdir()) == [".lock"]
+
+
+def test_a_worker_reports_the_step_it_is_at(scheduler: Cluster) -> None:
+    """To the client of its campaign, while the task goes on."""
+    events: SimpleQueue[tuple[float, str]] = SimpleQueue()
+    with dask_cluster.connect_client(scheduler[0]) as client:
+        client.subscribe_topic("steps", events.put)
+        client.submit(
+            dask_cluster.StepEvents("steps").advance, 0, "step 7 of 450", pure=False
+        ).result()
+        assert events.get(timeout=60.0)[1] == "step 7 of 450"
 
 
 def test_a_killed_worker_costs_only_its_killer(suite: Path, tmp_path: Path) -> None:
