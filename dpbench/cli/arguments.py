@@ -199,11 +199,11 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "compare": CommandHelp(
         _BENCHMARK,
-        "Compare two result folders, or solvers over their releases",
+        "Compare result folders, configurations or releases",
         options.add_compare_options,
         (
             "compare results/before results/after --html compare.html",
-            "compare results/2025 results/2026 --releases",
+            "compare results/mine --solver 'osqp[rho=1.6]' --solver daqp",
         ),
         f"0 no regression is significant; 1 one is; {_BAD_INPUT}",
     ),

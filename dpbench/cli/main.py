@@ -283,7 +283,7 @@ def _print_completion(arguments: argparse.Namespace) -> None:
 
 
 def _compare_folders(arguments: argparse.Namespace) -> int:
-    """Compare two result folders or releases (`dpbench compare`); return the exit code."""
+    """Compare result folders, configurations or releases; return the exit code."""
     from dpbench.report.compare.comparison import compare
 
     if arguments.any_machine:
@@ -294,9 +294,14 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
     if arguments.releases:
         _compare_releases(arguments)
         return 0
+    if arguments.choices:
+        _compare_configurations(arguments)
+        return 0
     if len(arguments.folders) != 2:
         given = f"{len(arguments.folders)} folders were given"
-        raise SituationError("compare", f"{given}; name two, A and B, or add --releases")
+        raise SituationError(
+            "compare", f"{given}; name two, A and B, or add --releases or --solver"
+        )
     limits = {"margin": arguments.margin, "alpha": arguments.alpha}
     compared = compare(*arguments.folders, reference=arguments.reference, **limits)
     if arguments.html is not None:
@@ -305,6 +310,17 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
         write_comparison(Path(arguments.html), compared)
     _print_comparison(compared.markdown(), compared.tables, compared.lines, arguments.markdown)
     return int(compared.worse)
+
+
+def _compare_configurations(arguments: argparse.Namespace) -> None:
+    """Compare and print configurations of one folder (`dpbench compare --solver`)."""
+    from dpbench.report.compare.chosen import compare_configurations_of_folder
+
+    if len(arguments.folders) != 1 or arguments.html or arguments.reference:
+        allowed = "one folder, --solver twice or more, and --markdown"
+        raise SituationError("compare", f"found --solver with other words; allowed: {allowed}")
+    chosen = compare_configurations_of_folder(arguments.folders[0], arguments.choices)
+    _print_comparison(chosen.markdown(), [chosen.table], chosen.lines, arguments.markdown)
 
 
 def _compare_releases(arguments: argparse.Namespace) -> None:

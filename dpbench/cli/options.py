@@ -130,8 +130,10 @@ def add_report_options(report: Command) -> None:
 
 def add_compare_options(compare: Command) -> None:
     """Add the options of `dpbench compare` to its parser."""
-    folders = "two result folders, A and B"
+    folders = "two result folders, A and B; one with --solver"
     compare.add_argument("folders", metavar="DIR", nargs="+", help=folders)
+    chosen = "compare these in one folder instead, as osqp or 'osqp[rho=1.6]'; repeatable"
+    _option(compare, "--solver", "S", chosen, action="append", default=[], dest="choices")
     releases = "compare each solver over its versions instead, in two or more folders"
     _flag(compare, "--releases", releases)
     reference = (

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.times.chosen_pairs import compare_chosen
 from dpbench.analysis.verdict.verdict import list_best_verdict_of_each_solver
 from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.design import load_stability_records
@@ -108,15 +109,24 @@ class Results(result_folder.Results):
         """
         return self.tables["ladder"]
 
-    def paired_ratios(self) -> pd.DataFrame:
+    def paired_ratios(self, *choices: str) -> pd.DataFrame:
         """Return step time ratios of two configurations on the same steps, as a table.
 
         Each solver's best against the fastest, and its settings, in one call mode, against
         `default` or the first of them. One row for each number of `variables`. `low` and `high`
         bound the mean ratio. `finding` is "slower" or "faster" (the second), "tied" where they
         include 1, "unstable" where another measure names another one as faster, "one run" of
-        settings without effect, or "too few steps" for an interval; these two have 0 to inf.
+        settings without effect, or "too few steps" for an interval; these two have 0 to inf. Two
+        that were not timed by turns have no ratio, and `finding` has the reason.
+
+        choices : instead, of each two of these: solvers, `osqp[rho=1.6]`, `osqp high` or labels.
+
+        Raises
+        ------
+        InputError : for a choice that was not timed, or one alone.
         """
+        if choices:
+            return pd.DataFrame([one.table_row for one in compare_chosen(Records(self), choices)])
         return self.tables["paired_ratios"]
 
     def to_latex(

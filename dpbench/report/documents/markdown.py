@@ -281,19 +281,16 @@ def compare_solver(
     chosen = [best[name] for name in dict.fromkeys(named) if name != solver]
     worst = find_worst_steps(data.records, solver)
     own = [v for v in data.verdicts.of[solver] if v.state != "not run"]
+    rows = _choose_rows_of_solver(best[solver], own)
     names = join_with_and([v.configuration.solver for v in chosen]) or "no other solver"
     suite = report.results.suite
     made_by = f"Suite {suite.get('name', '')}, dpbench {suite.get('harness_version', '')}."
     parts = [
         f"# {escape_markdown(solver)} compared with {escape_markdown(names)}",
         *make_ship_lines(report.recommendation.ship),
-        escape_markdown_paragraph(
-            _describe_verdict(best[solver], data.verdicts.of[solver][0], len(own))
-        ),
-        make_solver_table(data, [*_choose_rows_of_solver(own), *chosen]),
-        "\n".join(
-            f"- {escape_markdown(_compare_step_times(data, best[solver], v))}" for v in chosen
-        ),
+        escape_markdown_paragraph(_describe_verdict(rows[0], data.verdicts.of[solver][0], own)),
+        make_solver_table(data, [*rows, *chosen]),
+        "\n".join(f"- {escape_markdown(_compare_step_times(data, rows[0], v))}" for v in chosen),
         _make_worst_table(data, worst, chosen),
         "\n".join(f"    {one_line(step.export_command)}" for step in worst),
         escape_markdown_paragraph(
@@ -305,10 +302,11 @@ def compare_solver(
     ), worst
 
 
-def _choose_rows_of_solver(own: Sequence[Verdict]) -> list[Verdict]:
+def _choose_rows_of_solver(best: Verdict, own: Sequence[Verdict]) -> list[Verdict]:
     """Return the best verdict on each of a solver's settings, and others up to a least number.
 
-    They are sorted from pass to fail, then by time; those that fail by failed steps and error.
+    Those judged in closed loops and replays come first, from pass to fail, then by time; those that
+    fail by failed steps and error. `best` is the first of them unless it fails.
     """
     ranked = sort_best_first(own)
     failing = sorted(
@@ -316,23 +314,34 @@ def _choose_rows_of_solver(own: Sequence[Verdict]) -> list[Verdict]:
         key=lambda v: (v.failed_steps, math.inf if math.isnan(v.error_move) else v.error_move),
     )
     ordered = [*(v for v in ranked if v.state != "fail"), *failing]
+    ordered.sort(key=lambda v: not _is_judged_in_both(v))
+    if best.state != "fail":
+        ordered.sort(key=lambda v: v is not best)
     by_settings = group_by_key(ordered, lambda v: v.configuration.settings).values()
-    best = [alike[0] for alike in by_settings]
-    others = [v for v in ordered if v not in best][: max(0, MOST_CONFIGURATIONS - len(best))]
-    return [v for v in ordered if v in best or v in others]
+    chosen = [alike[0] for alike in by_settings]
+    others = [v for v in ordered if v not in chosen][: max(0, MOST_CONFIGURATIONS - len(chosen))]
+    return [v for v in ordered if v in chosen or v in others] or [best]
 
 
-def _describe_verdict(verdict: Verdict, reference: Verdict, count: int) -> str:
+def _is_judged_in_both(verdict: Verdict) -> bool:
+    """Return whether a configuration was run in closed loop and timed in a replay."""
+    return verdict.loops > 0 and verdict.replays > 0
+
+
+def _describe_verdict(verdict: Verdict, reference: Verdict, own: Sequence[Verdict]) -> str:
     """Return a text on whether a solver's best configuration passes, and of how many it is best.
 
-    reference : verdict on its usual call mode and settings.
+    reference : verdict on its usual call mode and settings; own : on all that were run.
     """
     label, findings = verdict.configuration.label, verdict.causes or verdict.findings_that_bar_pass
     verbs = {"pass": "passes everywhere it was run", "late": "is late", "fail": "fails"}
     why = "" if verdict.state == "pass" else f": {describe_findings(findings)}"
     sentence = f"`{label}` {verbs.get(verdict.state, f'is {verdict.state}')}{why}."
+    both = [v for v in own if _is_judged_in_both(v)]
+    count = len(both or own)
     if count > 1:
-        sentence += f" It is the best of {count} call modes and settings"
+        run = " with a closed loop and a replay" if 0 < len(both) < len(own) else ""
+        sentence += f" It is the best of {count} call modes and settings{run}"
         usual = f"; usually called, `{reference.configuration.label}`: {reference.state}"
         sentence += "." if reference is verdict else f"{usual}."
     return sentence

@@ -77,6 +77,19 @@ def test_every_settings_of_the_solver_is_a_row(records: Any) -> None:
     assert found == ["high", "tuned", "fresh", "mine"]
 
 
+def test_the_named_configuration_is_the_first_row(records: Any) -> None:
+    """The least inaccurate of those that fail; what was not run in closed loop comes last."""
+    for settings, error in (("default", 0.4), ("high", 0.02)):
+        records.loop("osqp", settings=settings, error=error)
+        records.replay("osqp", settings=settings, error=error)
+    records.replay("osqp", settings="high", policy="warm", error=0.015)
+    text, _ = compare_solver(Report.from_results(records.results()), "osqp")
+    assert "\n\n`osqp (qpsolvers fresh, high)` fails: " in text
+    assert "the best of 2 call modes and settings with a closed loop and a replay" in text
+    rows = [line.split(" | ")[1] for line in text.splitlines() if line.startswith("| osqp | ")]
+    assert rows == ["qpsolvers fresh, high", "qpsolvers fresh", "qpsolvers warm, high"]
+
+
 def test_a_comment_on_one_configuration_compares_it_with_no_other(records: Any) -> None:
     records.loop("daqp", error=0.5)
     records.replay("daqp")

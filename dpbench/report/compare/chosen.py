@@ -1,0 +1,108 @@
+"""Comparison of chosen configurations within one result folder."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.times.chosen_pairs import compare_chosen
+from dpbench.analysis.times.paired_times import PairedComparison
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.ship_results import find_ship_results
+from dpbench.analysis.verdict.verdict import judge_solvers
+from dpbench.bench.record.result_folder import load_results
+from dpbench.errors import ResultsError
+from dpbench.report.commands_text import describe_turns
+from dpbench.report.formats import (
+    MISSING,
+    Table,
+    format_count,
+    format_interval,
+    format_microseconds,
+    make_markdown_document,
+)
+from dpbench.report.ship_text import summarise_ships
+from dpbench.report.verdict_text import describe_paired_times
+
+NOTE = (
+    "Time of the second over that of the first on the same steps, which were timed by turns: "
+    "geometric mean, replays of one size of equal weight, with a 95 % interval from 500 steps on. "
+    "A configuration that fails has a ratio too: its answers are not right on every step."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenComparison:
+    """Step time ratios of chosen configurations of one result folder, in lines and a table."""
+
+    pairs: Sequence[PairedComparison]
+    lines: Sequence[str]
+    table: Table
+
+    @property
+    def ratios(self) -> pd.DataFrame:
+        """Table of the ratios, with the columns of `paired_ratios`."""
+        return pd.DataFrame([one.table_row for one in self.pairs])
+
+    def markdown(self) -> str:
+        """Return the comparison as a Markdown document."""
+        return make_markdown_document("Chosen configurations", self.lines, [self.table])
+
+
+def compare_configurations_of_folder(
+    folder: str | Path, choices: Sequence[str]
+) -> ChosenComparison:
+    """Return the step time ratios of each two chosen configurations of a result folder.
+
+    Parameters
+    ----------
+    folder : written by `dpbench run`.
+    choices : two or more of a solver, `osqp[rho=1.6]`, `osqp high` or a label of the report.
+
+    Raises
+    ------
+    InputError : for a choice that was not timed, or fewer than two; as `ResultsError` for a folder
+        that is missing, damaged, without steps, or without a step that two of them replayed.
+    """
+    results = load_results(folder)
+    records = Records(results)
+    pairs = compare_chosen(records, choices)
+    if not pairs:
+        found = "no step that two of the chosen configurations replayed"
+        raise ResultsError(str(folder), "", found, "configurations of one replay")
+    verdicts = judge_solvers(records, Requirements.from_suite(results.suite))
+    states = {v.configuration.label: v.state for v in verdicts.all_verdicts}
+    lines = [summarise_ships(find_ship_results(records)).warning, describe_turns(records)]
+    lines += [_describe_pair(one, states) for one in pairs]
+    rows = [
+        {
+            "first": one.first,
+            "verdict": states.get(one.first, MISSING),
+            "second": one.second,
+            "its verdict": states.get(one.second, MISSING),
+            "variables": f"{one.variables:.0f}",
+            "first [µs]": format_microseconds(one.first_ns),
+            "second [µs]": format_microseconds(one.second_ns),
+            "ratio": MISSING if one.separate else f"{one.ratio.value:.3f}",
+            "interval": MISSING if one.separate else format_interval(one.ratio.low, one.ratio.high),
+            "steps": format_count(one.steps),
+            "finding": one.finding_text,
+        }
+        for one in pairs
+    ]
+    table = Table.from_rows(rows, "Chosen configurations", note=NOTE, text_columns=4)
+    return ChosenComparison(pairs, [line for line in lines if line], table)
+
+
+def _describe_pair(one: PairedComparison, states: Mapping[str, str]) -> str:
+    """Return a line on the ratio of two configurations, and which of them does not pass."""
+    lacking = [
+        f"{name}: {states[name]}"
+        for name in (one.second, one.first)
+        if states.get(name, "pass") != "pass"
+    ]
+    verdicts = f" Verdict on {'; on '.join(lacking)}." if lacking else ""
+    ratio = f"{describe_paired_times([one])}.{verdicts}"
+    return f"{one.second} against {one.first} at {one.variables:.0f} variables: {ratio}"
