@@ -456,15 +456,16 @@ def test_two_of_separate_commands_have_no_ratio(selected: Any) -> None:
     other = """async (number) => {
       for (const own of Object.values(facts.paired.turns)) if (own[state.c]) own[state.c] = number;
       await drawTwo();
+      return beside();
     }"""
     before = page.evaluate("Object.values(facts.paired.turns).map((own) => own[state.c])[0]")
-    page.evaluate(other, [99, 99])
+    assert page.evaluate(other, [99, 99]) == ", timed in separate commands from daqp"
     output = page.inner_text("#two-said")
     assert re.search(r"takes [\d.]+ µs a step and daqp .* [\d.]+ µs, timed in separate", output)
     assert "so there is no ratio" in output and "times as long" not in output
     page.evaluate(other, [99, before[1]])
     assert "not timed by turns" in page.inner_text("#two-said")
-    page.evaluate(other, before)
+    assert " × the time of daqp" in page.evaluate(other, before)
     assert "times as long" in page.inner_text("#two-said")
 
 

@@ -3,7 +3,8 @@
 
 // How the chosen one's times compare with those of the answer.
 function beside() {
-  const first = facts.answer.first, rows = first === state.c ? [] : together(first, state.c);
+  const first = facts.answer.first, rows = first === state.c ? [] : comparedSteps(first, state.c);
+  if (rows[0]?.separate) return `, ${rows[0].separate} from ${unlike(first, state.c)}`;
   return rows.length
     ? `, ${figure(ratioOf(rows), 2)} × the time of ${unlike(first, state.c)} (geometric mean of the same steps)` : "";
 }

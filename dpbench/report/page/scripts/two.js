@@ -25,6 +25,12 @@ function whySeparate(first, second, p) {
   return a[1] === b[1] ? "not timed by turns" : "timed in separate commands";
 }
 
+// The steps of which two make a ratio, those timed by turns; all where there are none.
+function comparedSteps(first, second) {
+  const rows = together(first, second), paired = rows.filter((row) => !row.separate);
+  return paired.length ? paired : rows;
+}
+
 // The steps of the largest QPs: the ratio depends on the size, and is not pooled over sizes.
 function ofLargest(rows) {
   const most = rows.reduce((size, row) => Math.max(size, row.variables), 0);
@@ -77,8 +83,7 @@ async function drawTwo() {
     .find((c) => others.includes(c));
   if (second === undefined) return;
   options("choose-other", others.map((c) => [c, label(c)]), second);
-  const common = together(state.c, second), said = $("two-said");
-  const paired = common.filter((row) => !row.separate), rows = paired.length ? paired : common;
+  const rows = comparedSteps(state.c, second), said = $("two-said");
   if (!rows.length) { said.textContent = "No sequence was replayed by both."; $("figure-pairs").hidden = true; return; }
   $("figure-pairs").hidden = false;
   const ratio = Math.max(ratioOf(rows), 1 / ratioOf(rows)), reach = reachOf(state.c, second);
@@ -86,7 +91,7 @@ async function drawTwo() {
   // The packed times hold two digits of a ratio.
   const interval = reach !== null ? `95 % interval ${figure(ratio / reach, 2)} to ${figure(ratio * reach, 2)}`
     : ratio === 1 ? "one run: the settings make no difference" : "too few steps for an interval";
-  said.textContent = !paired.length
+  said.textContent = rows[0].separate
     ? `${label(state.c)} takes ${time(meanOf(rows, "a"))} a step and ${label(second)} `
     + `${time(meanOf(rows, "b"))}, ${rows[0].separate}, so there is no ratio: geometric means over `
     + `${commonSteps(rows)}.`
