@@ -160,6 +160,9 @@ class LinearMPC:
         ):
             if is_wrong:
                 raise InputError(name, key, shorten_found(getattr(self, key)), allowed)
+        if not 1 <= self.control_horizon <= self.prediction_horizon:
+            allowed = f"1 to prediction_horizon, {self.prediction_horizon}"
+            raise InputError(name, "control_horizon", self.control_horizon, allowed)
         problem = ControlProblem(
             augment_to_incremental_model(self.model),
             self.prediction_horizon,
@@ -207,7 +210,7 @@ def _to_array(name: str, key: str, values: ArrayLike, dimensions: int) -> Matrix
     """Return values as an array of finite numbers; InputError, naming the key, for others."""
     array = np.array(values, dtype=np.float64, ndmin=1)
     if array.ndim != dimensions:
-        expected = f"finite numbers, {dimensions}-dimensional"
+        expected = ("a vector, as [1.0, 2.0]", "a matrix, as [[1.0], [2.0]]")[dimensions - 1]
         raise ShapeError.from_shapes(name, key, array.shape, expected)
     if len(wrong := array[~np.isfinite(array)]):
         raise InputError(name, key, f"the value {wrong[0]}", "finite numbers")

@@ -150,7 +150,11 @@ def test_a_reference_over_time_keeps_its_last_row() -> None:
         ({"u_min": [0.0, 0.0]}, r"cart: u_min: found shape \(2,\); allowed: shape \(1,\)"),
         ({"output_weight": np.eye(2)}, r"output_weight: found shape \(2, 2\)"),
         ({"reference": [1.0, 2.0]}, "cart: reference: found"),
-        ({"control_horizon": 20}, "N_c"),
+        (
+            {"control_horizon": 20},
+            "control_horizon: found 20; allowed: 1 to prediction_horizon, 12",
+        ),
+        ({"B": [0.5, 1.0]}, r"B: found shape .2,.; allowed: a matrix, as \[\[1"),
         ({"A": [[np.nan]]}, "cart: A: .*finite"),
         ({"du_max": [np.inf]}, "cart: du_max: found the value inf; allowed: finite numbers"),
         ({"inputs": "force_N"}, r"found 'force_N'; .*sequence of names, such as \('force_N',\)"),
