@@ -287,8 +287,16 @@ class Comparison:
         if any(figure.change == "better" for figure in self.figures):
             shown = f"better accuracy or control{', ' if shown else ''}{shown}"
         shown = shown or "no change shown"
-        shown = shown if times - {"not judged"} else f"{shown}, accuracy only"
+        shown = ", ".join(filter(None, (shown, self.note_on_times)))
         return f"{shown}, on a disturbed machine" if disturbed else shown
+
+    @property
+    def note_on_times(self) -> str:
+        """Why the verdict is on accuracy: no times were compared, or none judged; "" elsewhere."""
+        if not self.compared:
+            return "accuracy only"
+        judged = any(one.assessment.verdict != "not judged" for one in self.compared)
+        return "" if judged else "times not judged"
 
     def markdown(self) -> str:
         """Return the comparison of two result folders as a Markdown document."""

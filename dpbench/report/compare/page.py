@@ -54,11 +54,11 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
             "steps": draw_step_pairs("A: step time", "B: step time"),
         }
     others = [t for t in comparison.tables if "B/A less machine" not in t.heads]
+    verdict = "worse somewhere" if comparison.worse else "no regression shown"
     text = render_page(
         "compare",
         [read_page_file(f"scripts/{name}.js") for name in ("common", "compare")],
-        verdict=("worse somewhere" if comparison.worse else "no regression shown")
-        + ("" if {c.assessment.verdict for c in order} - {"not judged"} else ", accuracy only"),
+        verdict=", ".join(filter(None, (verdict, comparison.note_on_times))),
         lead=make_lead_sentences(comparison),
         lines=[strip_markdown(line) for line in comparison.lines],
         figures={

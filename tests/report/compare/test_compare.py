@@ -258,7 +258,7 @@ def test_a_disturbed_kernel_stands_for_no_machine(make: Make) -> None:
     at = [table.heads.index(head) for head in ("machine", "B/A less machine", "interval")]
     assert [[row[i] for i in at] for row in table.rows] == [["–"] * 3] * 2
     assert "step times: 2 not judged" in found.lines
-    assert found.headline == "no change shown, accuracy only, on a disturbed machine"
+    assert found.headline == "no change shown, times not judged, on a disturbed machine"
     assert "machine's factor is unknown: not judged." in describe_verdict(found.compared[0])
     assert not found.worse
     a = make("c", seed=1, configurations=both)
