@@ -292,7 +292,7 @@ class Comparison:
 
     @property
     def note_on_times(self) -> str:
-        """Why the verdict is on accuracy: no times were compared, or none judged; "" elsewhere."""
+        """Reason for a verdict on accuracy: no times compared, or none judged; "" elsewhere."""
         if not self.compared:
             return "accuracy only"
         judged = any(one.assessment.verdict != "not judged" for one in self.compared)
