@@ -74,8 +74,7 @@ def _page(row: SolverRecord) -> str:
         parts += [_abilities(row, route, can), *_faults(can)]
     parts += ["## Settings\n", _settings(row)]
     known = [
-        f"Of steps that end as `{status.name}`: {text}."
-        for status, text in row.known_failures.items()
+        f"Steps that end as `{status.name}`: {text}." for status, text in row.known_failures.items()
     ]
     known += PITFALLS.get(row.name, [])
     if known:

@@ -63,6 +63,10 @@ def _yield_texts() -> Iterator[tuple[str, str]]:
 
 
 TEXTS = dict(_yield_texts())
+BARE = re.compile(
+    r"(?:^|(?<=[.:!?]\s)|(?<=[|-] )|(?<== \"))(?:Of|What|Who|Whose|Whom)\b.{,80}", re.M
+)
+"""A sentence that begins with a bare clause."""
 
 
 @pytest.mark.parametrize("name", TEXTS)
@@ -72,6 +76,11 @@ def test_no_private_word_is_left(name: str) -> None:
         f"{n}: {word}: {line.strip()[:120]}" for n, line in lines for word in PRIVATE.findall(line)
     ]
     assert found == []
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_no_sentence_begins_with_a_bare_clause(name: str) -> None:
+    assert BARE.findall(TEXTS[name]) == []
 
 
 @pytest.mark.parametrize("path", [ROOT / "README.md", *PAGES], ids=lambda path: path.name)

@@ -24,8 +24,8 @@ class PlantError(SituationError):
 class Plant(Protocol):
     """Custom simulator, which a controller steers for one run.
 
-    Of a ship: `u` (3,) is the force in surge, sway and yaw [N, N, N·m]; `state` and the measurement
-    are [u, v, r, n, e, ψ] (6,) in m/s, m/s, rad/s, m, m, rad, where ψ may wrap. Of a `LinearMPC`:
+    For a ship: `u` (3,) is the force in surge, sway and yaw [N, N, N·m]; `state` and measurement
+    are [u, v, r, n, e, ψ] (6,) in m/s, m/s, rad/s, m, m, rad, where ψ may wrap. For a `LinearMPC`:
     `u` (n_u,) and `state` (n_x,) are those of its model, in its units; `measure()` returns all n_x
     states, measured or estimated, not the n_y outputs.
 

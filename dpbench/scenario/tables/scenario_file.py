@@ -138,7 +138,7 @@ class FaultTable(FileModel):
     """Share of the vessel's limits in surge, sway, yaw from then on; where forces are planned."""
     lost: list[str] | None = None
     """Thrusters, or failure groups, lost from then on; where thrusters limit the force or are
-    commanded. Of a cascade it changes the allocation and not the plan."""
+    commanded. In a cascade it changes the allocation and not the plan."""
     loss: Literal["ramp_down", "trip"] = "ramp_down"
     """Loss of force of a lost thruster: "ramp_down", as fast as its rate allows, as when it is
     taken out of service; "trip", at once, as when its breaker opens. With "trip" thrusters must be
