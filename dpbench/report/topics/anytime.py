@@ -55,7 +55,8 @@ def _describe_loops(group: LimitedGroup) -> str:
     named = join_with_and(names) if len(names) <= 4 else plural(len(names), "configuration")
     never = sum(math.isinf(limit) for limit in least.values())
     others = f"; {never} of {len(least)} stay so at no limit" if never else ""
-    limit = f"{_format_limit(group, first)} a step {'is' if first == 1 else 'are'}"
+    verb = "is" if first == 1 or group.limit_of == "time" else "are"
+    limit = f"{_format_limit(group, first)} a step {verb}"
     return f"In {group.problem} {limit} enough for {named} to stay within {_SHARE}{others}."
 
 

@@ -104,7 +104,7 @@ def test_limits_of_time_are_a_group_of_their_own(records: Any) -> None:
     assert {group.limit_of for group in others} == {"iterations"}
     topic = build_anytime_topic(records.view(), Requirements())
     assert topic is not None
-    assert topic.lines[0].startswith("In paper 1.00 ms a step are enough for clarabel (qpsolvers f")
+    assert topic.lines[0].startswith("In paper 1.00 ms a step is enough for clarabel (qpsolvers f")
     table, _ = topic.tables
     assert table.rows[0][1:5] == ("1.00 ms", "3 of 120", table.rows[0][3], "3.00")
     assert table.heads[-1] == "median timing at 100 µs"
