@@ -35,6 +35,7 @@ from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.bench.record.result_folder import load_results
 from dpbench.display import make_html_table
 from dpbench.errors import InputError
+from dpbench.report.commands_text import describe_machine_states
 from dpbench.report.compare.further_tables import make_settings_table, make_windows_table
 from dpbench.report.formats import (
     MISSING,
@@ -51,7 +52,6 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.ship_text import summarise_ships
-from dpbench.report.verdict_text import describe_disturbance
 
 TIMES = ("slower", "faster", "no difference shown", "equivalent", "not judged")
 """Verdicts on a step time: the two claims, then the weaker ones."""
@@ -383,8 +383,9 @@ def _compare_times(
 def _describe_machine(view: Records) -> str:
     """Return a text on a folder's processor and how far other load disturbed its runs."""
     wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
-    disturbance = sum_disturbances(select_timed_replays(view))
-    return f"{wording}, {describe_disturbance(disturbance)}" if disturbance.seconds > 0 else wording
+    timed = select_timed_replays(view)
+    is_known = sum_disturbances(timed).seconds > 0
+    return f"{wording}, {describe_machine_states(timed)}" if is_known else wording
 
 
 def describe_changed_options(pairs: Pairs) -> list[str]:
