@@ -77,7 +77,7 @@ README = ROOT / "README.md"
 
 def test_the_readme_is_short() -> None:
     """At most 150 lines: what is longer stands in the documentation."""
-    assert len(README.read_text(encoding="utf-8").splitlines()) <= 150
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= 120
 
 
 def test_every_file_the_readme_links_to_exists() -> None:

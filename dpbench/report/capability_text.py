@@ -80,7 +80,7 @@ def describe_answers_at_edge(plot: CapabilityResult) -> str:
     qps = f"all {plural(plot.qp_count, 'QP')} at that edge"
     names = f": {join_with_and(right)}" if right else ""
     verb = "answers" if len(right) == 1 else "answer"
-    return f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {qps} rightly{names}."
+    return f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {qps} correctly{names}."
 
 
 def describe_consequence_solver(records: Records, solver: str) -> str:
@@ -111,10 +111,10 @@ def describe_consequence_solver(records: Records, solver: str) -> str:
     shares = {name: find_largest_solve_time_share(right[name]) for name in same or deployable}
     best = min(shares, key=lambda name: (math.isnan(shares[name]), shares[name]), default="")
     edge = " and those at the edge of the capability plot" if at_edge else ""
-    other = best or f"no solver that was run answers all its QPs{edge} rightly"
+    other = best or f"no solver that was run answers all its QPs{edge} correctly"
     if one_kind and _list_kinds([*asked, *edges]) == kinds:
         fit = join_with_and([*dict.fromkeys(right[name][0].solver for name in right)])
-        who = f"; right on all of them: {fit}" if fit and one_kind == "feasible" else ""
+        who = f"; correct on all of them: {fit}" if fit and one_kind == "feasible" else ""
         other = f"none named, as all its QPs are {one_kind}{who}"
     elif one_kind and best:
         other += f" (all its QPs are {one_kind}, of those at the edge not all)"

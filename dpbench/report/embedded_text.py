@@ -20,8 +20,8 @@ CYCLES = 1.0
 """Cycles per instruction where the reader gives none: an assumption."""
 CLOCK_MHZ = 100.0
 CAVEAT = (
-    "Counts have no caches, no pipeline and no bus in them, and are no bound of the worst-case "
-    "execution time."
+    "The counts do not include effects of caches, pipeline and bus, and are no bound of the "
+    "worst-case execution time."
 )
 MOST_PAIRS = 2
 """Number of disagreements between desk and counts that are named for a sequence."""
@@ -46,6 +46,11 @@ def name_sequence_and_core(sequence: CountedSequence) -> str:
     return (
         f"{sequence.sequence} on {name_core_and_precision(sequence.target, single=sequence.single)}"
     )
+
+
+def _mark_sequence_and_core(sequence: CountedSequence) -> str:
+    """Return the text "`SEQUENCE` on CORE", with the sequence marked as code."""
+    return f"`{sequence.sequence}`{name_sequence_and_core(sequence)[len(sequence.sequence) :]}"
 
 
 def convert_instructions_to_ns(instructions: int) -> float:
@@ -109,28 +114,29 @@ def describe_embedded_cost(
     share = format_sample_share(worst_ns / requirements.deadline_ns)
     of_deadline = f", {share} of the {describe_deadline(requirements)}"
     return (
-        f"As C on a {core} {solver} executes "
-        f"{format_count(one.p99)} instructions a step at p99 and at most {format_count(one.worst)} "
-        f"in {sequence.sequence}. At {CYCLES:g} cycle per instruction (an assumption) and "
-        f"{CLOCK_MHZ:g} MHz the worst takes {format_time(worst_ns)}"
-        f"{of_deadline * requirements.judges_step_times}. {CAVEAT}"
+        f"On a {core} its worst step of `{sequence.sequence}` executes "
+        f"{format_count(one.worst)} instructions: at 1 instruction per cycle (an assumption) and "
+        f"{CLOCK_MHZ:g} MHz {format_time(worst_ns)}"
+        f"{of_deadline * requirements.judges_step_times}. At p99 it is {format_count(one.p99)}. "
+        f"{CAVEAT}"
     )
 
 
 def describe_cheapest_solver(sequence: CountedSequence, requirements: Requirements) -> str:
     """Return a sentence on the solver of fewest instructions within the required error."""
     right = [one for one in sequence.solvers if one.error_move <= requirements.error_move]
-    where = name_sequence_and_core(sequence)
+    where = _mark_sequence_and_core(sequence)
     if not right:
         return f"No solver counted along {where} stays within the required error."
     first, *others = right
     following = ""
     if others:
         p99, worst = format_count(others[0].p99), format_count(others[0].worst)
-        following = f" Next: {others[0].solver}, {p99} and {worst}."
+        following = f" Next: `{others[0].solver}`, {p99} and {worst}."
     return (
-        f"Along {where} {first.solver} executes the fewest instructions: "
-        f"{format_count(first.p99)} a step at p99, {format_count(first.worst)} at most.{following}"
+        f"`{first.solver}` executes the fewest instructions in {where}: "
+        f"{format_count(first.p99)} per step at p99, {format_count(first.worst)} at most."
+        f"{following}"
     )
 
 
@@ -145,21 +151,27 @@ def yield_ranking_sentences(
             continue
         pairs = sequence.find_pairs_ranked_otherwise(requirements.error_move)
         if not pairs:
-            alike.append(name_sequence_and_core(sequence))
+            alike.append(_mark_sequence_and_core(sequence))
             continue
         # The widest first.
         pairs.sort(key=lambda pair: -pair[1].p99 * pair[0].desk_p99_ns / pair[0].p99)
         named = [
-            f"{few.solver} executes fewer instructions than {many.solver} "
-            f"({format_count(few.p99)} against {format_count(many.p99)}) and is slower on the desk "
+            f"`{few.solver}` executes fewer instructions than `{many.solver}` "
+            f"({format_count(few.p99)} against {format_count(many.p99)}) but is slower here "
             f"({format_time(few.desk_p99_ns)} against {format_time(many.desk_p99_ns)})"
             for few, many in pairs[:MOST_PAIRS]
         ]
         more = f", and {len(pairs) - MOST_PAIRS} more" if len(pairs) > MOST_PAIRS else ""
-        where = name_sequence_and_core(sequence)
-        yield f"Desk and counts disagree along {where}: {join_with_and(named)}{more}, {apart}."
+        where = _mark_sequence_and_core(sequence)
+        yield (
+            f"Counts and times on this machine rank solvers differently in {where}: "
+            f"{join_with_and(named)}{more}, {apart}."
+        )
     if alike:
-        yield f"Desk and counts rank the solvers alike along {join_with_and(alike)}, {apart}."
+        yield (
+            "Counts and times on this machine rank the solvers alike in "
+            f"{join_with_and(alike)}, {apart}."
+        )
 
 
 def yield_uncounted_sentences(missing: Sequence[UncountedSolver]) -> Iterator[str]:

@@ -76,7 +76,7 @@ def _describe_tolerances_left(verdict: Verdict) -> str:
     if not is_inaccurate or find_solver_record_or_none(solver) is None:
         return ""
     left = list_tolerances_left_at_default(solver, _format_options_by_name(verdict))
-    return f" Left at {solver}'s default: {join_with_and(left)}." if left else ""
+    return f" At {solver}'s default: {join_with_and(left)}." if left else ""
 
 
 def _describe_failing_modes(verdict: Verdict, modes: Sequence[Verdict]) -> str:

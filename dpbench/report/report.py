@@ -139,7 +139,7 @@ class Report:
         lead = next((topic for topic in self.topics if topic.leads), None)
         ship = self.recommendation.ship
         rows = [("warning", ship.warning), ("ship", ship.text), ("caution", ship.caution)]
-        rows = [(about, strip_markdown(text)) for about, text in rows if text]
+        rows = [row for row in rows if row[1]]
         rows += [("answer", lead.lines[0])] if lead else []
         headline, verdicts = self.recommendation, self.data.verdicts
         if headline.sentence and not (lead and lead.id == "loops"):
@@ -162,7 +162,8 @@ class Report:
             rows.append(("harness", f"{describe_calibration(medians)}."))
         if disturbed := " ".join(yield_disturbance_sentences(self.data.studies)):
             rows.append(("times", disturbed))
-        return rows if can_draw() else [*rows, ("figures", f"{NOT_DRAWN}.")]
+        rows += [] if can_draw() else [("figures", f"{NOT_DRAWN}.")]
+        return [(about, strip_markdown(text)) for about, text in rows]
 
 
 LEGEND = "README.md"

@@ -25,14 +25,21 @@ class ShipSummary:
     """First lines of a report: a warning where the controller does not hold a ship, and results.
 
     warning : begins with `BANNER`, or with `LOST` where the loops of all lost ships are unstable
-    without limits; "" where no ship is lost. text : "" without any ship.
+    without limits; "" where no ship is lost. state : where the ship is on station; "" without any
+    ship. details : losses, scenarios without a result, active limits.
     caution : of ships on station with little margin, still moving away, or farther off since a
     loss, and in a report of losses that no closed loop shows to be held; "" without any.
     """
 
     warning: str = ""
-    text: str = ""
+    state: str = ""
+    details: str = ""
     caution: str = ""
+
+    @property
+    def text(self) -> str:
+        """State and details of the ships as one text."""
+        return " ".join(filter(None, (self.state, self.details)))
 
     @property
     def lines(self) -> list[str]:
@@ -46,17 +53,12 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
         return ShipSummary()
     known = [ship for ship in ships if ship.state != "not run"]
     if not known:
-        return ShipSummary(text=NOT_RUN)
+        return ShipSummary(state=NOT_RUN)
     lost = [ship for ship in known if ship.has_left_station]
     warning = " ".join(_warn_of_lost(lost))
-    sentences = [
-        _describe_kept(known),
-        *_describe_after_losses(known),
-        *_describe_rest(ships),
-        *_describe_limits(known),
-    ]
-    text = " ".join(sentence for sentence in sentences if sentence)
-    return ShipSummary(warning, text, " ".join(_describe_small_margins(known)))
+    details = [*_describe_after_losses(known), *_describe_rest(ships), *_describe_limits(known)]
+    caution = " ".join(_describe_small_margins(known))
+    return ShipSummary(warning, _describe_kept(known), " ".join(details), caution)
 
 
 def _warn_of_lost(lost: Sequence[ShipResult]) -> Iterator[str]:

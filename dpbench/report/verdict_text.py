@@ -215,14 +215,13 @@ def explain_no_recommendation(
 def format_usual_time(verdict: Verdict) -> str:
     """Format a configuration's p99 step time, or its p50 if there are too few steps."""
     if verdict.p99_run is None or math.isnan(verdict.p99_ns):
-        return f"p50 {format_time(verdict.p50_ns)} in the replay of {verdict.timed_on}"
+        return f"p50 {format_time(verdict.p50_ns)} in the replay of `{verdict.timed_on}`"
     searched = verdict.p99_run.steps_searched_for_hardest
     name = "largest" if 0 < searched < LEAST_STRETCH else "p99"
-    of = f" of {plural(searched, 'step')}, measured" if searched else ""
-    where = strip_markdown(name_experiment(verdict.p99_run))
-    note = describe_p99_interval(verdict)
-    between, after = ("", note) if searched else (note, "")
-    return f"{name} {format_time(verdict.p99_ns)}{between}{of} in {where}{after}"
+    time, note = format_time(verdict.p99_ns), describe_p99_interval(verdict)
+    if searched:
+        return f"{name} {time} of {plural(searched, 'step')} of `{verdict.p99_run.scenario}`{note}"
+    return f"{name} {time}{note} in {name_experiment(verdict.p99_run)}"
 
 
 def describe_p99_interval(verdict: Verdict) -> str:

@@ -202,7 +202,7 @@ def test_a_ship_on_its_way_and_one_without_a_loop_are_said_to_be(records: Any) -
 
 def test_without_any_loop_the_ship_is_not_run(records: Any) -> None:
     records.replay("daqp", "paper")
-    assert _summary(records) == ShipSummary(text=NOT_RUN)
+    assert _summary(records) == ShipSummary(state=NOT_RUN)
 
 
 def test_a_qp_that_never_meets_a_limit_was_never_hard(records: Any) -> None:

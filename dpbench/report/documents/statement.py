@@ -180,6 +180,7 @@ def _format_lines(text: str, shrink: float) -> Iterator[TextLine]:
         mark, _, words = line.partition(" ")
         if mark not in _LOOKS:
             mark, words = "", line
+        words = strip_markdown(words)
         look = _LOOKS.get(mark, {})
         wide = BOLD_WIDER if look.get("bold") else 1.0
         sizes = {
@@ -209,13 +210,8 @@ def _fill_statement(
     return render_document(
         "statement",
         made_by=describe_version(results.suite),
-        ship={
-            name: strip_markdown(text) for name, text in vars(summarise_ships(data.ships)).items()
-        },
-        ship_lines=[
-            [strip_markdown(line) for line in describe_scenario(ship)]
-            for ship in ships[:MOST_SHIPS]
-        ],
+        ship=summarise_ships(data.ships),
+        ship_lines=[list(describe_scenario(ship)) for ship in ships[:MOST_SHIPS]],
         more_ships=max(0, len(ships) - MOST_SHIPS),
         thrusters=[
             text for file in files if (text := describe_thrusters(file.get("thrusters") or ()))

@@ -51,10 +51,10 @@ def _draw_verdict_grids(data: PageData) -> Charts:
 
 
 MATRIX = (
-    "Each cell is the verdict of that scenario or replay alone. Fail: an answer beyond the "
-    "requirements, or none. Late: right, but too slow. Borderline: a time as near to its limit as "
-    "rounds differ. Inconclusive: not all of it was judged. A closed loop counts with the replay "
-    "of its hardest steps."
+    "Each cell is the verdict on a configuration in one scenario or replay. Fail: a step with an "
+    "inaccurate answer, or with none. Late: accurate, but too slow. Borderline: a time as close to "
+    "its limit as rounds differ. Inconclusive: part of it was not judged. A closed loop is judged "
+    "together with the replay of its hardest steps."
 )
 
 
@@ -70,11 +70,11 @@ def _explain_verdict_grid(data: PageData) -> str:
         requested = ran[ran["settings"] == "default"]
         failing = requested.loc[requested["verdict"] == "fail", "solver"].nunique()
         of = f"{failing} of {requested['solver'].nunique()} solvers"
-        fail = f"; {of} fail there: scale the QP" if failing else ""
-        wording.append(f"In N and N·m is an extra, in no verdict{fail}.")
+        fail = f" {of} fail there: scale the QP." if failing else ""
+        wording.append(f"Runs in SI units (N, N·m) enter no verdict.{fail}")
     if there != drawn:
-        most = f"The {drawn} of {there} scenarios and replays with the fewest passes"
-        wording.append(f"{most}; all are in tables/experiments.csv.")
+        most = f"Shown are the {drawn} of {there} scenarios and replays with the fewest passes"
+        wording.append(f"{most}; tables/experiments.csv has all.")
     return " ".join(wording)
 
 

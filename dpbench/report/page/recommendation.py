@@ -34,7 +34,6 @@ from dpbench.report.formats import (
     format_time,
     join_with_and,
     plural,
-    strip_markdown,
 )
 from dpbench.report.page.data import PageData
 from dpbench.report.ship_text import ShipSummary, summarise_ships
@@ -56,6 +55,7 @@ from dpbench.solvers.settings import has_preset_or_tolerance, resolve_settings_w
 MOST_CHIPS = 16
 """More experiments are counted by state, and named only where they are at most `FEW`."""
 FEW = 5
+MARGIN_NOTES = ("counted", "slower")
 MOST_INCONCLUSIVE = 2
 """Number of faster but inconclusive configurations with a note."""
 
@@ -80,10 +80,12 @@ class Recommendation:
     """Headline of the report page: ship, solver to use, notes, verdicts by scenario, code to paste.
 
     ship : what the controller does to it whatever the solver; comes before `sentence` everywhere.
+    verdict : which solver to use, or why none; evidence : what its runs measured, "" without one.
     """
 
     ship: ShipSummary
-    sentence: str
+    verdict: str
+    evidence: str
     notes: tuple[tuple[str, str], ...]
     chips: tuple[Badge, ...]
     snippets: tuple[tuple[str, str], ...]
@@ -92,6 +94,17 @@ class Recommendation:
     first: Configuration | None
     second: Configuration | None
 
+    @property
+    def sentence(self) -> str:
+        """Verdict and evidence as one text."""
+        return " ".join(filter(None, (self.verdict, self.evidence)))
+
+    @property
+    def margin(self) -> str:
+        """Sentence on how much slower, or on which computer, the solver may run; "" for none."""
+        own = [text for about, text in self.notes if about in MARGIN_NOTES]
+        return own[0].split(". ")[0].removesuffix(".") + "." if own else ""
+
     @staticmethod
     def why(verdict: Verdict) -> str:
         """Return a text on why a configuration does not pass; "" where it passes."""
@@ -99,7 +112,7 @@ class Recommendation:
             return verdict.refusal
         if verdict.state == "pass":
             return ""
-        return strip_markdown(describe_findings(verdict.causes or verdict.findings_that_bar_pass))
+        return describe_findings(verdict.causes or verdict.findings_that_bar_pass)
 
 
 def build_recommendation(
@@ -125,10 +138,11 @@ def build_recommendation(
         fastest = find_fastest_configuration(data.verdicts, baseline)
         second = fastest.configuration if fastest else own[0]
     ship = summarise_ships(data.ships)
-    choice = _describe_choice(data, found, is_lost=bool(ship.warning))
+    verdict, evidence = _describe_choice(data, found, is_lost=bool(ship.warning))
     return Recommendation(
         ship=ship,
-        sentence=" ".join(filter(None, (_describe_lone_solver(known), choice))),
+        verdict=" ".join(filter(None, (_describe_lone_solver(known), verdict))),
+        evidence=evidence,
         notes=(*_make_notes(data, found), *_yield_notes_on_runs(data)),
         chips=tuple(_make_badges(data, first)),
         snippets=tuple(_make_snippets(chosen.configuration)) if chosen else (),
@@ -159,16 +173,16 @@ def _describe_machine(data: PageData, machine: Mapping[str, Any]) -> str:
     )
 
 
-def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> str:
-    """Return a text on the solver to use with its p99 and error, or why there is none.
+def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> tuple[str, str]:
+    """Return texts on the solver to use, or why there is none, and on its p99 and error.
 
     is_lost : the controller does not hold a ship, so that the sentence speaks of the QPs alone.
     """
     chosen = found.chosen
     if chosen is None:
-        return _explain_no_choice(data, found)
+        return _explain_no_choice(data, found), ""
     c = chosen.configuration
-    call = f"{c.solver} ({c.route}, {c.policy}, {c.settings})"
+    call = f"`{c.solver}` ({c.route}, {c.policy}, {c.settings})"
     if is_lost:
         verdicts = {"pass": f"{call} passes", "borderline": f"{call} is borderline"}
         verdict = verdicts.get(chosen.state, f"nothing contradicts {call}")
@@ -176,13 +190,14 @@ def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> s
     else:
         heads = {"pass": "Use", "borderline": "Borderline:"}
         opening = f"{heads.get(chosen.state, 'Nothing contradicts')} {call}"
-    lacks = "" if chosen.state == "pass" else f"; {Recommendation.why(chosen)}"
+    lacks = "" if chosen.state == "pass" else f": {Recommendation.why(chosen)}"
     both = describe_consequence_solver(data.records, c.solver)
     return (
-        f"{both + ' ' if both else ''}{opening}: right on every step of "
-        f"{describe_judged_runs(chosen)}{_describe_infeasible_steps(data, c)}, "
-        f"{format_usual_time(chosen)}, largest error of the first move "
-        f"{format_error(chosen.error_move)}{lacks}."
+        f"{both + ' ' if both else ''}{opening}{lacks}.",
+        f"It was correct on every step of {describe_judged_runs(chosen)}"
+        f"{_describe_infeasible_steps(data, c)}. Step time: {format_usual_time(chosen)}. "
+        f"The largest error of the first move was {format_error(chosen.error_move)} of the "
+        "maximum increment.",
     )
 
 
@@ -197,7 +212,7 @@ def _explain_no_choice(data: PageData, found: SolverChoice) -> str:
     """Return a text on why no solver is recommended; "" if no choice is meant."""
     records = data.records
     if any(not run.is_baseline_law for run in records.runs):
-        return strip_markdown(explain_no_recommendation(records, data.verdicts, found))
+        return explain_no_recommendation(records, data.verdicts, found)
     topics = records.random or records.consequence or records.at_edge or records.study
     other = topics or records.delayed or records.calibration
     return "" if other else NOBODY
@@ -275,8 +290,8 @@ def describe_speed_margin(data: PageData, chosen: Verdict) -> str:
         p99 = _describe_slow_step(margin.p99)
     time = "p99" if isfinite(chosen.p99_ns) else "largest step (in place of a p99)"
     parts = [
-        "The computer may be up to × "
-        f"{format_rounded_down(margin.allowed_slowness_factor)} slower.",
+        "The ship's computer may be up to "
+        f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this one.",
         f"The {time} reaches {requirements.p99_ms:g} ms at × "
         f"{format_rounded_down(margin.p99_limit)}: it is {p99}.",
         f"The hardest step takes the deadline of {requirements.deadline_ms:g} ms at × "

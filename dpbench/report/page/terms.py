@@ -75,7 +75,15 @@ class Terms:
         return ""
 
     def __call__(self, text: str) -> Markup:
-        """Return a text as HTML, with its terms linked to the page's glossary."""
+        """Return a text as HTML: terms linked to the page's glossary, Markdown's code as code."""
+        parts = text.replace("**", "").split("`")
+        return Markup("").join(
+            Markup("<code>{}</code>").format(part) if i % 2 else self._link_terms(part)
+            for i, part in enumerate(parts)
+        )
+
+    def _link_terms(self, text: str) -> Markup:
+        """Return a text without code as HTML, with its terms linked to the page's glossary."""
         parts, end = [], 0
         for found in _FOUND.finditer(text):
             phrase = found[0].lower()

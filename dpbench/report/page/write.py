@@ -28,7 +28,6 @@ from dpbench.report.charts.render import FORMATS, compile_vega, render_svg
 from dpbench.report.embedded_text import (
     CLOCK_MHZ,
     CYCLES,
-    NOTE,
     describe_deadline,
     make_calculator_rows,
 )
@@ -105,7 +104,7 @@ def _describe_configuration(
     return {
         **make_configuration_columns(c),
         "verdict": "not judged" if v is None else v.state,
-        "why": "" if v is None else recommendation.why(v),
+        "why": "" if v is None else recommendation.why(v).replace("**", ""),
         **{name: convert_to_json_number(times.get(name)) for name in ("p50", "p99", "max")},
         "replay_p99": None if v is None else convert_to_json_number(v.replay_p99_ns),
         "raw_p99": None if v is None else convert_to_json_number(v.raw_p99_ns),
@@ -201,13 +200,13 @@ ABOUT_OWN_PLANT = "Quadratic-programming solvers in a model predictive controlle
 _STATES = ("var(--good)", "var(--near)", "var(--warn)", "var(--late)", "var(--bad)", "var(--none)")
 _HUES = [hue for hue in style.FAMILY_COLOURS.values() if hue not in style.STATE_COLOURS]
 FILES = {
-    "runs.parquet": "one row a run",
-    "steps.parquet": "one row a step; a published copy may lack it: the same run writes it again",
-    "embedded.parquet": "one row a step of a solver's C on an embedded core",
-    "capability.parquet": "one row a QP at the edge of what thrusters hold",
+    "runs.parquet": "one row per run",
+    "steps.parquet": "one row per step; not in every published copy, as a new run restores it",
+    "embedded.parquet": "one row per step of a solver's C code on an embedded core",
+    "capability.parquet": "one row per QP at the edge of the capability plot",
     "machine.json": "the machine and the versions",
     "suite.json": "the suite that was requested",
-    "tables/runs.csv": "the runs as CSV; README.md in its folder explains all tables",
+    "tables/runs.csv": "the runs as CSV; README.md in the same folder explains all tables",
 }
 VARIABLES = {
     style.INK: "var(--ink)",
@@ -275,7 +274,6 @@ def make_page_html(
         },
         lead=lead,
         core_times=make_calculator_rows(data.counts, data.requirements),
-        counts_note=NOTE,
         cycles=f"{CYCLES:g}",
         clock_mhz=f"{CLOCK_MHZ:g}",
         deadline=describe_deadline(data.requirements),

@@ -50,13 +50,12 @@ def _describe_loops(group: LimitedGroup) -> str:
     least = {c.configuration.label: c.least_sufficient_limit for c in group.configurations}
     first = min(least.values())
     if math.isinf(first):
-        return f"In {group.problem} no configuration stays within {_SHARE} at any limit."
+        return f"In {group.problem} no configuration stays within {_SHARE} at any of the limits."
     names = [name for name, limit in least.items() if limit == first]
     named = join_with_and(names) if len(names) <= 4 else plural(len(names), "configuration")
     never = sum(math.isinf(limit) for limit in least.values())
-    others = f"; {never} of {len(least)} stay so at no limit" if never else ""
-    verb = "is" if first == 1 or group.limit_of == "time" else "are"
-    limit = f"{_format_limit(group, first)} a step {verb}"
+    others = f"; {never} of {len(least)} configurations exceed it at all limits" if never else ""
+    limit = f"{_format_limit(group, first)} per step {'is' if first == 1 else 'are'}"
     return f"In {group.problem} {limit} enough for {named} to stay within {_SHARE}{others}."
 
 
@@ -72,10 +71,10 @@ def _describe_errors(group: LimitedGroup) -> str:
 
 
 _LIMITS: dict[LimitOf, str] = {
-    "iterations": "Each solver ends every solve after so many iterations, and the loop applies the "
-    "last iterate. One iteration of one method does not cost as much as one of another.",
-    "time": "Each solver ends every solve after so much time by its own clock, and the loop "
-    "applies the last iterate. Most read the clock between iterations, so a step takes longer. The "
+    "iterations": "Every solve is stopped after a number of iterations, and the loop applies the "
+    "unfinished iterate. Iterations of different methods do not cost the same.",
+    "time": "Every solve is stopped after a time by the solver's own clock, and the loop applies "
+    "the unfinished iterate. Most read the clock between iterations, so a step takes longer. The "
     "clock counts waits for the processor core too.",
 }
 
@@ -113,9 +112,9 @@ def _draw_group(group: LimitedGroup, requirements: Requirements) -> Figure | Non
     table = pd.DataFrame(points)
     table["y"] = table["y"].clip(lower=FLOOR)
     name, quantity, caption = (
-        ("Cost of the loop", "cost over the reference loop", "Dashed: 10 % more cost.")
+        ("Cost of the loop", "cost over the reference loop", "Dashed line: 10 % more cost.")
         if steered
-        else ("Error", "largest error of the first move", "Dashed: the largest error allowed.")
+        else ("Error", "largest error of the first move", "Dashed line: largest error allowed.")
     )
     timed = group.limit_of == "time"
     title = f"{name} over the limit of {group.limit_of}, {group.problem}"
@@ -144,7 +143,7 @@ def _make_table(group: LimitedGroup) -> Table:
                 "unfinished steps there": _format_unfinished(kept),
                 "largest error there": _format_error(kept),
                 f"cost ratio at {at}": _format_number(cost),
-                f"off the exact loop at {at} [m]": _format_number(off_m),
+                f"off the reference loop at {at} [m]": _format_number(off_m),
             }
             | (
                 {f"median timing at {at}": format_time(run.raw_p50_ns if run else math.nan)}
@@ -152,7 +151,7 @@ def _make_table(group: LimitedGroup) -> Table:
                 else {}
             )
         )
-    note = "A step is unfinished where its solve ended at the limit and its iterate was applied."
+    note = "A step is unfinished if its solve ended at the limit; its iterate was applied."
     name = f"{group.problem}, limits of time" if timed else group.problem
     return Table.from_rows(rows, name, note=note)
 

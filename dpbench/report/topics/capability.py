@@ -57,22 +57,22 @@ def _describe_answers(plot: CapabilityResult) -> Iterator[str]:
     yield describe_answers_at_edge(plot)
     wrong = [a for a in plot.answers if a.wrong]
     if wrong:
-        yield f"Untrue claims: {join_with_counts((a.solver, a.wrong) for a in wrong)}."
+        yield f"False claims: {join_with_counts((a.solver, a.wrong) for a in wrong)}."
     else:
-        yield "None makes an untrue claim."
+        yield "No solver makes a false claim."
     if silent := [(a.solver, a.unanswered_count) for a in plot.answers if a.unanswered_count]:
-        yield f"Without an answer, given up or out of time: {join_with_counts(silent)}."
+        yield f"No answer (given up or out of time): {join_with_counts(silent)}."
 
 
 def _draw_capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
     """Yield the figures of a capability plot: its rose, and a chart of right and wrong claims."""
     if len(plot.edges):
         hollow = bool((plot.edges["untrue"] > 0).any())
-        note = "; hollow where a solver made an untrue claim" if hollow else ""
+        note = "; hollow: a solver made a false claim" if hollow else ""
         yield Figure(
             f"capability-{plot.vessel}",
             draw_capability_rose(plot.edges, f"{plot.vessel}: largest wind held"),
-            "Each mark is an edge, with QPs before and beyond it that the referee judges"
+            "Each mark is an edge of the plot; the referee judges QPs on both sides of it"
             + note
             + ".",
         )
@@ -88,8 +88,8 @@ def _draw_capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
         yield Figure(
             f"capability-answers-{plot.vessel}",
             draw_answer_shares(pd.DataFrame(rows, columns=list(ANSWERS)), "Answers at the edge"),
-            f"{plural(plot.qp_count, 'QP')}: the rows of the standard's table around each edge, "
-            "and a thousandth of the wind before and beyond it.",
+            f"{plural(plot.qp_count, 'QP')}: the winds of the standard's table around each edge, "
+            "and winds 0.1 % below and above it.",
         )
 
 
@@ -120,9 +120,9 @@ def build_consequence_topic(records: Records) -> Topic | None:
         title="Consequence analysis",
         lines=(
             *map(_describe_consequences, analyses),
-            "Where a loss cannot be held, work during which the ship must not leave its place has "
-            "to be ended safely. Ask no solver that misses such an alarm, or has no answer then."
-            + (" The counts of every solver: tables/consequence*.csv." if long else ""),
+            "Where a loss cannot be held, work that requires the ship on station must be ended "
+            "safely. Do not use a solver that misses such an alarm or gives no answer."
+            + (" tables/consequence*.csv has the counts of every solver." if long else ""),
         ),
         figures=tuple(
             figure for analysis in analyses for figure in _draw_consequence_figures(analysis)
@@ -138,7 +138,7 @@ def _draw_consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]
     yield Figure(
         f"consequence-{_name_file_of_analysis(analysis)}",
         draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
-        f"Proven for the {describe_required_force(analysis)}: an optimum, or that there is none.",
+        f"Proved for the {describe_required_force(analysis)}: an optimum exists, or none does.",
     )
     timed = [
         answers
@@ -152,8 +152,8 @@ def _draw_consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]
     if marks:
         yield Figure(
             f"consequence-time-{_name_file_of_analysis(analysis)}",
-            draw_sample_shares(pd.DataFrame(marks), f"What it takes, {analysis.name}"),
-            "The best configuration of each solver; the QPs of all groups at one sample.",
+            draw_sample_shares(pd.DataFrame(marks), f"Solve time, {analysis.name}"),
+            "Best configuration of each solver; time of the QPs of all groups at one sample.",
         )
 
 
@@ -166,16 +166,16 @@ def _describe_consequences(analysis: ConsequenceAnalysis) -> str:
     """Return sentences: losses held, solvers right on all QPs, the fastest, missed alarms."""
     answers = analysis.answers
     right = [a for a in answers if a.has_only_right_answers]
-    head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs rightly"
+    head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs correctly"
     timed = [a for a in right if not isnan(a.largest)]
     if timed:
         best = min(timed, key=lambda a: a.largest)
         share, batch = format_sample_share(best.largest), plural(len(analysis.groups), "QP")
         head += f", the fastest {best.name} with at most {share} of the sample for its {batch}"
     silent = join_with_counts((a.name, a.unanswered_count) for a in answers if a.unanswered_count)
-    unanswered = f"; QPs are left without an answer by {silent}" if silent else ""
+    unanswered = f"; no answer to some QPs: {silent}" if silent else ""
     missed = join_with_counts((a.name, a.missed) for a in answers if a.missed)
-    alarms = f"alarms are missed by {missed}" if missed else "none calls a loss held that is not"
+    alarms = f"missed alarms: {missed}" if missed else "no solver misses an alarm"
     return f"{describe_losses_held(analysis)} {head}; {alarms}{unanswered}."
 
 

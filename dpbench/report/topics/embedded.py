@@ -16,6 +16,7 @@ from dpbench.report.formats import MISSING, Table, format_count, format_error, f
 from dpbench.report.page.section import Topic
 
 WORST = "The worst step is the worst of its sequence."
+TABLE = "Instructions per step, memory and error"
 TITLE = "On the ship's computer"
 
 
@@ -29,10 +30,9 @@ def build_embedded_topic(results: EmbeddedResults, requirements: Requirements) -
         *(describe_cheapest_solver(sequence, requirements) for sequence in results.sequences),
         *yield_ranking_sentences(results.sequences, requirements),
     ]
-    if rows:
-        lines.append(f"Compiled by {', '.join(compilers)} with -O2. {CAVEAT} {WORST}")
     lines += yield_uncounted_sentences(results.not_counted)
-    tables = (Table.from_rows(rows, note=NOTE, text_columns=3),) if rows else ()
+    note = f"{NOTE} Compiled by {', '.join(compilers)} with -O2. {WORST} {CAVEAT}"
+    tables = (Table.from_rows(rows, TABLE, note=note, text_columns=3, folded=True),) if rows else ()
     return Topic("embedded", TITLE, tuple(lines), tables=tables)
 
 

@@ -48,7 +48,7 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
     measured = [claim for claim in judged if claim.state != "not measured"]
     if scenario is None or not laws or not measured:
         return None
-    others = {"not": "not reproduced", "the opposite": "opposite"}
+    others = {"Not reproduced": "not reproduced", "The opposite was measured": "opposite"}
     wording = [describe_count_reproduced(judged)]
     for word, state in others.items():
         names = [strip_markdown(claim.claim) for claim in measured if claim.state == state]
@@ -56,7 +56,7 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
     return Topic(
         id="paper",
         title="The paper",
-        lines=("; ".join(wording) + ".",),
+        lines=(". ".join(wording) + ".",),
         paste=CITATION,
         figures=tuple(
             Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in DRAWN
@@ -65,9 +65,11 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
             Table(
                 ("claim", "measured here", "state"),
                 tuple((claim.claim, claim.found, claim.state) for claim in judged),
+                "Claims of the paper",
+                folded=True,
             ),
             Table(
-                ("unspecified in the paper", "assumed"),
+                ("not specified by the paper", "assumed here"),
                 tuple(list_choices(records)),
                 "Assumptions where the paper is incomplete",
                 folded=True,
@@ -81,7 +83,8 @@ def describe_count_reproduced(judged: "Sequence[Claim]") -> str:
     """Return a sentence: how many claims of the paper are reproduced, how many not measured."""
     states = [claim.state for claim in judged]
     held, missing = states.count("reproduced"), states.count("not measured")
-    open_ones = f"; not measured, without whole runs of both laws: {missing}" if missing else ""
+    why = "as complete runs of both laws are missing"
+    open_ones = f", and {missing} not measured, {why}" if missing else ""
     return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced{open_ones}"
 
 
@@ -102,8 +105,10 @@ def _make_stability_table(designs: Designs) -> Table:
             )
             for record in designs.records
         ),
-        "Stability, whatever the solver: stable where |λ| < 1; farthest start that was held, and "
-        "nearest that was not",
+        "Stability of the controller",
+        "A controller is stable where |λ| < 1. The offsets are the farthest start that it held and "
+        "the nearest that it did not.",
+        folded=True,
     )
 
 

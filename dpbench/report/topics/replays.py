@@ -66,7 +66,7 @@ def build_routes_topic(records: Records) -> Topic | None:
             for change, gain in gains.items()
         )
         + ".",
-        "What calling a library natively saves, then keeping its workspace, then its last answer.",
+        "Time saved by the native interface, then by a kept workspace, then by a warm start.",
     )
     return Topic("routes", "Routes", wording, (), tuple(tables))
 
@@ -99,9 +99,9 @@ def build_formulations_topic(records: Records, requirements: Requirements) -> To
     wins = count_wins_of_formulations(records, requirements)
     counts = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
     wording = (
-        "Fastest form with right answers, of "
+        "Fastest formulation with accurate answers, for "
         f"{plural(wins.total(), 'configuration')} on a sequence: {counts or 'none'}.",
-        "Median step time of the same QPs in each form; a solver is judged in the common one.",
+        "Median step time of the same QPs in each formulation. Verdicts are on the common one.",
     )
     return Topic("formulations", "Formulations", wording, (), tuple(tables))
 
@@ -120,7 +120,7 @@ def build_levels_topic(records: Records, requirements: Requirements) -> Topic | 
         return None
     wording = (
         _describe_right_levels(records, requirements),
-        "Median step time at each settings level, from the library's own to the tightest.",
+        "Median step time at each tolerance preset, from the library's defaults to the tightest.",
     )
     return Topic("levels", "Settings", wording, (), tuple(tables))
 
@@ -136,10 +136,10 @@ def _describe_right_levels(records: Records, requirements: Requirements) -> str:
     ]
     never = [name for name, levels in good.items() if not levels]
     parts = [
-        f"Right on every step with default settings: {join_with_and(by_default) or 'no solver'}"
+        f"Accurate on every step with default settings: {join_with_and(by_default) or 'no solver'}"
     ]
-    parts += [f"with others only: {', '.join(others)}"] if others else []
-    parts += [f"with none that was run: {join_with_and(never)}"] if never else []
+    parts += [f"with other settings only: {', '.join(others)}"] if others else []
+    parts += [f"with no settings that were run: {join_with_and(never)}"] if never else []
     return "; ".join(parts) + "."
 
 
@@ -175,7 +175,7 @@ def build_settings_topic(records: Records) -> Topic | None:
         }
         for one in found
     ]
-    note = "Geometric mean of the ratios of step times on common steps, in one call mode."
+    note = "Geometric mean of the step time ratios on common steps, in one call mode."
     lead = f"{'; '.join(texts)}{ending}."
     table = Table.from_rows(rows, text_columns=2)
     return Topic(
@@ -205,7 +205,7 @@ def build_race_topic(records: Records) -> Topic | None:
         rows.append((run.sequence, options, *p50, *p99, ratio))
     times = [f"{solver} {time}" for time in ("p50", "p99") for solver in (first, second)]
     head = ("sequence", "call mode", *times, "ratio (95 %)")
-    leads = [f"{first} takes {', '.join(wording)} times as long a step as {second}."]
+    leads = [f"{first} takes {', '.join(wording)} times as long per step as {second}."]
     leads = leads if wording else []
     leads += [f"Without a ratio, as not timed by turns: {join_with_and(apart)}."] if apart else []
     note = "Geometric mean of the paired ratios of all common steps."
@@ -273,8 +273,8 @@ def build_worst_case_topic(records: Records) -> Topic | None:
     head = ("configuration", "time", "its median", "iterations", "its median", "error", "answer")
     return Topic(
         "worst-case",
-        "The step that was searched for",
-        (lead, "The table shows the same step of the other configurations."),
+        "Step found by the search",
+        (lead, "The table shows the same step with the other configurations."),
         (),
         (Table(head, tuple(rows), f"step {k}"),),
     )
@@ -312,12 +312,12 @@ def build_loops_topic(records: Records, requirements: Requirements) -> Topic | N
     right = [name for name, runs in by_name.items() if whole[name] == len(runs) == most]
     requested = plural(most, "closed loop")
     best = max(whole, key=lambda name: whole[name])
-    lead = f"Nobody is right on every step of {requested}; {best} is in {whole[best]}."
+    lead = f"No configuration is accurate on every step of {requested}; {best} is in {whole[best]}."
     if right:
         rest = len(by_name) - len(right)
         names = join_with_and(right) if len(right) <= 4 else f"{len(right)} configurations"
         others = f" {plural(rest, 'configuration')} {'is' if rest == 1 else 'are'} not."
-        lead = f"Right on every step of {requested}: {names}.{others if rest else ''}"
+        lead = f"Accurate on every step of {requested}: {names}.{others if rest else ''}"
     rows = []
     for name, runs in by_name.items():
         off = [run for run in runs if isfinite(run.dev_position_max_m)]
@@ -328,10 +328,10 @@ def build_loops_topic(records: Records, requirements: Requirements) -> Topic | N
                 "configuration": name,
                 "right in": f"{whole[name]} of {len(runs)}",
                 "steps with a fallback": format_count(np.nansum([run.fallbacks for run in runs])),
-                "farthest from the exact loop": farthest,
+                "farthest from the reference loop": farthest,
                 "in": MISSING if worst is None else worst.scenario,
             }
         )
     rows.sort(key=lambda row: -whole[row["configuration"]])
-    note = "The distance from the reference loop is what wrong or late answers do to the ship."
+    note = "The distance from the reference loop shows what inaccurate or late answers cost."
     return Topic("loops", "Closed loops", (lead, note), (), (Table.from_rows(rows),))

@@ -42,8 +42,8 @@ from dpbench.report.verdict_text import name_counts
 
 CHEAPER_THAN_EXACT = (
     "A cost below that of the reference loop is no error: an exact solution minimises the "
-    "predicted cost of its step, over the horizon and without the coming waves, and not the cost "
-    "summed over the run, which other moves may lower by chance."
+    "predicted cost of its step, not the cost summed over the run, which inaccurate moves may "
+    "lower by chance."
 )
 MOST_DRAWN = 6
 """The reference and the first of the others are drawn."""
@@ -83,7 +83,7 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
         named = join_with_and([str(point) for point in left_out[:MOST_NAMED]])
         more = f" and {len(left_out) - MOST_NAMED} more" if left_out[MOST_NAMED:] else ""
         yield (
-            f"{study.name}: {plural(len(left_out), 'point')} left out of every difference from "
+            f"{study.name}: {plural(len(left_out), 'point')} excluded from every difference to "
             f"{study.reference_name}, as the reference loop leaves its station there: "
             f"{named}{more}."
         )
@@ -148,8 +148,8 @@ def _yield_failed_steps_sentences(study: Study) -> Iterator[str]:
         f"{study.name}: steps failed in {len(failing)} of {plural(len(study.runs), 'run')}, most "
         f"of them with {worst['configuration']} at point {worst['point']}, realisation "
         f"{worst['replicate']}: {worst['failed_steps']:.0f} of "
-        f"{plural(worst['steps_done'], 'step')}. The fallback acted there, or an unfinished "
-        "iterate."
+        f"{plural(worst['steps_done'], 'step')}. The fallback or an unfinished iterate "
+        "steered there."
     )
 
 
@@ -231,8 +231,8 @@ def _draw_study_figures(study: Study) -> Iterator[Figure]:
         )
         of = "" if len(seas) == seas_all else f", {len(seas)} of {seas_all} at even ranks"
         caption = (
-            f"One dot per realisation{of}, the mean with its 95 % interval where there is one; the "
-            "band: 1 cm to either side."
+            f"Dot: one realisation{of}; line: mean with its 95 % interval, if any; band: 1 cm to "
+            "either side."
         )
         yield Figure(f"study-excess-{name}", chart, caption)
 
@@ -323,7 +323,7 @@ def draw_effect_figures(study: Study, name: str) -> Iterator[Figure]:
             "Change of each factor, with its 95 % interval where there is one; zero: no effect."
             + (f" {left} more configurations are in the table." if left > 0 else "")
         )
-        chart = draw_effects(table, f"What each factor changes, {study.name}", names)
+        chart = draw_effects(table, f"Effect of each factor, {study.name}", names)
         yield Figure(f"study-effects-{name}", chart, caption)
 
 

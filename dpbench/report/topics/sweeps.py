@@ -50,15 +50,15 @@ def build_horizon_topic(records: Records, requirements: Requirements) -> Topic |
                 ("median step time [µs]", "~g"),
                 limit=requirements.p99_ms * 1e3 if requirements.judges_step_times else None,
             )
-            figures.append(Figure(f"horizon-{sweep.name}", chart, "Hollow: answers fail there."))
+            figures.append(Figure(f"horizon-{sweep.name}", chart, "Hollow: a step fails."))
             tables.append(Table.from_rows(rows, sweep.name))
     if not figures:
         return None
     wording = (
         *_describe_longest_horizons(all_sweeps, requirements),
-        "Median step time at the fewest and at the most variables, and the longest horizon with "
-        "right answers within the limit. ≥: no longer one has a p99; ?: the 95 % interval of a p99 "
-        "holds the limit.",
+        "Median step time at the fewest and the most variables, and the longest horizon with "
+        "accurate answers within the limit. ≥: longer horizons have no p99; ?: the 95 % interval "
+        "of a p99 includes the limit.",
         *_list_builds(all_sweeps),
     )
     return Topic("horizon", "Longer horizons", wording, tuple(figures), tuple(tables))
@@ -108,7 +108,7 @@ def _describe_longest_horizons(
         }
         limit = f"with {_describe_time_limit(sweep, requirements)}"
         if not largest:
-            wording.append(f"In {sweep.name} no solver is right and {limit} at any horizon.")
+            wording.append(f"In {sweep.name} no solver is accurate {limit} at any horizon.")
             continue
         longest = max(largest.values(), key=count_qp_variables)
         who = [name for name, horizons in largest.items() if horizons == longest]
@@ -118,7 +118,7 @@ def _describe_longest_horizons(
         beyond = "" if longest != sweep.horizons[-1] else ", the longest that was run"
         wording.append(
             f"In {sweep.name} {some} {'fits' if len(who) == 1 else 'fit'} "
-            f"{longest[0]}/{longest[1]}{beyond}, right and {limit}."
+            f"{longest[0]}/{longest[1]}{beyond}, accurate {limit}."
         )
     return wording
 
@@ -164,7 +164,9 @@ def build_slowdown_topic(records: Records) -> Topic | None:
                 ("cost over the reference loop", "~g"),
                 limit=1.0 + MARGIN,
             )
-            figures.append(Figure(f"slowdown-{group.scenario}", chart, "Dashed: 10 % more cost."))
+            figures.append(
+                Figure(f"slowdown-{group.scenario}", chart, "Dashed line: 10 % more cost.")
+            )
         rows = []
         for delayed in group.configurations:
             survived = delayed.largest_survived_slowdown
@@ -183,7 +185,7 @@ def build_slowdown_topic(records: Records) -> Topic | None:
         return None
     wording = (
         *leads,
-        "The ship sailed with answers as late as a slower computer makes them. A configuration "
+        "Each answer is applied as late as on a slower computer. A configuration "
         f"survives a slowdown while the loop costs at most {100 * MARGIN:g} % more.",
     )
     return Topic("slowdown", "Slower computers", wording, tuple(figures), tuple(tables))

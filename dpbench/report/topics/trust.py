@@ -1,4 +1,4 @@
-"""Can the times be believed: the machine, the harness measured by itself, what is not covered."""
+"""Measurement quality: the machine, the harness measured by itself, what is not covered."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -37,7 +37,7 @@ UNSEEN = "not visible"
 LEAST_CONFIGURATIONS = 4
 """Configurations with two rounds from which their spread is stated."""
 COVERED = (
-    "Not covered at all: other {} than these; times on an embedded target; steps harder than those "
+    "Not covered: other {} than these, times on an embedded target, and steps harder than those "
     "that were run."
 )
 
@@ -57,14 +57,15 @@ def _describe_round_spread(records: Records, disturbance: Disturbance) -> list[s
         *([few] if count < LEAST_CONFIGURATIONS else ()),
     ]
     spread = (
-        f"This run cannot tell how far runs of other days differ: {join_with_and(why)}."
+        "How far runs of other days differ cannot be estimated from this run: "
+        f"{join_with_and(why)}."
         if why
-        else f"In 95 % of the configurations the rounds of this run lie within × "
-        f"{significant(high)} (median {significant(usual)}); runs of other days can differ by more."
+        else f"In 95 % of the configurations the rounds of this run agree within a factor of "
+        f"{significant(high)} (median {significant(usual)}). Runs of other days can differ by more."
     )
     return [
-        "Two solvers of this run differ in step time where the 95 % interval of their ratio "
-        f"excludes 1. {spread} For another machine compare two runs."
+        "The step times of two solvers of this run differ if the 95 % interval of their ratio "
+        f"excludes 1. {spread} Compare two runs to learn about another machine."
     ]
 
 
@@ -73,7 +74,7 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
 
     measured : median of each [ns]; shortest_ns : the shortest wait.
     """
-    below = f" Below {shortest_ns / 1e3:g} µs, the shortest wait, nothing was checked."
+    below = f" Shorter times than {shortest_ns / 1e3:g} µs, the shortest wait, were not checked."
     missed = {n: p50 for n, p50 in measured.items() if is_within_tolerance(n, p50) is False}
     if not missed:
         return f"Waits of known length were measured within 1 µs or 1 %.{below}"
@@ -96,11 +97,12 @@ def _describe_machine_load(disturbance: Disturbance, machine: Mapping[str, Any])
     rounds = plural(disturbance.rounds, "round")
     keys = {"governor": "its frequency", "throttle_counters": "throttling"}
     hidden = [name for key, name in keys.items() if machine.get(key, UNSEEN) == UNSEEN]
-    unwatched = f" Not watched, as the machine hides it: {join_with_and(hidden)}." if hidden else ""
+    unseen = f" Not recorded, as the machine does not show it: {join_with_and(hidden)}."
+    unwatched = unseen if hidden else ""
     return (
         "The machine was quiet by the operating system's counters: "
-        f"{format_count(disturbance.disturbed)} of {rounds} disturbed even when run again, as "
-        f"{format_count(disturbance.rerun)} were.{unwatched}"
+        f"{format_count(disturbance.rerun)} of {rounds} were disturbed and run again, and "
+        f"{format_count(disturbance.disturbed)} stayed disturbed.{unwatched}"
     )
 
 
@@ -119,7 +121,7 @@ def build_trust_topic(records: Records) -> Topic | None:
         requested = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
         table = pd.DataFrame(requested, columns=["name", "x", "y"])
         chart = draw_dots(table, "Waits of known length", "requested [µs]", "p50 of timings [µs]")
-        figures.append(Figure("calibration", chart, "Requested against measured wait."))
+        figures.append(Figure("calibration", chart, "Measured wait against requested wait."))
     if disturbance.seconds > 0:
         lines.append(_describe_machine_load(disturbance, records.machine))
     data = [
@@ -132,8 +134,8 @@ def build_trust_topic(records: Records) -> Topic | None:
     return Topic(
         id="trust",
         title="Measurement quality",
-        short="Trust",
+        short="Measurement",
         lines=(*lines, COVERED.format(f"{others} and tunings")),
         figures=tuple(figures),
-        tables=(Table(("machine", ""), tuple(data)),),
+        tables=(Table(("machine", ""), tuple(data), "Machine", folded=True),),
     )

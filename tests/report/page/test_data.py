@@ -100,16 +100,16 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
     assert drawn["experiment"].unique().tolist() == ["rough", "turn"] and len(drawn) == 4
     output = _explain_verdict_grid(facts)
     assert (
-        "The 2 of 4 scenarios and replays with the fewest passes" in output and "N·m" not in output
+        "the 2 of 4 scenarios and replays with the fewest passes" in output and "N·m" not in output
     )
     monkeypatch.undo()
     records.loop("daqp", units="si")
     assert _explain_verdict_grid(_facts(records)).endswith(
-        "In N and N·m is an extra, in no verdict."
+        "Runs in SI units (N, N·m) enter no verdict."
     )
     records.loop("osqp", units="si", error=0.5)
     assert _explain_verdict_grid(_facts(records)).endswith(
-        "; 1 of 2 solvers fail there: scale the QP."
+        " 1 of 2 solvers fail there: scale the QP."
     )
 
 

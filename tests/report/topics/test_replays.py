@@ -96,8 +96,10 @@ def test_what_the_machine_hides_is_said(records: Any) -> None:
     records.replay("daqp", replay_s=9.0, rerun_rounds=2, involuntary_switches=0, steal_s=0.0)
     topic = build_trust_topic(records.view())
     (quiet,) = (line for line in topic.lines if line.startswith("The machine was quiet"))
-    assert "disturbed even when run again, as 2 were." in quiet
-    assert quiet.endswith("Not watched, as the machine hides it: its frequency and throttling.")
+    assert "2 of 3 rounds were disturbed and run again, and 0 stayed disturbed." in quiet
+    assert quiet.endswith(
+        "Not recorded, as the machine does not show it: its frequency and throttling."
+    )
 
 
 def test_a_wait_is_said_by_its_largest_replay(records: Any) -> None:

@@ -218,7 +218,7 @@ def test_failed_steps_of_runs_are_said(records: Any) -> None:
     found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None and found.lines[1] == (
         "seas: steps failed in 2 of 3 runs, most of them with osqp at point 0, realisation 2: 4 of "
-        "20 steps. The fallback acted there, or an unfinished iterate."
+        "20 steps. The fallback or an unfinished iterate steered there."
     )
 
 

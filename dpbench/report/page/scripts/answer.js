@@ -12,15 +12,15 @@ function kept() {
   if (deadline_ms === null) return "Lateness is not judged, as no deadline is known.";
   const counted = facts.counts?.some((row) => row.solver === C().solver[state.c]);
   const own = margin === null || counted ? "" : `${C().solver[state.c]}: ${
-    margin < state.slow ? "late beyond" : "up to"} × ${roundedDown(margin)}. `;
+    margin < state.slow ? "late beyond" : "in time up to"} × ${roundedDown(margin)}. `;
   const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
   const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");
   if (!right.length) return own;
   // A solver has further rows for custom settings.
   const solvers = right.sort((a, b) => b.margin - a.margin).filter((row, i) => right.findIndex((r) => r.solver === row.solver) === i);
   const safe = solvers.filter((row) => state.slow <= 1 || row.margin >= state.slow);
-  return `${own}${safe.length} of the ${solvers.length} that ${passing.length ? "pass" : "nothing contradicts"
-  } here keep the deadline of ${deadline_ms} ms and a p99 of ${p99_ms} ms${
+  return `${own}${safe.length} of ${solvers.length} ${passing.length ? "passing" : "borderline or inconclusive"
+  } solvers meet the deadline of ${deadline_ms} ms and the p99 limit of ${p99_ms} ms${
     listed(safe, (row) => `${row.solver} (× ${roundedDown(row.margin)})`)}.`;
 }
 

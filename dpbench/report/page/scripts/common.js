@@ -55,6 +55,14 @@ function figure(x, digits = 3) {
     ? Number(x).toExponential(Math.max(1, digits - 2)) : String(Number(Number(x).toPrecision(digits)));
 }
 
+// A text as nodes, what Markdown marks as code as code.
+const coded = (text) => text.split("`").map((part, i) => {
+  if (i % 2 === 0) return part;
+  const node = document.createElement("code");
+  node.textContent = part;
+  return node;
+});
+
 // So many of what has a plural in s.
 const many = (x, word) => `${figure(x)} ${word}${x === 1 ? "" : "s"}`;
 
@@ -78,7 +86,7 @@ function vegaTooltip() {
     if (!value) { box.hidden = true; return; }
     box.replaceChildren(...Object.entries(value).map(([name, text]) => {
       const row = document.createElement("div"), head = document.createElement("b");
-      head.textContent = name; row.append(head, ` ${text}`);
+      head.textContent = name; row.append(head, ` ${String(text).replaceAll("`", "")}`);
       return row;
     }));
     box.hidden = false;

@@ -15,6 +15,16 @@ function tiles() {
   });
 }
 
+// The result of the selected cell, below the cells.
+function drawSelected() {
+  const run = cell(state.c, state.p), link = document.createElement("a");
+  link.href = "#one";
+  link.textContent = "All steps";
+  link.addEventListener("click", (event) => { event.preventDefault(); go("one"); });
+  $("matrix-said").replaceChildren(`${label(state.c)}. `,
+    ...(run ? coded(resultOf(run)) : [`Not run in ${facts.experiments[state.p].label}.`]), " ", link);
+}
+
 async function drawMatrix() {
   const view = await figureOf("matrix");
   if (view) await view.data(rowsDrawn("matrix").name, tiles()).runAsync();
@@ -64,7 +74,7 @@ FIGURES.matrix = {
 };
 SECTIONS.push({
   id: "matrix", after: ["c", "p"],
-  draw: () => mark("matrix", { id: String(state.c), experiment_id: String(state.p) }),
+  draw: () => { drawSelected(); return mark("matrix", { id: String(state.c), experiment_id: String(state.p) }); },
   redraw: () => $("matrix-mode").value && drawMatrix(),
   listen: () => {
     steerable("matrix");

@@ -67,6 +67,27 @@ function over(run) {
   return run.t == null ? "–" : array(run.e).filter((e) => e > facts.requirements.error_move).length;
 }
 
+// How many steps are inaccurate, failed, or falsely reported as solved; "" where none is.
+function wrongOf(run) {
+  const answers = run.answers === run.steps ? "" : ` of ${run.answers} answers`;
+  return [[over(run), "inaccurate"], [run.failed, "failed"], [run.untrue, `reported as solved${answers}, but not`]]
+    .filter(([count]) => count !== 0 && count !== "–").map(([count, what]) => `${figure(count)} ${what}`).join(", ");
+}
+
+// The result of the selected configuration in the selected scenario or replay.
+function resultOf(run) {
+  const experiment = facts.experiments[state.p];
+  const verdict = { pass: "passes", borderline: "is borderline", late: "is late", fail: "fails" }[run.verdict] ?? "is inconclusive";
+  return [
+    `${experiment.study ? "In" : `\`${C().solver[state.c]}\` ${verdict} in`} \`${experiment.label}\`: it ran ${run.steps} of ${run.planned} steps, `
+    + `with a largest error of the first move of ${figure(run.error)}; ${wrongOf(run) || "every step is accurate"}.`,
+    run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop`
+      + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
+    run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", as the solver reported" : ""}.` : "",
+    run.why && run.verdict !== "pass" ? `Reason (${run.outcome}): ${run.why}.` : "",
+  ].filter(Boolean).join(" ");
+}
+
 async function drawOne() {
   const run = cell(state.c, state.p), text = $("one-said");
   const solver = facts.solvers[C().solver[state.c]] ?? {};
@@ -82,25 +103,18 @@ async function drawOne() {
   }
   $("hard").hidden = false;
   $("ship").hidden = !trackOf(run);
-  const experiment = facts.experiments[state.p], judged = C().verdict[state.c] !== "not judged";
-  const verdict = { pass: "Passes", borderline: "Borderline", late: "Late", fail: "Fails" }[run.verdict] ?? "Inconclusive";
-  text.textContent = [
-    `${experiment.study ? "In" : `${verdict} in`} ${experiment.label}: ran ${run.steps} of ${run.planned} steps; `
-    + `first move beyond the requirements on ${over(run)}, at most ${figure(run.error)}; reported `
-    + `as solved but not true on ${figure(run.untrue)}${run.answers === run.steps ? "" : ` of ${run.answers} answers`}; failed on ${figure(run.failed)}.`,
-    run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop`
-      + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
-    run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", as the solver reported" : ""}.` : "",
-    run.why && run.verdict !== "pass" ? `${run.outcome}: ${run.why}.` : "",
+  const judged = C().verdict[state.c] !== "not judged";
+  text.replaceChildren(...coded([
+    resultOf(run),
     judged ? `Over all judged scenarios and replays: ${C().verdict[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.` : "",
     solver.method ? `Method: ${solver.method}.` : "",
-  ].filter(Boolean).join(" ").replaceAll("`", "");
+  ].filter(Boolean).join(" ")));
   drawHard(run);
   const drawn = run.t !== undefined && run.t !== null;
   $("figure-strips").hidden = $("strips-said").hidden = !drawn;
   $("strips-time").textContent = facts.experiments[state.p].mode === "replay"
-    ? "Dot: the fastest counted round, grey up to the largest timing. A replay controls no plant."
-    : "Dot: one timing a step, not timed alone; only replays compare times.";
+    ? "Dot: fastest counted round; grey: up to the largest timing. A replay controls no plant."
+    : "Dot: a single timing per step, beside other work. Compare times in replays only.";
   if (!drawn) { drawShip(null); return; }
   const view = await figureOf("strips");
   if (view) {
@@ -167,9 +181,13 @@ function drawHard(run) {
   const everywhere = [[0, "slowest steps, fastest round of replays and windows", "replay"],
     ...[...worst, ...most].map((m) => [m, `${names[m]}, all judged scenarios and replays`]),
     [0, "largest single timings of all closed loops, stalls included", "closed_loop"]];
+  const all = document.createElement("details"), title = document.createElement("summary");
+  title.textContent = "Hardest steps of all scenarios and replays";
+  all.open = $("hard").querySelector("details")?.open ?? false;
+  all.append(title, ...(several ? everywhere : []).map(([m, name, mode]) => row(name, worstAnywhere(m, mode).map(said(m))))
+    .filter((line) => line.children.length > 1));
   $("hard").replaceChildren(
-    ...(several ? everywhere : []).map(([m, name, mode]) => row(name, worstAnywhere(m, mode).map(said(m))))
-      .filter((line) => line.children.length > 1),
+    ...(all.children.length > 1 ? [all] : []),
     ...order.map((m) => here[m]).filter((line) => line?.children.length > 1));
   drawStep(run);
 }

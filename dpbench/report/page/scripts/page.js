@@ -19,8 +19,7 @@ function drawChosen() {
     return span;
   };
   const times = [["p50", "p50"], ["p99", "replay_p99", timed && ` in ${timed}`],
-    ["p99 of timings", "raw_p99"], ["worst p99", "p99", ` in ${C().p99_in[c]}`], ["hardest step", "max", `${C().max_wait[c]} of all replays`],
-    ["largest timing", "longest", longest && `${C().longest_wait[c]} in ${longest}`]]
+    ["hardest step", "max", `${C().max_wait[c]} of all replays`], ["largest timing", "longest", longest && ` in ${longest}`]]
     .filter(([, column]) => C()[column][c] !== null)
     .flatMap(([name, column, where]) => [`, ${name} ${time(C()[column][c])}`, wide(where ?? "")]);
   const verdict = C().verdict[c] === "not judged" ? "" : `: ${C().verdict[c]}`;

@@ -84,7 +84,7 @@ async function drawTwo() {
   if (second === undefined) return;
   options("choose-other", others.map((c) => [c, label(c)]), second);
   const rows = comparedSteps(state.c, second), said = $("two-said");
-  if (!rows.length) { said.textContent = "No sequence was replayed by both."; $("figure-pairs").hidden = true; return; }
+  if (!rows.length) { said.textContent = "The two configurations have no replay in common."; $("figure-pairs").hidden = true; return; }
   $("figure-pairs").hidden = false;
   const ratio = Math.max(ratioOf(rows), 1 / ratioOf(rows)), reach = reachOf(state.c, second);
   const [slower, faster] = ratioOf(rows) >= 1 ? [second, state.c] : [state.c, second];
