@@ -14,7 +14,8 @@ import dpbench
 
 ROOT = Path(__file__).parents[1]
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-WALK = re.findall(r"\| `(dpbench/[\w/]+\.py)` \| `(\w+)` \|", ARCHITECTURE)
+HOP = re.compile(r"\| `(dpbench/[\w/]+\.py)` \| `(\w+)` \|")
+WALK = HOP.findall(ARCHITECTURE.split("## The walk of one datum")[1].split("\n## ")[0])
 # The blocks of layers, one below the other: the names of a line before its text.
 LAYERS = [
     [set(re.findall(r"\w+", line.split("  ")[0])) for line in re.findall(r"^\w.*", block, re.M)]
@@ -24,12 +25,14 @@ LAYERS = [
 
 def _functions(path: Path) -> set[str]:
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+    return {
+        node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.ClassDef)
+    }
 
 
-@pytest.mark.parametrize(("file", "function"), WALK)
-def test_every_hop_of_the_walk_is_there(file: str, function: str) -> None:
-    """A hop names a file and a function in it."""
+@pytest.mark.parametrize(("file", "function"), HOP.findall(ARCHITECTURE))
+def test_every_function_named_is_there(file: str, function: str) -> None:
+    """A hop of the walk, and the origin of a quantity, name a file and a function or class."""
     assert function in _functions(ROOT / file)
 
 
