@@ -20,7 +20,7 @@ def test_the_comment_is_short_and_names_whom_it_is_beside(written: Any, solver: 
     text, worst = compare_solver(written.report, solver)
     assert len(text.encode()) <= COMMENT_BYTES
     others = ["osqp"] if solver == "daqp" else ["osqp", "daqp"]
-    assert text.startswith(f"# {solver} beside {' and '.join(others)}\n")
+    assert text.startswith(f"# {solver} compared with {' and '.join(others)}\n")
     assert all(f"| {name} |" in text for name in [solver, *others])
     assert text.count("against") == len(others)
     assert all(step.export_command in text for step in worst)
@@ -100,7 +100,7 @@ def test_a_comment_on_one_configuration_compares_it_with_no_other(records: Any) 
 
 def test_other_names_and_names_of_nobody(written: Any) -> None:
     text, _ = compare_solver(written.report, "piqp", ["clarabel"])
-    assert text.startswith("# piqp beside clarabel\n")
+    assert text.startswith("# piqp compared with clarabel\n")
     with pytest.raises(InputError, match=r"--for: found 'piq'; allowed: piqp, "):
         compare_solver(written.report, "piq")
     with pytest.raises(InputError, match="--against: found 'nobody'"):
