@@ -232,7 +232,7 @@ def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
             for run in group
         ]
         note = "k, iterations and active rows are those of the worst step."
-        yield Table.from_rows(rows, f"{title}instructions a step", note=note)
+        yield Table.from_rows(rows, f"{title}instructions per step", note=note)
         sizes = [
             {"solver": run["solver"]}
             | {size: format_count(run[f"{size}_bytes"]) for size in (*SIZES, "stack")}

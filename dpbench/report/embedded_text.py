@@ -34,9 +34,10 @@ def name_core_and_precision(target: str, *, single: bool) -> str:
 
 
 NOTE = (
-    "k, iterations and active rows are those of the worst step. code: with constants; static: with "
-    "heap [bytes]. error: largest of the first move, in maximum increments. desk: native call at "
-    "default settings, warm start where the solver has one; p99 of the same steps."
+    "k (step), iterations and active rows are those of the worst step. code: with constants; "
+    "static: with heap [bytes]. error: largest of the first move, in maximum increments. desk: "
+    "this machine, native call at default settings, warm start where supported; p99 of the same "
+    "steps."
 )
 """Meaning of the columns of the table of counts."""
 
@@ -115,10 +116,10 @@ def describe_embedded_cost(
     of_deadline = f", {share} of the {describe_deadline(requirements)}"
     return (
         f"On a {core} its worst step of `{sequence.sequence}` executes "
-        f"{format_count(one.worst)} instructions: at 1 instruction per cycle (an assumption) and "
-        f"{CLOCK_MHZ:g} MHz {format_time(worst_ns)}"
-        f"{of_deadline * requirements.judges_step_times}. At p99 it is {format_count(one.p99)}. "
-        f"{CAVEAT}"
+        f"{format_count(one.worst)} instructions, which take {format_time(worst_ns)} at "
+        f"{CLOCK_MHZ:g} MHz and 1 instruction per cycle (an assumption)"
+        f"{of_deadline * requirements.judges_step_times}. At p99 it executes "
+        f"{format_count(one.p99)}. {CAVEAT}"
     )
 
 

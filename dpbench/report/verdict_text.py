@@ -60,8 +60,8 @@ def describe_requirements(requirements: Requirements) -> str:
     )
     limits = _describe_time_limits(requirements)
     return (
-        f"The requirements: on every step the first move within {requirements.error_move:g} of "
-        f"the maximum increment of the certified optimum, {failed}, {limits}."
+        f"Requirements: on every step a first move within {requirements.error_move:g} times the "
+        f"maximum increment of the certified optimum, {failed}, {limits}."
     )
 
 

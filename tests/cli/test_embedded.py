@@ -64,7 +64,7 @@ def test_tables(recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     (recipe / "recipe.toml").write_text("float_defines = []\n" + RECIPE)
     assert main(["embedded", "--target", "a53", *own, "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
-    assert "on Cortex-A53, float: instructions a step" in " ".join(printed.split())
+    assert "on Cortex-A53, float: instructions per step" in " ".join(printed.split())
     assert max(len(line) for line in printed.splitlines() if str(tmp_path) not in line) <= 80
 
 

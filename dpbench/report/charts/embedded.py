@@ -24,7 +24,7 @@ def draw_instructions(table: pd.DataFrame) -> Any:
     base = alt.Chart(table).encode(
         x=alt.X(
             "p50:Q",
-            title="instructions a step, log scale",
+            title="instructions per step, log scale",
             scale=style.log_scale(nice=False, padding=8),
             axis=alt.Axis(format="~s", labelOverlap="greedy"),
         ),

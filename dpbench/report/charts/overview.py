@@ -56,7 +56,7 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     x = alt.X(f"{across}:N", sort=order[across], title=None, axis=above)
     y = alt.Y(f"{down}:N", sort=order[down], title=None)
     titles = {"experiment": "in", "verdict": "verdict"}
-    titles |= {"off": "largest error_move", "fails": "failed steps", "because": "why"}
+    titles |= {"off": "largest error of the first move", "fails": "failed steps", "because": "why"}
     titled = (style.tooltip(f"{field}:N", title) for field, title in titles.items())
     tips = style.tooltips(
         "solver:N", style.tooltip("call_mode:N", "call mode"), "settings:N", *titled
@@ -150,7 +150,12 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
         .transform_filter("isValid(datum.time)")
         .encode(
             x=alt.X("time:Q", title="step time [µs], log scale", scale=apart),
-            y=alt.Y("shown:Q", title="largest error_move", scale=apart, axis=decades),
+            y=alt.Y(
+                "shown:Q",
+                title="largest error of the first move [maximum increments]",
+                scale=apart,
+                axis=decades,
+            ),
             color=colour,
             detail=alt.Detail("solver:N"),
             tooltip=style.tooltips("solver:N", "settings:N", "route:N", "policy:N", *_FIGURES),

@@ -110,7 +110,7 @@ def _make_counts_tables(topics: Sequence[Topic]) -> list[str]:
     return [
         "\n\n".join(
             [
-                f"{topic.title}: instructions a step, memory, error, rank on the desk.",
+                f"{topic.title}: instructions per step, memory, error, rank on this machine.",
                 make_markdown_table(table.heads, table.rows, table.text_columns),
                 table.note,
             ]

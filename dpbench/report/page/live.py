@@ -51,10 +51,11 @@ def _draw_verdict_grids(data: PageData) -> Charts:
 
 
 MATRIX = (
-    "Each cell is the verdict on a configuration in one scenario or replay. Fail: a step with an "
-    "inaccurate answer, or with none. Late: accurate, but too slow. Borderline: a time as close to "
-    "its limit as rounds differ. Inconclusive: part of it was not judged. A closed loop is judged "
-    "together with the replay of its hardest steps."
+    "Each cell is the verdict on a configuration (solver, call mode, settings) in one scenario or "
+    "replay. Fail: at least one step has an inaccurate answer, or none. Late: accurate, but too "
+    "slow. Borderline: a time closer to its limit than timing rounds differ. Inconclusive: part of "
+    "the run was not judged, or waits for the processor core may explain a time. The verdict on a "
+    "closed loop covers the repeated timing of its hardest steps."
 )
 
 
@@ -71,7 +72,7 @@ def _explain_verdict_grid(data: PageData) -> str:
         failing = requested.loc[requested["verdict"] == "fail", "solver"].nunique()
         of = f"{failing} of {requested['solver'].nunique()} solvers"
         fail = f" {of} fail there: scale the QP." if failing else ""
-        wording.append(f"Runs in SI units (N, N·m) enter no verdict.{fail}")
+        wording.append(f"Runs in SI units (N, N·m) do not count in the overall verdict.{fail}")
     if there != drawn:
         most = f"Shown are the {drawn} of {there} scenarios and replays with the fewest passes"
         wording.append(f"{most}; tables/experiments.csv has all.")

@@ -168,7 +168,7 @@ def _describe_machine(data: PageData, machine: Mapping[str, Any]) -> str:
     name = f"{machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} cores"
     disturbed = describe_disturbed_times(data.records)
     return (
-        f"Machine: {name}, {machine.get('python', '')}. Times hold for it alone."
+        f"Machine: {name}, {machine.get('python', '')}. The times apply to this machine only."
         + f" It was {disturbed}." * bool(disturbed)
     )
 
@@ -196,7 +196,7 @@ def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> t
         f"{both + ' ' if both else ''}{opening}{lacks}.",
         f"It was correct on every step of {describe_judged_runs(chosen)}"
         f"{_describe_infeasible_steps(data, c)}. Step time: {format_usual_time(chosen)}. "
-        f"The largest error of the first move was {format_error(chosen.error_move)} of the "
+        f"The largest error of the first move was {format_error(chosen.error_move)} times the "
         "maximum increment.",
     )
 
@@ -386,7 +386,7 @@ def format_python_call(c: Configuration) -> str:
         return call
     options = resolve_settings_with_fixed_options(c.solver_settings, c.solver)
     keys = ", ".join(f"{key}={value!r}" for key, value in options.items())
-    return f"{call}\n# that is, {keys or 'as the library has them'}"
+    return f"{call}\n# that is, {keys or 'the defaults of the library'}"
 
 
 def _make_snippets(c: Configuration) -> Iterator[tuple[str, str]]:

@@ -33,10 +33,10 @@ CITATION = """@misc{xia_dp_mpc,
 }"""
 """A copy of the paper names neither the conference nor the year."""
 DRAWN = (
-    ("path", draw_path, "Fig. 4: path with the 1 m circle."),
-    ("errors", draw_pose_errors, "Fig. 5: errors of position and heading."),
-    ("forces", draw_forces, "Fig. 6: forces with their limits."),
-    ("increments", draw_increments, "Fig. 7: increments with the rate limits."),
+    ("path", draw_path, "Fig. 4: path of the ship and the 1 m circle."),
+    ("errors", draw_pose_errors, "Fig. 5: position and heading errors."),
+    ("forces", draw_forces, "Fig. 6: forces and their limits."),
+    ("increments", draw_increments, "Fig. 7: force increments and their rate limits."),
 )
 """Figures 4 to 7: name, function, caption."""
 
@@ -83,7 +83,7 @@ def describe_count_reproduced(judged: "Sequence[Claim]") -> str:
     """Return a sentence: how many claims of the paper are reproduced, how many not measured."""
     states = [claim.state for claim in judged]
     held, missing = states.count("reproduced"), states.count("not measured")
-    why = "as complete runs of both laws are missing"
+    why = "as complete runs of both control laws are missing"
     open_ones = f", and {missing} not measured, {why}" if missing else ""
     return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced{open_ones}"
 

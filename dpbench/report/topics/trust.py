@@ -37,8 +37,8 @@ UNSEEN = "not visible"
 LEAST_CONFIGURATIONS = 4
 """Configurations with two rounds from which their spread is stated."""
 COVERED = (
-    "Not covered: other {} than these, times on an embedded target, and steps harder than those "
-    "that were run."
+    "Not covered: {} other than these, measured times on an embedded target, and steps harder than "
+    "those that were run."
 )
 
 
@@ -64,8 +64,8 @@ def _describe_round_spread(records: Records, disturbance: Disturbance) -> list[s
         f"{significant(high)} (median {significant(usual)}). Runs of other days can differ by more."
     )
     return [
-        "The step times of two solvers of this run differ if the 95 % interval of their ratio "
-        f"excludes 1. {spread} Compare two runs to learn about another machine."
+        "Within this run, two solvers differ in step time only if the 95 % interval of their ratio "
+        f"excludes 1. {spread} To compare machines, compare a run from each."
     ]
 
 

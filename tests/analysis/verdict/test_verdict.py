@@ -53,7 +53,7 @@ def test_exact_and_fast_meets(records: Any) -> None:
 
 
 CAUSES = [
-    ({"error": 0.43}, {}, "its first move is up to 0.43 of the maximum increment off the"),
+    ({"error": 0.43}, {}, "its first move is up to 0.43 times the maximum increment off the"),
     ({"error": math.inf}, {}, "it leaves steps without an answer in `paper`"),
     ({"failed": 3}, {}, "3 of 120 steps fail in `paper`"),
     ({}, {"median_us": 4000.0}, "its p99 is"),
@@ -230,7 +230,7 @@ def test_the_requirements_are_read_from_the_suite(records: Any) -> None:
     looser = Requirements.from_suite({"requirements": {"error_move": 0.1, "unknown": 1}})
     assert judge_solvers(records.view(), looser).verdicts_on_references[0].state == "pass"
     assert _verdict(records, "osqp").state == "fail"
-    assert "within 0.1 of the maximum increment" in describe_requirements(looser)
+    assert "within 0.1 times the maximum increment" in describe_requirements(looser)
 
 
 def test_a_loop_of_200_timings_that_is_slow_in_the_median_is_late(records: Any) -> None:
@@ -334,7 +334,7 @@ def test_high_settings_rescue(records: Any) -> None:
     assert [v.state for v in verdicts.all_verdicts] == ["fail", "pass"]
     assert describe_which_solvers_pass(verdicts) == (
         "1 of 1 passes: osqp; not by default: osqp (qpsolvers fresh, high); by default osqp fails: "
-        "its first move is up to 0.40 of the maximum increment off the optimum in paper"
+        "its first move is up to 0.40 times the maximum increment off the optimum in paper"
     )
 
 
@@ -384,9 +384,9 @@ def test_summary_counts_everybody_once(records: Any) -> None:
     records.refused("qpax", "not installed")
     said = describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
     assert said == (
-        "1 of 3 pass: daqp; osqp fails: its first move is up to 0.40 of the maximum increment off "
-        "the optimum in paper; scs is inconclusive: paper was stopped at its time limit (10 of 120 "
-        "steps); qpax is not run: not installed"
+        "1 of 3 pass: daqp; osqp fails: its first move is up to 0.40 times the maximum increment "
+        "off the optimum in paper; scs is inconclusive: paper was stopped at its time limit (10 of "
+        "120 steps); qpax is not run: not installed"
     )
 
 

@@ -105,7 +105,7 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
     monkeypatch.undo()
     records.loop("daqp", units="si")
     assert _explain_verdict_grid(_facts(records)).endswith(
-        "Runs in SI units (N, N·m) enter no verdict."
+        "Runs in SI units (N, N·m) do not count in the overall verdict."
     )
     records.loop("osqp", units="si", error=0.5)
     assert _explain_verdict_grid(_facts(records)).endswith(

@@ -175,7 +175,7 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
     assert lines[0].startswith(
         "osqp[rho=0.16] (native warm): fail, largest error 0.55, 2 failed answers, "
     )
-    assert "its first move is up to 0.55 of the maximum increment off the optimum" in lines[0]
+    assert "its first move is up to 0.55 times the maximum increment off the optimum" in lines[0]
     # With the steps that the percentile is of: other settings may have those of a window.
     assert re.search(r"answers, p99 [\d.]+ µs \(95 %: .*\) in the replay of paper: its", lines[0])
     best = "Best of 3 settings of osqp: rho=16.0, at the edge of the grid in rho: widen it."
@@ -225,7 +225,9 @@ def test_own_settings_are_judged_by_the_call_modes_that_ran_most(records: Any) -
     (line,) = [text for about, text in report.summary_rows() if about == "options"]
     assert " (native fresh, best of 3 call modes): fail, largest error 0.22, " in line
     assert "inconclusive" not in line
-    assert " native reuse fails: its first move is up to 0.33 of the maximum increment off" in line
+    assert (
+        " native reuse fails: its first move is up to 0.33 times the maximum increment off" in line
+    )
 
 
 @pytest.mark.slow
@@ -468,7 +470,9 @@ def test_why_is_the_verdicts_cause(records: Any) -> None:
     why = {
         v.configuration.solver: Recommendation.why(v) for v in _facts(records).verdicts.all_verdicts
     }
-    assert why["osqp"].startswith("its first move is up to 0.40 of the maximum increment off the")
+    assert why["osqp"].startswith(
+        "its first move is up to 0.40 times the maximum increment off the"
+    )
     assert why["daqp"] == "no closed loop was run"
     assert why["qpax"] == "not installed"
 

@@ -42,7 +42,10 @@ def test_counts_replace_the_speed_margin(judged: MadeRecords) -> None:
     assert (
         "worst step of `paper[0:200]` executes 4\u202f500\u202f000 instructions" in found["counted"]
     )
-    assert "(an assumption) and 100 MHz 45.0 ms, 15 %" in found["counted"]
+    assert (
+        "take 45.0 ms at 100 MHz and 1 instruction per cycle (an assumption), 15 %"
+        in found["counted"]
+    )
     assert "no bound of the worst-case execution time" in found["counted"]
 
 

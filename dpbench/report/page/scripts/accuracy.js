@@ -4,7 +4,7 @@
 // Whose point is the large one, as a phone has no room for every name.
 function pointed() {
   const own = rowsDrawn("accuracy").values.find((row) => Number(row.id) === state.c);
-  return own ? `Largest point: ${label(state.c)}, the selected configuration.` : `${label(state.c)} is not in this figure.`;
+  return own ? `The largest marker is the selected configuration, ${label(state.c)}.` : `${label(state.c)} is not in this figure.`;
 }
 
 const drawPercentile = () => signal("accuracy", { percentile: $("percentile").value });

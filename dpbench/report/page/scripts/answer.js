@@ -21,7 +21,7 @@ function kept() {
   const safe = solvers.filter((row) => state.slow <= 1 || row.margin >= state.slow);
   return `${own}${safe.length} of ${solvers.length} ${passing.length ? "passing" : "borderline or inconclusive"
   } solvers meet the deadline of ${deadline_ms} ms and the p99 limit of ${p99_ms} ms${
-    listed(safe, (row) => `${row.solver} (× ${roundedDown(row.margin)})`)}.`;
+    listed(safe, (row) => `${row.solver} (up to × ${roundedDown(row.margin)})`)}.`;
 }
 
 // Where the slider stops: 1, 2 and 5 of each decade.

@@ -80,7 +80,7 @@ function resultOf(run) {
   const verdict = { pass: "passes", borderline: "is borderline", late: "is late", fail: "fails" }[run.verdict] ?? "is inconclusive";
   return [
     `${experiment.study ? "In" : `\`${C().solver[state.c]}\` ${verdict} in`} \`${experiment.label}\`: it ran ${run.steps} of ${run.planned} steps, `
-    + `with a largest error of the first move of ${figure(run.error)}; ${wrongOf(run) || "every step is accurate"}.`,
+    + `with a largest error of the first move of ${figure(run.error)} times the maximum increment; ${wrongOf(run) || "every step is accurate"}.`,
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop`
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
     run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", as the solver reported" : ""}.` : "",
@@ -106,7 +106,7 @@ async function drawOne() {
   const judged = C().verdict[state.c] !== "not judged";
   text.replaceChildren(...coded([
     resultOf(run),
-    judged ? `Over all judged scenarios and replays: ${C().verdict[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.` : "",
+    judged ? `Overall verdict, all judged scenarios and replays: ${C().verdict[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.` : "",
     solver.method ? `Method: ${solver.method}.` : "",
   ].filter(Boolean).join(" ")));
   drawHard(run);
@@ -114,7 +114,7 @@ async function drawOne() {
   $("figure-strips").hidden = $("strips-said").hidden = !drawn;
   $("strips-time").textContent = facts.experiments[state.p].mode === "replay"
     ? "Dot: fastest counted round; grey: up to the largest timing. A replay controls no plant."
-    : "Dot: a single timing per step, beside other work. Compare times in replays only.";
+    : "Dot: one step, timed once while other work was running. Compare times in replays only.";
   if (!drawn) { drawShip(null); return; }
   const view = await figureOf("strips");
   if (view) {
