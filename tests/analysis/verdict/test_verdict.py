@@ -206,7 +206,7 @@ def test_on_a_disturbed_machine_its_state_comes_before_all_reasons(records: Any)
     records.replay("piqp", concurrency=2.0, first_visit_ratio=40.0)
     disturbed, calm = (_verdict(records, solver) for solver in ("daqp", "piqp"))
     reasons = describe_findings(calm.findings_that_bar_pass)
-    assert "when first solved" in reasons and "timed beside other work" in reasons
+    assert "when first solved" in reasons and "timed in parallel with other work" in reasons
     machine = "the machine was disturbed in 3 of 5 rounds of the replay of `paper`; "
     assert _why(disturbed) == machine + reasons
     assert describe_main_reason(disturbed) == strip_markdown(machine + reasons)
