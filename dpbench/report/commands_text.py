@@ -53,7 +53,9 @@ def describe_turns(records: Records) -> str:
     timed = [
         run
         for run in select_timed_replays(records)
-        if run.solver not in CALIBRATION and records.has_comparable_times(run)
+        if run.solver not in CALIBRATION
+        and run.source.is_timed
+        and records.has_comparable_times(run)
     ]
     by_sequence = group_by_key(timed, lambda run: (run.sequence, run.units))
     apart = {
@@ -69,7 +71,8 @@ def describe_turns(records: Records) -> str:
             f"The solvers were {reason} on {names}{more}: such times make no ratio, and their "
             "order may come from the machine. Run all solvers in one command, with --fresh."
         )
-    if any(not run.turns for run in timed) and len({run.configuration for run in timed}) > 1:
+    unknown = [run for run in timed if not run.turns and not run.campaign_utc]
+    if unknown and len({run.configuration for run in timed}) > 1:
         return (
             "Which replays were timed by turns is not recorded, as an earlier release wrote this "
             "folder: its ratios hold if one command timed them all."

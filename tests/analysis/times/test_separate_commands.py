@@ -1,6 +1,7 @@
 """Replays of two commands make no ratio: both times are given in its place, everywhere."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -19,6 +20,7 @@ from dpbench.analysis.times.solver_tables import compute_half_widths_of_pairs, t
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import judge_solvers
+from dpbench.bench.record.cell import CapabilitySource
 from dpbench.report.commands_text import (
     describe_commands,
     describe_machine_states,
@@ -89,12 +91,25 @@ def test_replays_by_turns_alone_count_where_some_are(records: Any) -> None:
 
 def test_a_run_without_a_key_is_of_another_command_than_one_with(records: Any) -> None:
     """Two without are of an old folder: a ratio, and a caution on it."""
-    records.replay("base", **EXACT, turns="")
-    records.replay("other", **EXACT, turns="")
+    for solver in ("base", "other"):
+        records.replay(solver, **EXACT, turns="", campaign_utc="")
     assert _compared(records)[0].separate == ""
     assert describe_turns(records.view()).startswith("Which replays were timed by turns is not")
     records.replay("third", **EXACT, **EARLY)
     assert "timed in separate commands on paper" in describe_turns(records.view())
+
+
+def test_qps_that_are_not_timed_by_turns_need_no_record_of_it(records: Any) -> None:
+    """Neither those at the edge of a capability plot nor refused ones are of an earlier release."""
+    for solver in ("base", "other"):
+        records.replay(solver, **EXACT, **EARLY)
+        records.replay(solver, "calm", **EXACT, **EARLY | {"turns": ""})
+        records.replay(solver, "rough", done=0, outcome="refused", turns="", campaign_utc="")
+    view, edge = records.view(), CapabilitySource("calm")
+    view.all_runs = [
+        replace(run, source=edge) if run.sequence == "calm" else run for run in view.all_runs
+    ]
+    assert len(view.all_runs) == 6 and describe_turns(view) == ""
 
 
 def test_replays_of_one_command_after_a_crash_are_not_called_separate(records: Any) -> None:
