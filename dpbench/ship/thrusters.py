@@ -224,11 +224,26 @@ class ThrusterSet:
 
     @property
     def caution_on_rudders(self) -> str:
-        """Sentence on what is not counted where mains alone push aft of midships; "" elsewhere."""
-        aft = [thruster.kind for thruster in self.thrusters if thruster.x_m < 0.0]
-        if not aft or set(aft) != {"main"}:
-            return ""
-        return "Aft of midships main propellers alone push: rudders and power limits not counted."
+        """Sentence on what is not counted where mains alone push aft of midships; "" elsewhere.
+
+        Intact, or after the loss of a failure group.
+        """
+        if self._has_mains_alone_aft(()):
+            when = "Aft"
+        else:
+            groups = self.indices_by_failure_group
+            lost = [name for name, own in groups.items() if self._has_mains_alone_aft(own)]
+            if not lost:
+                return ""
+            when = f"After the loss of {' or of '.join(lost)}, aft"
+        return (
+            f"{when} of midships main propellers alone push: rudders and power limits not counted."
+        )
+
+    def _has_mains_alone_aft(self, lost: Collection[int]) -> bool:
+        """Return whether main propellers alone push aft of midships, without those at `lost`."""
+        aft = [t.kind for i, t in enumerate(self.thrusters) if t.x_m < 0.0 and i not in lost]
+        return set(aft) == {"main"}
 
     @cached_property
     def largest_thrusts_N(self) -> Vector:
