@@ -29,6 +29,7 @@ from dpbench.cli.terminal import WIDTH, ProgressBar
 from dpbench.errors import InputError
 from dpbench.report.formats import format_time
 from dpbench.scenario.own_ship import DP_NUMBERS
+from dpbench.scenario.own_thrusters import list_assumptions_on_vessel
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.loads import DP_CONDITIONS
 from dpbench.ship.capability.losses import list_thruster_cautions
@@ -149,7 +150,10 @@ def format_wind_table(
     )
     table = [f" from {head}".rstrip(), *rows]
     cautions = list_thruster_cautions(vessel.thrusters) if vessel.thrusters else []
-    notes = [*_explain_planned(planned, vessel), *_explain_notation(capability), *cautions]
+    assumed = list_assumptions_on_vessel(vessel)
+    notes = [*_explain_planned(planned, vessel), *_explain_notation(capability)]
+    notes += [f"Assumed, not given: {'; '.join(assumed)}."] if assumed else []
+    notes += cautions
     notes = [line for note in notes for line in textwrap.wrap(note, WIDTH)]
     return [*textwrap.wrap(about, WIDTH), "", *table, "", *notes]
 
@@ -194,7 +198,7 @@ def _format_wind_limit(held: WindLimit) -> str:
 
 
 def _explain_notation(capability: Capability) -> list[str]:
-    """Return notes on a DP capability notation, its zeros, the thrusters lost, assumptions."""
+    """Return notes on a DP capability notation, its zeros, the thrusters lost."""
     lines = [
         f"{capability.notation}: least number intact within 30° of the bow and all round, and the "
         "same after the worst failure."
@@ -208,10 +212,6 @@ def _explain_notation(capability: Capability) -> list[str]:
     for case, names in capability.lost.items():
         if names:
             lines.append(f"{case}: without {', '.join(names)}.")
-    if capability.assumed:
-        lines.append(
-            f"Assumed, as the vessel's file leaves it out: {', '.join(capability.assumed)}."
-        )
     return lines
 
 

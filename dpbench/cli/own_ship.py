@@ -119,7 +119,12 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
     if described or not os.path.isfile(vessel_file):
         ship = _scale_new_ship(options, numbers)
         texts[vessel_file.name] = render_vessel_file(ship, _restate_command(options))
-        vessel, remarks = ship.vessel, list_cautions(ship)
+        vessel = ship.vessel
+        remarks = [
+            f"assumed: {ship.wind_areas}; enter yours in [windage] of {vessel_file.name} "
+            "(frontal_m2, lateral_m2)",
+            *list_cautions(ship),
+        ]
         if ship.thrusters is not None:
             remarks.append(f"assumed of the thrusters: {' '.join(ship.thrusters.assumed)}")
             thrusters = ship.thrusters.thrusters
@@ -342,6 +347,20 @@ class OwnShip:
     hull: Hull | None
     thrusters: OwnThrusters | None = None
 
+    @property
+    def wind_areas(self) -> str:
+        """Areas above the water as text, and where they are from."""
+        windage = self.vessel.windage
+        assert windage is not None, "as every library vessel"
+        areas = f"{windage.frontal_m2:.0f} m² in front, {windage.lateral_m2:.0f} m² on the side"
+        return f"wind areas {areas}, scaled from {self.like}"
+
+    @property
+    def assumed_values(self) -> str:
+        """Values that the user has not given, as text."""
+        of_thrusters = "" if self.thrusters is None else self.thrusters.assumed_values
+        return "; ".join(filter(None, (of_thrusters, self.wind_areas)))
+
 
 def render_vessel_file(ship: OwnShip, command: str) -> str:
     """Return the text of a new ship's vessel file; comments quote the command that made it."""
@@ -353,6 +372,7 @@ def render_vessel_file(ship: OwnShip, command: str) -> str:
         "own_vessel.toml",
         assumed_in_source=ASSUMED_IN_SOURCE,
         **vars(ship),
+        assumed_values=ship.assumed_values,
         command=command,
         comment=_wrap_as_comment,
         # TOML's escapes are those of JSON.

@@ -20,6 +20,7 @@ from dpbench.files.regular_files import read_csv_rows
 from dpbench.scenario.problem_files import validate_settings_as_model
 from dpbench.scenario.tables.vessel_file import ThrusterTable
 from dpbench.ship.thrusters import ThrusterSet
+from dpbench.ship.vessel import Vessel
 
 TEXTS = ("name", "kind", "propeller", "group")
 ASSUMED_IN_SOURCE = "; assumed: "
@@ -139,6 +140,27 @@ def _require_thruster_inside_ship(table: ThrusterTable, berth: Berth, where: str
         if abs(getattr(table, name)) > most:
             allowed = f"{-most:g} to {most:g} m from midships on this ship"
             raise InputError(where, name, f"{getattr(table, name):g}", allowed)
+
+
+def split_source(vessel: Vessel) -> tuple[str, str]:
+    """Return the source of a vessel, and the values that it lists as assumed; "" without any."""
+    source, _, assumed = vessel.source.partition(ASSUMED_IN_SOURCE)
+    return source, assumed
+
+
+def list_assumptions_on_vessel(vessel: Vessel) -> list[str]:
+    """Return texts on what a vessel's file does not give: of thrusters, wind, hull (level 1)."""
+    assumed = [text] if (text := split_source(vessel)[1]) else []
+    thrusters = () if vessel.thrusters is None else vessel.thrusters.thrusters
+    screws = {t.name: t.screw for t in thrusters if t.screw is not None}
+    lacking = [name for name, screw in screws.items() if screw.height_m is None]
+    if lacking:
+        whose = "" if len(lacking) == len(screws) else f" of {', '.join(lacking)}"
+        assumed.append(f"no thrust lost to air in waves, as shaft heights{whose} are unknown")
+    hull = vessel.capability
+    if hull is not None and hull.assumed:
+        assumed.append(f"of the hull {', '.join(hull.assumed)}")
+    return assumed
 
 
 def describe_assumed_values(

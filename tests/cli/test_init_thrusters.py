@@ -141,7 +141,11 @@ def test_what_is_assumed_of_thrusters_is_printed_and_marked(
     assert "section IV" not in source
     assumed = source.partition("; limits: vessel file; assumed: ")[2]
     assert assumed.startswith("rise times ") and f"; diameters {sizes}; " in assumed
-    assert assumed.endswith("; thrust astern over that ahead 0.79 (main 2)")
+    windage = tomllib.loads(Path(FILES[0]).read_text(encoding="utf-8"))["windage"]
+    areas = f"wind areas {windage['frontal_m2']:.0f} m² in front, {windage['lateral_m2']:.0f} m²"
+    assert f"; thrust astern over that ahead 0.79 (main 2); {areas} on the side, " in assumed
+    assert f"assumed: {areas} on the side, scaled from " in said
+    assert "; enter yours in [windage] of my_ship.toml (frontal_m2, lateral_m2)" in said
 
 
 @pytest.mark.parametrize("kind", ["azimuth", "tunnel"])

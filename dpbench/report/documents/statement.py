@@ -62,7 +62,7 @@ from dpbench.report.verdict_text import (
     describe_stopped_runs,
 )
 from dpbench.report.words import render_document
-from dpbench.scenario.own_thrusters import ASSUMED_IN_SOURCE
+from dpbench.scenario.own_thrusters import list_assumptions_on_vessel, split_source
 from dpbench.ship.capability.losses import list_thruster_cautions
 from dpbench.ship.thrusters import describe_sector, format_directions
 from dpbench.ship.vessel import Vessel
@@ -216,8 +216,10 @@ def _fill_statement(
         thrusters=[
             text for file in files if (text := describe_thrusters(file.get("thrusters") or ()))
         ],
-        sources=[source for file in files if (source := _split_source(file)[0])],
-        assumed=_list_assumed_values(files, vessels.values()),
+        sources=[source for vessel in vessels.values() if (source := split_source(vessel)[0])],
+        assumed=dict.fromkeys(
+            text for vessel in vessels.values() for text in list_assumptions_on_vessel(vessel)
+        ),
         held=_describe_held(plots, analyses, vessels.values()),
         losses=find_open_losses(records, data.ships, plots, analyses),
         consequence_solver=describe_consequence_solver(records, c.solver),
@@ -278,22 +280,6 @@ def _describe_held(
         " ".join([*describe_capability(plot), describe_answers_at_edge(plot)]) for plot in plots
     ]
     return [*lines, *map(describe_losses_held, analyses), *cautions]
-
-
-def _split_source(file: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the source of a vessel document, and what it lists as assumed; "" without any."""
-    source, _, assumed = str(file.get("source") or "").partition(ASSUMED_IN_SOURCE)
-    return source, assumed
-
-
-def _list_assumed_values(
-    files: Sequence[Mapping[str, Any]], vessels: Iterable[Vessel]
-) -> list[str]:
-    """Return what vessel documents do not give: values of thrusters, and of the hull (level 1)."""
-    assumed = [own for file in files if (own := _split_source(file)[1])]
-    hulls = [vessel.capability for vessel in vessels if vessel.capability is not None]
-    keys = dict.fromkeys(key for hull in hulls for key in hull.assumed)
-    return [*assumed, *([f"of the hull {', '.join(keys)}"] if keys else [])]
 
 
 def _render_svg(lines: Iterable[TextLine], picture: LoopPicture | None) -> str:

@@ -28,7 +28,9 @@ from dpbench.report.open_losses import OpenLosses
 from dpbench.report.page.recommendation import describe_speed_margin
 from dpbench.report.report import Report
 from dpbench.report.ship_text import BANNER
+from dpbench.scenario.own_thrusters import list_assumptions_on_vessel, split_source
 from dpbench.scenario.scenario import load_vessel
+from dpbench.ship.thrusters import Screw
 from dpbench.ship.vessel import HullDrag
 
 
@@ -150,11 +152,20 @@ def test_it_says_why_a_compared_solver_is_inconclusive(records: Any, tmp_path: P
 def test_it_lists_what_is_assumed_of_ship_and_thrusters() -> None:
     """List of the source of a vessel, then the keys that the hull of level 1 leaves out."""
     osv = load_vessel("osv")
-    files = [{"source": "scaled; limits: vessel file; assumed: rise times 7 s"}, {"title": "x"}]
-    assert statement._split_source(files[0]) == ("scaled; limits: vessel file", "rise times 7 s")
-    said = statement._list_assumed_values(files, [osv])
-    assert said[0] == "rise times 7 s" and said[1].startswith("of the hull submerged_length_m, ")
-    assert statement._list_assumed_values([{}], []) == []
+    own = replace(osv, source="scaled; limits: vessel file; assumed: rise times 7 s")
+    assert split_source(own) == ("scaled; limits: vessel file", "rise times 7 s")
+    first, hull = list_assumptions_on_vessel(own)
+    assert first == "rise times 7 s" and hull.startswith("of the hull submerged_length_m, ")
+    assert own.thrusters is not None
+    bow, second, *rest = own.thrusters.thrusters
+    bow, second = (
+        replace(thruster, screw=Screw(3.0, "open", height_m))
+        for thruster, height_m in ((bow, None), (second, 2.0))
+    )
+    thrusters = replace(own.thrusters, thrusters=(bow, second, *rest))
+    _, shafts, _ = list_assumptions_on_vessel(replace(own, thrusters=thrusters))
+    assert shafts == (f"no thrust lost to air in waves, as shaft heights of {bow.name} are unknown")
+    assert list_assumptions_on_vessel(load_vessel("supply_fs99")) == []
 
 
 def test_it_fits_a_page(drawn: str) -> None:
