@@ -1,10 +1,12 @@
 """The commands that filled a result folder, in words: when they ran, how quiet the machine was."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances_by_campaign
+from dpbench.bench.record.result_folder import SuiteDescription
 from dpbench.report.formats import join_with_and, plural
 from dpbench.report.verdict_text import describe_disturbance
 from dpbench.solvers.calibration import CALIBRATION
@@ -16,7 +18,33 @@ MOST_COMMANDS = 3
 def describe_disturbed_times(records: Records) -> str:
     """Return what disturbed the timed replays, and what to do, as text; "" on a quiet machine."""
     states = describe_machine_states(select_timed_replays(records))
-    return "" if states.startswith("quiet") else f"{states}: times are better measured again"
+    note = "measure the times again, as they do not rank close solvers"
+    return "" if states.startswith("quiet") else f"{states}: {note}"
+
+
+def describe_machine(records: Records, machine: Mapping[str, Any]) -> str:
+    """Return the machine's name and what disturbed it, as text."""
+    name = f"{machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} cores"
+    disturbed = describe_disturbed_times(records)
+    return (
+        f"Machine: {name}, {machine.get('python', '')}. The times apply to this machine only."
+        + f" It was {disturbed}." * bool(disturbed)
+    )
+
+
+def describe_versions(
+    records: Records, suite: SuiteDescription, solvers: Collection[str] = ()
+) -> str:
+    """Return a line with the versions of solvers, all by default, of the suite's and of dpbench."""
+    versions = dict.fromkeys(
+        f"{run.solver} {run.solver_version}"
+        for run in records.runs
+        if run.solver in (solvers or (run.solver,))
+    )
+    return (
+        f"Versions: {', '.join(versions)}; suite {suite.get('name', '')}, "
+        f"dpbench {suite.get('harness_version', '')}."
+    )
 
 
 def describe_machine_states(runs: Sequence[RunRecord]) -> str:

@@ -140,7 +140,7 @@ def find_extreme_indices(values: Floats, most: int = MOST) -> Ints:
 
 @dataclass(frozen=True)
 class WorstStep:
-    """A solver's step of largest error, time or iterations over all runs, with its run's median.
+    """A configuration's step of largest error, time or iterations, with its run's median.
 
     value, median : of the measure, at the step and over its run: ns, iterations, or an error.
     wait_ns : wait for the core in a largest time of a replay.
@@ -155,33 +155,42 @@ class WorstStep:
 
     @property
     def step_index(self) -> int:
-        """Index k within its run of a solver's worst step by time, iterations or error."""
+        """Index k of the worst step within its run."""
         return int(self.step.k[0])
 
     @property
     def export_command(self) -> str:
-        """Shell command that writes the worst step's QP and certified optimum to a file."""
+        """Shell command that writes the worst step's QP and certified optimum to a file.
+
+        "" for a closed loop, as its QPs depend on the solver's own answers.
+        """
         run = self.run
+        if run.mode != "replay":
+            return ""
         k = self.step_index + run.first_step
         return f"dpbench export {run.export_argument} --at {k} --out worst-{self.measure}.npz"
 
 
-def find_worst_steps(records: Records, solver: str) -> list[WorstStep]:
-    """Return, over all runs, a solver's step of largest error, of largest time, of most iterations.
+def find_worst_steps(records: Records, configuration: Configuration) -> list[WorstStep]:
+    """Return a configuration's steps of largest error, of largest time, of most iterations.
 
-    It is one of its replays, whose QPs are those that `export` writes, or else of its loops.
+    Over its replays and closed loops in scaled units; times are of its replays if it has any.
     """
-    runs = {run.run_id: run for run in records.runs if run.solver == solver}
+    runs = {
+        run.run_id: run
+        for run in records.runs
+        if run.units == "scaled" and run.configuration.moved_to_common_formulation == configuration
+    }
     worst_of_run = {
         run_id: _find_worst_step_by_measure(runs[run_id], steps)
         for run_id, steps, _ in records.yield_merged_and_raw_steps(list(runs.values()))
     }
-    stepped = [run_id for run_id in runs if run_id in worst_of_run]
+    stepped = sorted(worst_of_run, key=lambda run_id: runs[run_id].mode != "replay")
     timed = [run_id for run_id in stepped if runs[run_id].mode == "replay"]
     worst: list[WorstStep] = []
     for measure in sorted(MEASURES, key=lambda name: name != "error"):
-        of_runs = [worst_of_run[run_id] for run_id in timed or stepped]
-        candidates = [of_run[measure] for of_run in of_runs if measure in of_run]
+        among = timed if measure == "time" and timed else stepped
+        candidates = [worst_of_run[i][measure] for i in among if measure in worst_of_run[i]]
         if candidates:
             worst.append(max(candidates, key=lambda step: step.value))
             times = records.get_step_times(worst[-1].run) if measure == "time" and timed else None
@@ -203,7 +212,12 @@ def _find_worst_step_by_measure(run: RunRecord, steps: RunSteps) -> dict[Measure
 def find_value_at_worst_step(
     records: Records, worst: WorstStep, configuration: Configuration
 ) -> float:
-    """Return another configuration's time, iterations or error at a solver's worst step; or NaN."""
+    """Return another configuration's time, iterations or error at a worst step; or NaN.
+
+    NaN for a closed loop, in which each solver has QPs of its own.
+    """
+    if worst.run.mode != "replay":
+        return math.nan
     place = worst.run.mode, worst.run.problem, worst.run.units
     for run in records.runs:
         same = (run.mode, run.problem, run.units) == place

@@ -14,7 +14,7 @@ from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import ResultsError
-from dpbench.report.commands_text import describe_turns
+from dpbench.report.commands_text import describe_machine, describe_turns, describe_versions
 from dpbench.report.formats import (
     MISSING,
     Table,
@@ -76,6 +76,12 @@ def compare_configurations_of_folder(
     states = {v.configuration.label: v.state for v in verdicts.all_verdicts}
     lines = [summarise_ships(find_ship_results(records)).warning, describe_turns(records)]
     lines += [_describe_pair(one, states) for one in pairs]
+    named = {one.first for one in pairs} | {one.second for one in pairs}
+    solvers = {
+        v.configuration.solver for v in verdicts.all_verdicts if v.configuration.label in named
+    }
+    lines += [describe_machine(records, results.machine)]
+    lines += [describe_versions(records, results.suite, solvers)]
     rows = [
         {
             "first": one.first,

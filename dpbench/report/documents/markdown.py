@@ -24,6 +24,7 @@ from dpbench.analysis.verdict.verdict import (
     sort_fastest_first,
 )
 from dpbench.errors import UnknownNameError, format_allowed_names
+from dpbench.report.commands_text import describe_versions
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import (
     MISSING,
@@ -279,12 +280,13 @@ def compare_solver(
             raise UnknownNameError(option, "", repr(name), format_allowed_names(name, sorted(best)))
     named = others or [name for name in USUAL if name in best]
     chosen = [best[name] for name in dict.fromkeys(named) if name != solver]
-    worst = find_worst_steps(data.records, solver)
     own = [v for v in data.verdicts.of[solver] if v.state != "not run"]
     rows = _choose_rows_of_solver(best[solver], own)
+    worst = find_worst_steps(data.records, rows[0].configuration)
     names = join_with_and([v.configuration.solver for v in chosen]) or "no other solver"
-    suite = report.results.suite
-    made_by = f"Suite {suite.get('name', '')}, dpbench {suite.get('harness_version', '')}."
+    solvers = [v.configuration.solver for v in (rows[0], *chosen)]
+    versions = describe_versions(data.records, report.results.suite, solvers)
+    ending = "\n\n".join(map(escape_markdown_paragraph, (machine, versions))) + "\n"
     parts = [
         f"# {escape_markdown(solver)} compared with {escape_markdown(names)}",
         *make_ship_lines(report.recommendation.ship),
@@ -292,14 +294,12 @@ def compare_solver(
         make_solver_table(data, [*rows, *chosen]),
         "\n".join(f"- {escape_markdown(_compare_step_times(data, rows[0], v))}" for v in chosen),
         _make_worst_table(data, worst, chosen),
-        "\n".join(f"    {one_line(step.export_command)}" for step in worst),
-        escape_markdown_paragraph(
-            f"{describe_requirements(data.requirements)} {made_by} {machine}"
-        ),
+        "\n".join(f"    {one_line(s.export_command)}" for s in worst if s.export_command),
+        escape_markdown_paragraph(describe_requirements(data.requirements)),
     ]
-    return truncate_text(
-        "\n\n".join(part for part in parts if part) + "\n", COMMENT_BYTES, "report.md"
-    ), worst
+    text = "\n\n".join(part for part in parts if part) + "\n"
+    kept = truncate_text(text, COMMENT_BYTES - len(ending.encode()) - 1, "report.md")
+    return f"{kept}\n{ending}", worst
 
 
 def _choose_rows_of_solver(best: Verdict, own: Sequence[Verdict]) -> list[Verdict]:
@@ -365,7 +365,7 @@ def _make_worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequen
     rows = [
         (
             step.measure,
-            f"{step.step_index} of {step.run.problem}",
+            _name_worst_step(step),
             step.run.configuration.call_text,
             _format_measure(step.measure, step.value) + describe_wait(step.value, step.wait_ns),
             _format_measure(step.measure, step.median),
@@ -382,6 +382,12 @@ def _make_worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequen
     return make_markdown_table(heads, rows, 3)
 
 
+def _name_worst_step(step: WorstStep) -> str:
+    """Return index and run of a worst step in words."""
+    loop = ", a closed loop" if step.run.mode == "closed_loop" else ""
+    return f"{step.step_index} of {step.run.problem}{loop}"
+
+
 def _format_measure(measure: Measure, value: float) -> str:
     """Return a time [ns], an error or a number of iterations as text, depending on `measure`."""
     if measure == "time":
@@ -390,15 +396,15 @@ def _format_measure(measure: Measure, value: float) -> str:
 
 
 def format_worst_steps(worst: Sequence[WorstStep]) -> list[tuple[str, str]]:
-    """Return label and text of each worst step of a solver; the text ends in its export command."""
+    """Return label and text of each worst step; that of a replay ends in its export command."""
     return [
         (
             f"worst {step.measure}",
-            f"step {step.step_index} of {step.run.problem} ({step.run.configuration.call_text}): "
+            f"step {_name_worst_step(step)} ({step.run.configuration.call_text}): "
             f"{_format_measure(step.measure, step.value)}"
             f"{describe_wait(step.value, step.wait_ns)}, median "
-            f"{_format_measure(step.measure, step.median)}; "
-            f"{step.export_command}",
+            f"{_format_measure(step.measure, step.median)}"
+            f"{f'; {step.export_command}' if step.export_command else ''}",
         )
         for step in worst
         if not math.isnan(step.value)

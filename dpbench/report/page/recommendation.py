@@ -26,7 +26,7 @@ from dpbench.analysis.verdict.verdict import (
 from dpbench.bench.record.cell import Configuration
 from dpbench.errors import InputError, format_allowed_names
 from dpbench.report.capability_text import describe_consequence_solver, describe_unanswered_qps
-from dpbench.report.commands_text import describe_disturbed_times, describe_turns
+from dpbench.report.commands_text import describe_machine, describe_turns
 from dpbench.report.embedded_text import describe_embedded_cost
 from dpbench.report.formats import (
     format_error,
@@ -147,7 +147,7 @@ def build_recommendation(
         chips=tuple(_make_badges(data, first)),
         snippets=tuple(_make_snippets(chosen.configuration)) if chosen else (),
         requirements=describe_requirements(data.requirements) if data.verdicts.of else "",
-        machine=_describe_machine(data, machine),
+        machine=describe_machine(data.records, machine),
         first=first,
         second=second,
     )
@@ -161,16 +161,6 @@ def _describe_lone_solver(known: Sequence[Configuration]) -> str:
         return ""
     modes = f"{len(known)} configurations"
     return f"Only {known[0].solver} was run, in {modes}: compared with no other solver."
-
-
-def _describe_machine(data: PageData, machine: Mapping[str, Any]) -> str:
-    """Return the machine's name and what disturbed it, as text; "" for nothing."""
-    name = f"{machine.get('cpu_model', 'not known')}, {machine.get('cores', '?')} cores"
-    disturbed = describe_disturbed_times(data.records)
-    return (
-        f"Machine: {name}, {machine.get('python', '')}. The times apply to this machine only."
-        + f" It was {disturbed}." * bool(disturbed)
-    )
 
 
 def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> tuple[str, str]:

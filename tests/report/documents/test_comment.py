@@ -24,18 +24,23 @@ def test_the_comment_is_short_and_names_whom_it_is_beside(written: Any, solver: 
     assert all(f"| {name} |" in text for name in [solver, *others])
     assert text.count("against") == len(others)
     assert all(step.export_command in text for step in worst)
+    assert "\n\nMachine: " in text and f"{solver} 1.0" in text.partition("\nVersions: ")[2]
 
 
-def test_the_worst_step_is_the_largest_of_all_replays(written: Any) -> None:
+def test_the_worst_step_is_the_largest_of_one_configuration(written: Any) -> None:
+    """The error of its closed loops too; the time of its replays alone."""
     facts, results = written.report.data, written.results
-    runs = results.runs[(results.runs["solver"] == "piqp") & (results.runs["mode"] == "replay")]
-    known = {run.run_id for run in facts.records.runs}
-    steps = results.steps[results.steps["run_id"].isin(set(runs["run_id"]) & known)]
+    configuration = facts.verdicts.of["piqp"][0].configuration
+    own = [r for r in facts.records.runs if r.configuration == configuration]
+    judged = {run.run_id: run.mode for run in own if run.units == "scaled"}
+    assert {*judged.values()} == {"closed_loop", "replay"}
+    steps = results.steps[results.steps["run_id"].isin(judged)]
     counting = steps[steps["counts"]].astype({"total_ns": float})
-    error, time, _ = find_worst_steps(facts.records, "piqp")
+    timed = counting[counting["run_id"].map(judged) == "replay"]
+    error, time, _ = find_worst_steps(facts.records, configuration)
     assert (error.measure, time.measure) == ("error", "time")
     assert error.value == counting["error_move"].max()
-    assert time.value == counting.groupby(["run_id", "k"])["total_ns"].min().max()
+    assert time.value == timed.groupby(["run_id", "k"])["total_ns"].min().max()
     row = counting[(counting["run_id"] == error.run.run_id) & (counting["k"] == error.step_index)]
     assert np.isclose(row["error_move"].max(), error.value)
 
@@ -98,6 +103,20 @@ def test_a_comment_on_one_configuration_compares_it_with_no_other(records: Any) 
     assert "best of" not in text
 
 
+def test_the_worst_error_of_a_closed_loop_is_named_without_an_export(records: Any) -> None:
+    """The machine and the versions are the last lines; errors of other settings do not count."""
+    records.loop("osqp", "turn", error=0.505)
+    records.replay("osqp", error=0.16)
+    records.replay("osqp", settings="high", error=0.9)
+    report = Report.from_results(records.results())
+    text, worst = compare_solver(report, "osqp")
+    row = next(line for line in text.splitlines() if line.startswith("| error |"))
+    assert " of turn, a closed loop | qpsolvers fresh | 0.51 |" in row
+    assert (worst[0].export_command, "export turn" in text) == ("", False)
+    machine, versions = text.rstrip("\n").split("\n\n")[-2:]
+    assert machine.startswith("Machine: ") and "Versions: osqp " in versions
+
+
 def test_other_names_and_names_of_nobody(written: Any) -> None:
     text, _ = compare_solver(written.report, "piqp", ["clarabel"])
     assert text.startswith("# piqp compared with clarabel\n")
@@ -117,7 +136,7 @@ def test_the_command_writes_a_step_to_export(tmp_path: Path, monkeypatch: Any, c
     text = (tmp_path / "mine" / "quadprog.md").read_text("utf-8")
     commands = [line.strip() for line in text.splitlines() if line.startswith("    dpbench")]
     assert main(commands[0].split()[1:]) == 0
-    with np.load("worst-error.npz", allow_pickle=False) as stored:
+    with np.load(commands[0].split()[-1], allow_pickle=False) as stored:
         assert len(stored["q"]) == 1
     assert main(["report", "mine", "--against", "daqp"]) == 2
     assert "by --for SOLVER" in capsys.readouterr().err
