@@ -278,11 +278,20 @@ def _describe_time_ratio(compared: PairedComparison) -> str:
         if compared.is_tied:
             return f"{wording}: no significant difference"
     if not compared.is_unstable:
-        return wording
+        return f"{wording}{_describe_spread(compared)}"
     slower = compared.first if compared.ratio.value < 1.0 else compared.second
     against = [name for name, leader in compared.leaders.items() if leader == slower]
     size = "larger" if slower == compared.first else "smaller"
     return f"{wording}, with the {size} {against[-1]}: which is faster depends on the measure"
+
+
+def _describe_spread(compared: PairedComparison) -> str:
+    """Return why a time ratio ranks neither configuration on a disturbed machine; else ""."""
+    if not math.isfinite(compared.ratio.high) or not compared.is_within_spread:
+        return ""
+    one_round = "had a single round" if math.isinf(compared.spread) else ""
+    rounds = one_round or f"rounds differ by a factor of up to {significant(compared.spread)}"
+    return f": no ranking, as the machine was disturbed and {rounds}"
 
 
 def describe_findings(findings: Sequence[Finding]) -> str:

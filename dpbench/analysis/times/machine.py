@@ -3,11 +3,13 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
+from dpbench.analysis.records.run_steps import StepTimes
 from dpbench.analysis.verdict.lateness import compute_factor_quantile, estimate_uncertainty
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
 from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
@@ -40,6 +42,30 @@ def select_timed_replays(records: Records) -> list[RunRecord]:
     timed = [run for run in runs if run.mode == "replay" and not run.family and run.has_steps]
     measured = map_first_by_key(timed, lambda run: run.measurement_key)
     return separate_own_switches(list(measured.values()))
+
+
+@lru_cache(maxsize=4)
+def find_disturbed_replays(records: Records) -> frozenset[tuple[object, ...]]:
+    """Return keys of timed replays that other load disturbed, alone or with their command."""
+    runs = select_timed_replays(records)
+    states = sum_disturbances_by_campaign(runs)
+    commands = {utc for utc, state in states.items() if state.complaints()}
+    return frozenset(
+        run.measurement_key
+        for run in runs
+        if run.campaign_utc in commands or sum_disturbances([run]).complaints()
+    )
+
+
+def compute_round_spread(records: Records, run: RunRecord, times: StepTimes) -> float:
+    """Return the time of a disturbed replay's slowest round over that of its fastest; 1 if quiet.
+
+    inf for a single round. The interval of a paired ratio covers the steps and not the rounds.
+    """
+    if run.measurement_key not in find_disturbed_replays(records):
+        return 1.0
+    rounds_ns = times.rounds_ns
+    return float(rounds_ns.max() / rounds_ns.min()) if len(rounds_ns) > 1 else math.inf
 
 
 def select_delayed_loops(records: Records) -> list[RunRecord]:

@@ -6,6 +6,7 @@ Only replays that were timed by turns make a ratio, see `RunRecord.explain_separ
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,10 +20,14 @@ from dpbench.analysis.statistics import (
     estimate_pooled_ratio,
     select_long_series,
 )
+from dpbench.analysis.times.machine import compute_round_spread
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile_or_nan
 from dpbench.bench.record.cell import Configuration, sort_key_of_settings
+
+MACHINE_DISTURBED = "machine disturbed"
+"""Finding on a difference that other load can explain."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +37,7 @@ class PairedComparison:
     `leaders` names the faster one by each yardstick; where they differ the order is unstable.
     first_ns, second_ns : geometric mean step time of each on these steps [ns].
     separate : why there is no ratio, as they were not timed by turns; "" where they were.
+    spread : slowest over fastest round, the larger of both, where other load disturbed one; else 1.
     """
 
     first: str
@@ -43,11 +49,17 @@ class PairedComparison:
     first_ns: float
     second_ns: float
     separate: str = ""
+    spread: float = 1.0
 
     @property
     def is_tied(self) -> bool:
         """True if the time ratio's interval contains 1, so that neither solver is faster."""
         return self.ratio.contains(1.0)
+
+    @property
+    def is_within_spread(self) -> bool:
+        """True if `spread` can explain the time ratio: its interval overlaps 1/spread to spread."""
+        return self.ratio.low <= self.spread and self.ratio.high >= 1.0 / self.spread
 
     @property
     def is_unstable(self) -> bool:
@@ -73,6 +85,8 @@ class PairedComparison:
             return "tied"
         if self.is_unstable:
             return "unstable"
+        if self.is_within_spread:
+            return MACHINE_DISTURBED
         return "faster" if self.ratio.high < 1.0 else "slower"
 
     @property
@@ -181,6 +195,7 @@ def _compare_on_size(
         first_ns=means_ns[0],
         second_ns=means_ns[1],
         separate="" if paired else found[0].separate,
+        spread=max(common.spread for common in used),
     )
 
 
@@ -202,6 +217,7 @@ class _CommonTimes:
     first_ns: Floats
     second_ns: Floats
     separate: str
+    spread: float
 
 
 def _find_common_times(
@@ -213,8 +229,11 @@ def _find_common_times(
     if runs[0] is None or runs[1] is None or times[0] is None or times[1] is None:
         return None
     both = match_times_by_step(times[0], times[1])
+    if not len(both[0]):
+        return None
     separate = runs[0].explain_separate_timing(runs[1])
-    return _CommonTimes(sequence, runs[0].n, *both, separate) if len(both[0]) else None
+    spread = max(map(partial(compute_round_spread, records), runs, times))
+    return _CommonTimes(sequence, runs[0].n, *both, separate, spread)
 
 
 def find_faster_inconclusive(
@@ -229,7 +248,7 @@ def find_faster_inconclusive(
     faster = [
         (max(one.ratio.value for one in sizes), verdict)
         for sizes, verdict in compared
-        if sizes and all(one.ratio.high < 1.0 for one in sizes)
+        if sizes and all(one.ratio.high < 1.0 / one.spread for one in sizes)
     ]
     ordered = (verdict for _, verdict in sorted(faster, key=lambda pair: pair[0]))
     return list(map_first_by_key(ordered, lambda verdict: verdict.configuration.solver).values())

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
-from math import isnan, nan
+from math import isfinite, isnan, nan
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.thinned_runs import ThinnedRun
-from dpbench.analysis.times.machine import find_library_call_ns
+from dpbench.analysis.times.machine import compute_round_spread, find_library_call_ns
 from dpbench.analysis.times.paired_times import (
     TimedReplay,
     compare_paired_times,
@@ -267,12 +267,15 @@ class PairWidths:
         (1, 2), ...; sizes : variables of the QPs of each replay, 0 if unknown.
     turns : by replay, for each configuration the numbers of the replays that it was timed with by
         turns, which alone make a ratio, and of their command.
+    spreads : by replay and configuration `compute_round_spread` of those that other load disturbed;
+        None for one round.
     """
 
     timed: list[int]
     widths: list[float]
     sizes: dict[int, float]
     turns: dict[int, dict[int, tuple[int, int]]]
+    spreads: dict[int, dict[int, float | None]]
 
 
 def compute_half_widths_of_pairs(matrix: RunMatrix) -> PairWidths:
@@ -290,14 +293,17 @@ def compute_half_widths_of_pairs(matrix: RunMatrix) -> PairWidths:
     pairs = combinations(timed.values(), 2)
     widths = [compute_log_ratio_half_width(*two, sizes) for two in pairs]
     turns: dict[int, dict[int, tuple[int, int]]] = {p: {} for p in sizes}
+    spreads: dict[int, dict[int, float | None]] = {}
     numbers: dict[str, int] = {}
     for c, replays in timed.items():
-        for p, (run, _) in replays.items():
+        for p, (run, times) in replays.items():
             group, command = (
                 numbers.setdefault(key, len(numbers)) for key in (run.turns, run.campaign_utc)
             )
             turns[p][c] = group, command
-    return PairWidths(list(timed), widths, sizes, turns)
+            if (spread := compute_round_spread(matrix.records, run, times)) != 1.0:
+                spreads.setdefault(p, {})[c] = spread if isfinite(spread) else None
+    return PairWidths(list(timed), widths, sizes, turns, spreads)
 
 
 @dataclass(frozen=True)

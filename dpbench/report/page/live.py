@@ -107,7 +107,7 @@ def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
     """Return JSON data: the half-width of each two configurations' log time ratio, packed."""
     pairs = compute_half_widths_of_pairs(data)
     reach = data.block.add_as_uint16_logs(pairs.widths)
-    about = {"variables": pairs.sizes, "turns": pairs.turns}
+    about = {"variables": pairs.sizes, "turns": pairs.turns, "spreads": pairs.spreads}
     return {"paired": {"c": pairs.timed, "reach": reach, **about}}
 
 

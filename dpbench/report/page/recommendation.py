@@ -8,6 +8,7 @@ from typing import Any
 
 from dpbench.analysis.times.machine import find_shortest_wait_ns
 from dpbench.analysis.times.paired_times import (
+    MACHINE_DISTURBED,
     compare_paired_times,
     count_common_window_steps,
     find_faster_inconclusive,
@@ -229,6 +230,8 @@ def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]
         compared = compare_paired_times(data.records, chosen, found.faster)
         apart = bool(compared) and all(one.separate for one in compared)
         lead = f"has a smaller p99, {compared[0].separate}" if apart else "is faster"
+        if any(one.finding_text == MACHINE_DISTURBED for one in compared):
+            lead = "has a smaller p99 on a disturbed machine"
         yield "faster", f"{label} {lead}, and is not the answer: {found.because}."
     yield from _yield_inconclusive_notes(data, found)
     if found.runner_up is not None:
@@ -279,8 +282,10 @@ def describe_speed_margin(data: PageData, chosen: Verdict) -> str:
     if margin.p99.time_ns != margin.hardest.time_ns:
         p99 = _describe_slow_step(margin.p99)
     time = "p99" if isfinite(chosen.p99_ns) else "largest step (in place of a p99)"
+    is_of_own_plant = any(run.is_of_own_plant for run in data.records.runs)
+    computer = "The computer" if is_of_own_plant else "The ship's computer"
     parts = [
-        "The ship's computer may be up to "
+        f"{computer} may be up to "
         f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this one.",
         f"The {time} reaches {requirements.p99_ms:g} ms at × "
         f"{format_rounded_down(margin.p99_limit)}: it is {p99}.",

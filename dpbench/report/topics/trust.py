@@ -52,8 +52,9 @@ def _describe_round_spread(records: Records, disturbance: Disturbance) -> list[s
     if not count:
         return []
     few = f"only {plural(count, 'configuration')} had two rounds"
+    disturbed = bool(disturbance.complaints())
     why = [
-        *(["the machine was disturbed"] if disturbance.complaints() else ()),
+        *(["the machine was disturbed"] if disturbed else ()),
         *([few] if count < LEAST_CONFIGURATIONS else ()),
     ]
     spread = (
@@ -63,9 +64,10 @@ def _describe_round_spread(records: Records, disturbance: Disturbance) -> list[s
         else f"In 95 % of the configurations the rounds of this run agree within a factor of "
         f"{significant(high)} (median {significant(usual)}). Runs of other days can differ by more."
     )
+    beyond = " and the ratio exceeds the spread of their rounds" if disturbed else ""
     return [
         "Within this run, two solvers differ in step time only if the 95 % interval of their ratio "
-        f"excludes 1. {spread} To compare machines, compare a run from each."
+        f"excludes 1{beyond}. {spread} To compare machines, compare a run from each."
     ]
 
 

@@ -150,10 +150,18 @@ def test_records_without_counters_say_nothing(records: Any) -> None:
 @pytest.mark.parametrize(
     ("configurations", "switches", "said"),
     [
-        (4, 4, "the rounds of this run lie within × 2.00 (median 2.00); runs of other days can"),
-        (3, 4, "other days differ: only 3 configurations had two rounds."),
-        (4, 900, "other days differ: the machine was disturbed."),
-        (1, 900, "differ: the machine was disturbed and only 1 configuration had two rounds."),
+        (
+            4,
+            4,
+            "rounds of this run agree within a factor of 2.00 (median 2.00). Runs of other days",
+        ),
+        (3, 4, "cannot be estimated from this run: only 3 configurations had two rounds."),
+        (4, 900, "cannot be estimated from this run: the machine was disturbed."),
+        (
+            1,
+            900,
+            "from this run: the machine was disturbed and only 1 configuration had two rounds.",
+        ),
     ],
 )
 def test_how_far_rounds_lie_apart_is_said_of_a_quiet_run_alone(
@@ -169,4 +177,4 @@ def test_how_far_rounds_lie_apart_is_said_of_a_quiet_run_alone(
     assert compute_repetition_spread(records.view()) == (2.0, 2.0, configurations)
     topic = build_trust_topic(records.view())
     assert topic is not None and said in topic.lines[0]
-    assert ("× 2.00" in topic.lines[0]) == (configurations == switches == 4)
+    assert ("factor of 2.00" in topic.lines[0]) == (configurations == switches == 4)

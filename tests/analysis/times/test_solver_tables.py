@@ -294,3 +294,39 @@ def test_the_levels_suite_runs_every_level_of_every_solver(sequence: str) -> Non
     for solver, names in found.items():
         assert names == set(levels) & set(list_preset_names(solver))
     assert any(not has_distinct_tolerance_presets(solver) for solver in found)
+
+
+STOLEN = {"replay_s": 1.0, "steal_s": 0.1}
+"""The host of the virtual machine took 10 % of the time."""
+
+
+@pytest.mark.parametrize(
+    ("median_us", "state", "finding"),
+    [
+        (19.0, {}, "faster"),
+        (19.0, STOLEN, "machine disturbed"),
+        (21.0, STOLEN, "machine disturbed"),
+        (15.0, STOLEN, "faster"),
+        (27.0, STOLEN, "slower"),
+        (20.0, STOLEN, "tied"),
+        (10.0, STOLEN | {"rounds": 1}, "machine disturbed"),
+    ],
+)
+def test_rounds_of_a_disturbed_machine_bound_what_is_a_finding(
+    records: Any, median_us: float, state: dict[str, float], finding: str
+) -> None:
+    """The slower rounds take 1.155 times as long as the fastest, by the median of 1.01 to 1.3."""
+    records.replay("osqp", median_us=20.0, spread=0.1, **state)
+    records.replay("osqp", median_us=median_us, settings="high", spread=0.1)
+    (found,) = compare_settings_of_solvers(records.view())
+    assert found.finding_text == finding
+    if finding == "machine disturbed":
+        assert ": no ranking, as the machine was disturbed and " in describe_paired_times([found])
+
+
+def test_the_state_of_a_command_holds_for_each_of_its_replays(records: Any) -> None:
+    records.replay("osqp", median_us=20.0, spread=0.1)
+    records.replay("osqp", median_us=19.0, settings="high", spread=0.1)
+    records.replay("daqp", **STOLEN)
+    (found,) = compare_settings_of_solvers(records.view())
+    assert found.finding_text == "machine disturbed"

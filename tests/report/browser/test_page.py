@@ -467,6 +467,17 @@ def test_two_of_separate_commands_have_no_ratio(selected: Any) -> None:
     assert "not timed by turns" in page.inner_text("#two-said")
     assert " × the time of daqp" in page.evaluate(other, before)
     assert "times as long" in page.inner_text("#two-said")
+    disturbed = """async (spread) => {
+      for (const p in facts.paired.turns) facts.paired.spreads[p] = { [state.c]: spread };
+      await drawTwo();
+    }"""
+    for spread, text in ((1e6, "rounds differ by a factor of"), (None, "had a single round")):
+        page.evaluate(disturbed, spread)
+        assert f"No ranking, as the machine was disturbed and {text}" in page.inner_text(
+            "#two-said"
+        )
+    page.evaluate(disturbed, 1.0)
+    assert "No ranking" not in page.inner_text("#two-said")
 
 
 def test_any_two_have_the_interval_of_their_ratio(selected: Any, written: Any) -> None:

@@ -12,7 +12,8 @@ function together(first, second) {
       const i = a.first + j - b.first, other = y[i];
       if (ns > 0 && other > 0 && !((f[j] | g[i]) & HARD_ONLY)) rows.push({
         k: a.first + j, a_us: ns / 1e3, b_us: other / 1e3, sequence: experiment.label,
-        variables: facts.paired.variables[p], separate: whySeparate(first, second, p) });
+        variables: facts.paired.variables[p], separate: whySeparate(first, second, p),
+        spread: Math.max(spreadOf(first, p), spreadOf(second, p)) });
     });
   });
   return rows;
@@ -23,6 +24,20 @@ function whySeparate(first, second, p) {
   const [a, b] = [first, second].map((c) => facts.paired.turns[p]?.[c]);
   if (!a || !b || a[0] === b[0]) return "";
   return a[1] === b[1] ? "not timed by turns" : "timed in separate commands";
+}
+
+// The slowest over the fastest round of a disturbed replay, Infinity for one round; 1 if quiet.
+function spreadOf(c, p) {
+  const spread = facts.paired.spreads[p]?.[c];
+  return spread === undefined ? 1 : spread ?? Infinity;
+}
+
+// Why a ratio with an interval from `low` > 1 ranks neither of two; "" where it does.
+function whyUnranked(rows, low) {
+  const spread = ofLargest(rows).reduce((most, row) => Math.max(most, row.spread), 1);
+  if (!(low > 1 && low <= spread)) return "";
+  return ` No ranking, as the machine was disturbed and ${Number.isFinite(spread)
+    ? `rounds differ by a factor of up to ${figure(spread)}` : "had a single round"}.`;
 }
 
 // The steps of which two make a ratio, those timed by turns; all where there are none.
@@ -96,7 +111,8 @@ async function drawTwo() {
     + `${time(meanOf(rows, "b"))}, ${rows[0].separate}, so there is no ratio: geometric means over `
     + `${commonSteps(rows)}.`
     : `${label(slower)} takes ${figure(ratio, 2)} times as long as ${label(faster)} `
-    + `(${interval}): geometric mean over ${commonSteps(rows)}. Below the dashed line `
+    + `(${interval}): geometric mean over ${commonSteps(rows)}.`
+    + `${reach === null ? "" : whyUnranked(rows, ratio / reach)} Below the dashed line `
     + `${unlike(second, state.c)} is faster.`;
   const view = await figureOf("pairs");
   if (view) {
