@@ -312,7 +312,8 @@ def run_campaign(
         for any choice, so that a part never replaces the whole.
     solvers, scenarios, settings : only these; scenarios that the suite does not name, by name or
         TOML file, replace its own.
-    routes, policies : in place of those of the suite, such as "native" and "warm".
+    routes, policies : in place of those of the suite, or with `sequence` of a solver's default,
+        such as "native" and "warm".
     steps : at most so many of each loop and replay.
     jobs : closed loops or random sequences at a time; all cores by default. Replays along a loop
         always run alone.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -105,6 +106,7 @@ class Results(result_folder.Results):
     def ladder(self) -> pd.DataFrame:
         """Return step times [µs] of each timed solver's best and your own settings, as a table.
 
+        The best is the fastest of the best verdict by p99, or by its largest step without a p99.
         `share` is what calling a library that does nothing takes of its median.
         """
         return self.tables["ladder"]
@@ -114,10 +116,11 @@ class Results(result_folder.Results):
 
         Each solver's best against the fastest, and its settings, in one call mode, against
         `default` or the first of them. One row for each number of `variables`. `low` and `high`
-        bound the mean ratio. `finding` is "slower" or "faster" (the second), "tied" where they
-        include 1, "unstable" where another measure names another one as faster, "one run" of
-        settings without effect, or "too few steps" for an interval; these two have 0 to inf. Two
-        that were not timed by turns have no ratio, and `finding` has the reason.
+        bound the mean ratio, second over first. `finding` is "slower" or "faster" (the second),
+        "tied" where they include 1, "unstable" where another measure names another one as faster,
+        "machine disturbed" where other load can explain the difference, "one run" of settings
+        without effect, or "too few steps" for an interval; these two have 0 to inf. Two that were
+        not timed by turns have no ratio, and `finding` has the reason.
 
         choices : instead, of each two of these: solvers, `osqp[rho=1.6]`, `osqp high` or labels.
 
@@ -139,7 +142,7 @@ class Results(result_folder.Results):
     ) -> str:
         """Return a table of the report as a LaTeX `tabular`, numbers to three digits.
 
-        The document needs the package `booktabs`.
+        The document needs the package `booktabs`. A ratio of one run to itself is an empty cell.
 
         table : a name in `tables`, or a data frame, such as some rows of one. columns : some of its
         columns, by default all; of "verdicts" those that identify a configuration, its verdict,
@@ -161,6 +164,10 @@ class Results(result_folder.Results):
             frame = frame[frame["verdict"] != "not run"]
         for name in columns or ():
             _refuse_unknown_name("column", name, frame.columns)
+        if "finding" in frame:
+            values = frame.columns.intersection(["ratio", "low", "high"])
+            frame = frame.copy()
+            frame.loc[frame["finding"] == "one run", values] = math.nan
         are_verdicts = isinstance(table, str) and table == "verdicts"
         usual = [name for name in frame if not are_verdicts or name in VERDICT_COLUMNS]
         return make_tabular(frame[list(columns or usual)])
@@ -178,8 +185,11 @@ class Results(result_folder.Results):
     def __repr__(self) -> str:
         runs = plural(len(self.runs), "run")
         solvers = plural(self.runs["solver"].nunique(), "solver")
+        outcomes = self.runs["outcome"].value_counts().drop("finished", errors="ignore")
+        others = "".join(f", {count} {outcome}" for outcome, count in outcomes.items())
         state = f"; the machine was {self._disturbed}" if self._disturbed else ""
-        return f"<Results {self.suite.get('name', self.folder.name)}: {runs} of {solvers}{state}>"
+        name = self.suite.get("name", self.folder.name)
+        return f"<Results {name}: {runs} of {solvers}{others}{state}>"
 
     def _repr_html_(self) -> str | None:
         """Return the recommendation and each solver's best settings as HTML; None without steps."""

@@ -102,6 +102,13 @@ def test_every_table_in_latex_is_complete_ascii(results: Results) -> None:
         assert all(len(re.findall(r"(?<!\\)&", row)) == usual - 1 for row in rows), name
 
 
+def test_a_ratio_of_one_run_to_itself_is_empty_in_latex(results: Results) -> None:
+    rows = results.paired_ratios()[["ratio", "low", "high", "finding"]][:2]
+    rows = rows.assign(ratio=[1.0, 2.0], low=[0.0, 1.9], high=[np.inf, 2.1])
+    text = results.to_latex(rows.assign(finding=["one run", "slower"]))
+    assert "\n &  &  & one run" in text and "\n2 & 1.9 & 2.1 & slower" in text
+
+
 def test_ladder_and_ratios_are_of_the_same_solvers(results: Results) -> None:
     ladder, ratios = results.ladder(), results.paired_ratios()
     assert ladder["solver"].is_unique
@@ -125,6 +132,10 @@ def test_results_say_what_they_are(results: Results) -> None:
     solvers = results.runs["solver"].nunique()
     name = f"<Results synthetic: {len(results.runs)} runs of {solvers} solvers"
     assert repr(results).startswith(name)
+    finished = results.runs.assign(outcome="finished")
+    stopped = finished.assign(outcome=finished["outcome"].where(finished.index > 1, "timed_out"))
+    assert repr(replace(results, runs=finished)).startswith(f"{name}>")
+    assert repr(replace(results, runs=stopped)).startswith(f"{name}, 2 timed_out>")
     html = results._repr_html_()
     assert "<script" not in html and "style" not in html
     assert all(f"<td>{solver}</td>" in html for solver in results.ladder()["solver"])

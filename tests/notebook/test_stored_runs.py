@@ -46,8 +46,8 @@ def test_loops_of_an_own_plant_join_the_replays_of_its_qps(tmp_path: Path) -> No
     assert "Ship: not run" not in text
     assert "no replay has their QPs" not in text
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert "other plants, disturbances and tunings" in page
-    assert "other ships" not in page
+    assert "Not covered: plants, disturbances" in page
+    assert "ships, weather" not in page and "The ship's computer" not in page
     # The page's script shows such a loop without the strip of a ship's forces.
     charts = _draw_empty_step_charts(Report.from_results(results).data)
     assert "force / limit" not in json.dumps(charts["strips_without_forces"].to_dict())
