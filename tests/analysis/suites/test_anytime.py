@@ -66,8 +66,8 @@ def test_the_topic_shows_least_limits_and_the_ship_at_the_smallest(records: Any)
     topic = build_anytime_topic(records.view(), Requirements())
     assert topic is not None
     assert topic.lines[0] == (
-        "In paper 5 iterations a step are enough for piqp (qpsolvers fresh, high) to stay within "
-        "10 % of the cost of the reference loop; 1 of 3 stay so at no limit."
+        "In paper 5 iterations per step are enough for piqp (qpsolvers fresh, high) to stay within "
+        "10 % of the cost of the reference loop; 1 of 3 configurations exceed it at all limits."
     )
     (table,) = topic.tables
     assert [(row[0].split()[0], *row[1:5]) for row in table.rows] == [
@@ -104,7 +104,9 @@ def test_limits_of_time_are_a_group_of_their_own(records: Any) -> None:
     assert {group.limit_of for group in others} == {"iterations"}
     topic = build_anytime_topic(records.view(), Requirements())
     assert topic is not None
-    assert topic.lines[0].startswith("In paper 1.00 ms a step is enough for clarabel (qpsolvers f")
+    assert topic.lines[0].startswith(
+        "In paper 1.00 ms per step are enough for clarabel (qpsolvers f"
+    )
     table, _ = topic.tables
     assert table.rows[0][1:5] == ("1.00 ms", "3 of 120", table.rows[0][3], "3.00")
     assert table.heads[-1] == "median timing at 100 µs"
@@ -123,7 +125,9 @@ def test_replays_alone_have_their_errors(records: Any) -> None:
 
 def test_it_is_the_answer_of_a_page_of_limited_runs_alone(records: Any) -> None:
     fill(records)
-    assert records.ending()["answer"].startswith("In paper 5 iterations a step are enough for piqp")
+    assert records.ending()["answer"].startswith(
+        "In paper 5 iterations per step are enough for piqp"
+    )
     records.loop("daqp")
     assert not records.ending().get("answer", "").startswith("In paper 5 iterations")
 
