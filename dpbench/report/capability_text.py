@@ -1,6 +1,7 @@
 """Text of what thrusters hold: capability numbers, and losses in a consequence analysis."""
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 
 import pandas as pd
@@ -21,6 +22,7 @@ from dpbench.analysis.suites.capability import (
 from dpbench.analysis.verdict.verdict import explain_deployment_blocker
 from dpbench.bench.capability.frontier import INTACT
 from dpbench.report.formats import format_rounded_down, join_with_and, plural
+from dpbench.report.ship_text import find_weather_direction
 
 
 def describe_capability(plot: CapabilityResult) -> Iterator[str]:
@@ -31,12 +33,25 @@ def describe_capability(plot: CapabilityResult) -> Iterator[str]:
     failed = plot.edges[plot.edges["case"] != INTACT]
     wording = f"Intact, {plot.vessel} holds at least {_format_least_wind(intact)}"
     if len(failed):
-        worst = failed.nsmallest(1, "wind_mps").iloc[0]
-        of_case = failed[failed["case"] == worst["case"]]
-        wording += f"; after the loss of {worst['case']} {_format_least_wind(of_case)}"
+        wording += f"; after the loss of {' '.join(_find_worst_loss(failed))}"
     if plot.capability_numbers_text:
         yield f"{plot.capability_numbers_text}."
     yield f"{wording} (DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides)."
+
+
+def describe_worst_loss(plot: CapabilityResult) -> str:
+    """Return a sentence on the wind held after the worst loss, over all directions; or ""."""
+    failed = plot.edges[plot.edges["case"] != INTACT]
+    if failed.empty:
+        return ""
+    case, wind = _find_worst_loss(failed)
+    return f"After the worst loss, of {case}, {plot.vessel} holds at least {wind} (wind, level 1)."
+
+
+def _find_worst_loss(failed: pd.DataFrame) -> tuple[str, str]:
+    """Return the case in which the least wind is held, and that wind with direction, as text."""
+    case = str(failed.nsmallest(1, "wind_mps")["case"].iloc[0])
+    return case, _format_least_wind(failed[failed["case"] == case])
 
 
 def _format_least_wind(edges: pd.DataFrame) -> str:
@@ -69,7 +84,19 @@ def describe_losses_held(analysis: ConsequenceAnalysis) -> str:
     for group, of_group in analysis.spans.groupby("group", sort=False):
         when.setdefault(describe_time_held(of_group), []).append(str(group))
     held = [f"the loss of {' or of '.join(of)} can be held {time}" for time, of in when.items()]
-    return f"In {analysis.name} {'; '.join(held)} ({describe_required_force(analysis)})."
+    loop = _describe_analysed_loop(analysis)
+    return f"In {analysis.name}{loop} {'; '.join(held)} ({describe_required_force(analysis)})."
+
+
+def _describe_analysed_loop(analysis: ConsequenceAnalysis) -> str:
+    """Return in brackets the steps of an analysis, and where their weather comes from; or ""."""
+    facts = []
+    if steps := re.search(r"\[(\d+):(\d+)\]$", analysis.name):
+        facts.append(f"steps {steps[1]} to {int(steps[2]) - 1}")
+    from_deg = find_weather_direction([analysis.run] if analysis.run else [])
+    if not math.isnan(from_deg):
+        facts.append(f"weather from {from_deg:g}°")
+    return f" ({', '.join(facts)})" if facts else ""
 
 
 def describe_answers_at_edge(plot: CapabilityResult) -> str:
@@ -117,7 +144,8 @@ def describe_consequence_solver(records: Records, solver: str) -> str:
         who = f"; correct on all of them: {fit}" if fit and one_kind == "feasible" else ""
         other = f"none named, as all its QPs are {one_kind}{who}"
     elif one_kind and best:
-        other += f" (all its QPs are {one_kind}, of those at the edge not all)"
+        but = "but not all at the edge of the capability plot"
+        other += f" (all QPs of the analysis are {one_kind}, {but})"
     return f"MPC: {solver}; consequence analysis: {other}."
 
 

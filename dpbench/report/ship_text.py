@@ -1,7 +1,7 @@
 """Text of the controller's own result: the first lines of every report."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
@@ -187,13 +187,33 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         kind = "scenarios and seas" if of_study else "scenarios"
         where = f"in {len(kept)} of {len(known)} {kind}"
         there = f" at {_locate_ship(farthest)}" if run.study else f" in `{farthest.name}`"
+    from_deg = find_weather_direction(ship.run for ship in known)
+    weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     return (
         f"Solved exactly, the controller holds the ship on station "
-        f"({_format_station_limits(farthest)}) {where}; "
+        f"({_format_station_limits(farthest)}){weather} {where}; "
         f"largest offset {significant(run.exact_offset_max_m)} m{there} at "
         f"{significant(run.exact_offset_max_s)} s, {significant(run.exact_offset_end_m)} m at the "
         "end."
     )
+
+
+def find_weather_direction(runs: Iterable[RunRecord]) -> float:
+    """Return the direction [°] that all weather in the scenarios of runs comes from; NaN if none.
+
+    NaN also if wind, waves and current of these scenarios have several directions.
+    """
+    directions = set()
+    for run in runs:
+        weather = (run.scenario_documents or {}).get("scenario", {}).get("environment") or {}
+        origins = [
+            (weather.get("wind") or {}).get("from_deg"),
+            (weather.get("waves") or {}).get("from_deg"),
+            (weather.get("current") or {}).get("towards_deg", math.nan) + 180.0,
+        ]
+        known = [deg for deg in origins if deg is not None and not math.isnan(deg)]
+        directions |= {deg % 360.0 for deg in known} or {math.nan}
+    return directions.pop() if len(directions) == 1 else math.nan
 
 
 def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:

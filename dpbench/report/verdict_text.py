@@ -102,7 +102,7 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
     }
     if otherwise := [v.configuration for v in good if v.configuration.solver not in by_default]:
         labels = ", ".join(configuration.label for configuration in otherwise)
-        wording.append(f"not by default: {labels}")
+        wording.append(f"not in its default configuration: {labels}")
         solvers = [configuration.solver for configuration in otherwise]
         wording += _describe_defaults_that_do_not_pass(verdicts, solvers)
     for state, (verb, verbs) in _VERBS.items():
@@ -120,10 +120,10 @@ def _describe_defaults_that_do_not_pass(verdicts: Verdicts, solvers: Sequence[st
     missed = {v.configuration.solver: v for v in verdicts.verdicts_on_references}
     of_each = [(solver, missed[solver]) for solver in solvers if solver in missed]
     clauses = [
-        f"by default {solver} {_VERBS[v.state][0]}: {describe_main_reason(v)}"
+        f"in its default configuration {solver} {_VERBS[v.state][0]}: {describe_main_reason(v)}"
         for solver, v in of_each[:MOST_NAMED]
     ]
-    return [*clauses, *_count_others(len(of_each), " do not pass by default")]
+    return [*clauses, *_count_others(len(of_each), " do not pass in theirs")]
 
 
 def _count_others(count: int, verbs: str) -> list[str]:

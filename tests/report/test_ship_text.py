@@ -373,3 +373,13 @@ def test_the_largest_and_the_last_offset_after_a_loss_are_stated(records: Any) -
         "After the loss of board A at 90 s (`thrusters_loss`): largest offset 2.50 m, largest "
         "heading error 1.25°; at the end 0.0400 m and 0.0100°."
     ) in _summary(records).text
+
+
+def test_weather_from_one_direction_is_named_with_it(records: Any) -> None:
+    """Wind and waves of `weather` come from 40°, its current goes to 220°; `paper` has none."""
+    records.loop("daqp", "weather")
+    assert "(5 m, 5°) in weather from 40° in `weather`; largest" in _summary(records).text
+    records.loop("daqp", "thrusters")
+    assert "(5 m, 5°) in weather from 40° in 2 of 2 scenarios; " in _summary(records).text
+    records.loop("daqp", "paper")
+    assert "weather from" not in _summary(records).text

@@ -215,6 +215,7 @@ class ConsequenceAnalysis:
     """Results of a consequence analysis: losses after which position is held, answers of solvers.
 
     margin : by which the force to hold is multiplied.
+    run : one of the runs, all along the same loop; None in a table without runs.
     spans : columns `SPAN`: for each loss, spans of time and what is proven of them.
     answers : of every configuration, right ones first, then the fastest.
     """
@@ -224,6 +225,7 @@ class ConsequenceAnalysis:
     margin: float
     spans: pd.DataFrame
     answers: tuple[BatchAnswers, ...]
+    run: RunRecord | None = None
 
     @property
     def best_answers_by_solver(self) -> dict[str, BatchAnswers]:
@@ -264,7 +266,7 @@ def _build_consequence_analysis(
     )
     source = runs[0].source
     margin = source.margin if isinstance(source, ConsequenceSource) else math.nan
-    return ConsequenceAnalysis(name, tuple(groups), margin, spans, tuple(answers))
+    return ConsequenceAnalysis(name, tuple(groups), margin, spans, tuple(answers), runs[0])
 
 
 def _tabulate_loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:

@@ -38,6 +38,7 @@ from dpbench.report.capability_text import (
     describe_consequence_solver,
     describe_losses_held,
     describe_unanswered_qps,
+    describe_worst_loss,
 )
 from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
 from dpbench.report.commands_text import (
@@ -220,6 +221,7 @@ def _fill_statement(
         assumed=dict.fromkeys(
             text for vessel in vessels.values() for text in list_assumptions_on_vessel(vessel)
         ),
+        worst_losses=[text for plot in plots if (text := describe_worst_loss(plot))],
         held=_describe_held(plots, analyses, vessels.values()),
         losses=find_open_losses(records, data.ships, plots, analyses),
         consequence_solver=describe_consequence_solver(records, c.solver),

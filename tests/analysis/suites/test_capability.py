@@ -9,12 +9,13 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.capability import (
     Answers,
+    CapabilityResult,
     build_capability_results,
     count_answers_by_run,
 )
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
-from dpbench.report.capability_text import describe_capability
+from dpbench.report.capability_text import describe_capability, describe_worst_loss
 from dpbench.report.documents import statement
 from dpbench.report.topics.capability import build_capability_topic
 from tests.result_folder import StepsInMemory
@@ -144,17 +145,27 @@ def test_a_loss_after_which_nothing_is_held_is_so_from_every_direction(records: 
     assert said in " ".join(describe_capability(plot))
 
 
+def test_the_worst_loss_is_named_with_the_least_wind_held_after_it() -> None:
+    """Board A, by one direction of it alone; "" where no loss is in the plot."""
+    rows = [("intact", 2.0, 0.0), ("board A", 9.0, 0.0), ("board A", 3.0, 90.0)]
+    rows += [("board B", 5.0, from_deg) for from_deg in (0.0, 90.0)]
+    edges = pd.DataFrame(rows, columns=["case", "wind_mps", "from_deg"])
+    said = "After the worst loss, of board A, osv holds at least 3.00 m/s, from 90° (wind, "
+    assert describe_worst_loss(CapabilityResult("osv", 8, edges, ())) == f"{said}level 1)."
+    assert describe_worst_loss(CapabilityResult("osv", 8, edges[:1], ())) == ""
+
+
 def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
     runs = edge_runs(records)
     topic = build_capability_topic(runs, plot_table())
     assert topic.lines == (
         "Intact, osv holds at least 12.0 m/s, from 90° (DNV-ST-0111, level 1; azimuths as polygons "
-        "of 8 sides). 1 of 2 solvers answers all 4 QPs at that edge rightly: quadprog. Untrue "
-        "claims: osqp (1). Without an answer, given up or out of time: osqp (1).",
+        "of 8 sides). 1 of 2 solvers answers all 4 QPs at that edge correctly: quadprog. False "
+        "claims: osqp (1). No answer (given up or out of time): osqp (1).",
     )
     assert len(topic.figures) == 2
     (line,) = statement._describe_held(build_capability_results(runs, plot_table()), [], [])
-    assert line.endswith("1 of 2 solvers answers all 4 QPs at that edge rightly: quadprog.")
+    assert line.endswith("1 of 2 solvers answers all 4 QPs at that edge correctly: quadprog.")
     without_plot = build_capability_topic(runs, None)
     assert without_plot.lines[0].startswith("1 of 2 solvers") and len(without_plot.figures) == 1
     without_runs = build_capability_topic(

@@ -150,8 +150,8 @@ def test_the_topic_says_when_a_loss_can_be_held(
 
 def test_the_topic_names_who_misses_alarms(storm: Records) -> None:
     topic = build_consequence_topic(storm)
-    assert "1 of 3 configurations answer all QPs rightly, the fastest quadprog" in topic.lines[0]
-    said = "by osqp (1); QPs are left without an answer by daqp (1) and osqp (1)."
+    assert "1 of 3 configurations answer all QPs correctly, the fastest quadprog" in topic.lines[0]
+    said = "missed alarms: osqp (1); no answer to some QPs: daqp (1) and osqp (1)."
     assert topic.lines[0].endswith(said)
     assert [figure.name for figure in topic.figures] == [
         "consequence-thrusters_loss-2-6",
@@ -204,7 +204,7 @@ def test_qps_that_are_all_alike_recommend_no_solver_for_the_analysis(
     monkeypatch.setitem(CERTIFICATES, "board A", [kind] * 4)
     alike = view(records, {"daqp": {"board A": [[answer] * 4]}})
     word = "feasible" if kind == "linear" else kind
-    who = "; right on all of them: daqp" if kind == "linear" else ""
+    who = "; correct on all of them: daqp" if kind == "linear" else ""
     wanted = f"MPC: daqp; consequence analysis: none named, as all its QPs are {word}{who}."
     assert describe_consequence_solver(alike, "daqp") == wanted
     at_edge = replace(ALL_RIGHT, solver="daqp")
@@ -212,8 +212,8 @@ def test_qps_that_are_all_alike_recommend_no_solver_for_the_analysis(
     monkeypatch.setattr(capability_text, "build_capability_results", lambda *_: [plot])
     for solver in ("daqp", "osqp"):
         assert describe_consequence_solver(alike, solver) == (
-            f"MPC: {solver}; consequence analysis: daqp (all its QPs are {word}, of those at the "
-            "edge not all)."
+            f"MPC: {solver}; consequence analysis: daqp (all QPs of the analysis are {word}, but "
+            "not all at the edge of the capability plot)."
         )
 
 
@@ -226,7 +226,7 @@ def test_a_solver_that_leaves_qps_at_the_edge_unanswered_is_not_named(
     monkeypatch.setattr(capability_text, "build_capability_results", lambda *_: [plot])
     none = "no solver that was run answers all its QPs and those at the edge of the capability plot"
     for solver in ("quadprog", "osqp"):
-        wanted = f"MPC: {solver}; consequence analysis: {none} rightly."
+        wanted = f"MPC: {solver}; consequence analysis: {none} correctly."
         assert describe_consequence_solver(storm, solver) == wanted
 
 
@@ -237,7 +237,7 @@ def test_without_a_consequence_analysis_no_solver_for_it_is_named(records: Any) 
 
 def test_where_no_solver_is_right_on_all_qps_of_the_analysis_that_is_said(records: Any) -> None:
     silent = view(records, {"daqp": {"board B": [[TRUE, TRUE, SILENT, SILENT]]}})
-    none = "no solver that was run answers all its QPs rightly"
+    none = "no solver that was run answers all its QPs correctly"
     assert (
         describe_consequence_solver(silent, "daqp") == f"MPC: daqp; consequence analysis: {none}."
     )

@@ -333,7 +333,8 @@ def test_high_settings_rescue(records: Any) -> None:
     verdicts = judge_solvers(records.view(), REQUIREMENTS)
     assert [v.state for v in verdicts.all_verdicts] == ["fail", "pass"]
     assert describe_which_solvers_pass(verdicts) == (
-        "1 of 1 passes: osqp; not by default: osqp (qpsolvers fresh, high); by default osqp fails: "
+        "1 of 1 passes: osqp; not in its default configuration: osqp (qpsolvers fresh, high); "
+        "in its default configuration osqp fails: "
         "its first move is up to 0.40 times the maximum increment off the optimum in paper"
     )
 
