@@ -13,6 +13,7 @@ import numpy as np
 
 from dpbench.ci.machine_state import KEY, MachineState
 from dpbench.errors import InputError
+from dpbench.report.formats import plural
 
 FAILED = "dpbench_failed"
 """Key of a JSON file: the reason of each benchmark that failed, by name."""
@@ -59,7 +60,6 @@ class Benchmark:
         name = str(entry["fullname"])
         # Without the route: a change of a solver slows it on each.
         solver = str(extra.get("solver", name)).partition(" (")[0]
-        state = MachineState.from_stored_state(extra[KEY]).complaints() if KEY in extra else []
         return cls(
             name,
             times[0],
@@ -68,8 +68,23 @@ class Benchmark:
             dict(extra.get("exact", {})),
             solver,
             extra.get("true_share", 1.0) == 1.0,
-            tuple(state),
+            tuple(read_complaints(extra)),
         )
+
+
+def read_complaints(extra: Mapping[str, Any]) -> list[str]:
+    """Return what disturbed the machine during a benchmark, from its `extra_info`."""
+    return MachineState.from_stored_state(extra[KEY]).complaints() if KEY in extra else []
+
+
+def describe_disturbed_baseline(disturbed: int, count: int) -> str:
+    """Return a warning for stored times of which so many have no verdict; "" for none."""
+    if not disturbed:
+        return ""
+    return (
+        f"machine disturbed in {disturbed} of {plural(count, 'benchmark')}: as a baseline, their "
+        "times will not be compared; measure again on a quiet machine"
+    )
 
 
 def _estimate_error(
@@ -134,6 +149,11 @@ class BenchmarkRun:
         """Return the run of the entries of a JSON file; one that failed has no time."""
         found = {one.name: one for one in map(Benchmark.from_json_entry, entries)}
         return cls({name: found[name] for name in found if name not in failed}, dict(failed))
+
+    @property
+    def disturbed(self) -> int:
+        """Number of benchmarks during which other load disturbed the machine."""
+        return sum(bool(one.complaints) for one in self.benchmarks.values())
 
     @property
     def names(self) -> set[str]:

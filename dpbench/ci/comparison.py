@@ -27,7 +27,14 @@ from dpbench.analysis.compare.evidence import (
 from dpbench.analysis.statistics import Interval
 from dpbench.ci import MARGIN
 from dpbench.ci.benchmarks import WRONG_ANSWERS, Benchmark, BenchmarkRun
-from dpbench.report.formats import Table, escape_markdown_paragraph, make_markdown_table, plural
+from dpbench.report.formats import (
+    Table,
+    escape_markdown_paragraph,
+    format_count,
+    make_markdown_table,
+    plural,
+    significant,
+)
 
 NOT_TIMED, SLOWER, WORSE, GONE = "failed, not timed", "slower", "worse", "gone"
 DISTURBED, NO_KERNEL, NOT_VERIFIED = "disturbed", "no reference kernel", "faster, not verified"
@@ -52,13 +59,30 @@ MEANINGS = {
     NOT_TIMED: "a test failed before it was timed",
     WORSE: "an exact measure grew",
     GONE: "a benchmark of the base is missing or skipped",
-    DISTURBED: "other load disturbed the machine, no verdict on times",
-    NO_KERNEL: "too few other solvers, no verdict on times",
+    DISTURBED: "times not judged, other load disturbed the machine",
+    NO_KERNEL: "times not judged, too few other solvers",
     NOT_VERIFIED: "a smaller time, but not every answer is verified",
     NEW: "the base has no such benchmark",
     NO_BASELINE: "the base has no benchmark, nothing compared",
     NOT_RUN: "left out by the arguments of pytest",
 }
+NOT_COMPARED = {
+    WRONG_ANSWERS: "not accurate",
+    NOT_TIMED: "failed",
+    GONE: "gone",
+    NEW: "new",
+    NO_BASELINE: "without baseline",
+    NOT_RUN: "not run",
+}
+"""Words for benchmarks that only one revision has timed, by verdict."""
+NOT_JUDGED = {DISTURBED: "machine disturbed", NO_KERNEL: "too few other solvers"}
+"""Reasons why a compared time has no verdict."""
+MEASURES = {
+    "iterations": ("iterations", "iterations", ""),
+    "error_move_max": ("errors", "largest error of the first move", " maximum increments"),
+    "peak_bytes": ("memory", "peak memory", " bytes"),
+}
+"""Exact measures by name: kind, words and unit. Others are shown by their name."""
 ALPHA = 0.05
 NOISE = Prior(sd=0.05, df=6.0)
 """Noise of one benchmark in its few rounds, between two runs of the same code."""
@@ -73,12 +97,18 @@ Pairs = Sequence[tuple[BenchmarkRun, BenchmarkRun]]
 
 @dataclass(frozen=True)
 class Row:
-    """Verdict on one benchmark, ratio of its times with interval, and what explains it."""
+    """Verdict on one benchmark, ratio of its times with interval, and what explains it.
+
+    not_judged : DISTURBED or NO_KERNEL where the times have no verdict, "" otherwise.
+    measures : kinds of the exact measures that both revisions have.
+    """
 
     name: str
     verdict: str
     ratio: Interval | None = None
     remarks: tuple[str, ...] = ()
+    not_judged: str = ""
+    measures: tuple[str, ...] = ()
 
     @property
     def cells(self) -> dict[str, str]:
@@ -132,7 +162,32 @@ class RunComparison:
     def describe_scope(self, base: str, head: str) -> str:
         """State in one line how many benchmarks the named base and head have in common."""
         has = [f"{name} has {count}" for name, count in zip((base, head), self.counts, strict=True)]
-        return f"{plural(self.timed, 'benchmark')} compared: {', '.join(has)}"
+        counts = Counter(row.verdict for row in self.rows)
+        rest = [f", {counts[one]} {word}" for one, word in NOT_COMPARED.items() if counts[one]]
+        return f"{plural(self.timed, 'benchmark')} compared{''.join(rest)}: {', '.join(has)}"
+
+    def describe_verdict(self, base: str) -> str:
+        """State whether a regression is shown against the named base, and what is not judged."""
+        counts = Counter(row.not_judged for row in self.rows)
+        total = plural(len(self.rows), "benchmark")
+        times = [
+            f"times not judged ({reason}) in {counts[one]} of {total}"
+            for one, reason in NOT_JUDGED.items()
+            if counts[one]
+        ]
+        if self.worse:
+            return "; ".join([f"a regression against {base}", *times])
+        if not times:
+            return f"no regression shown against {base}"
+        kinds = dict.fromkeys(kind for row in self.rows for kind in row.measures)
+        return "; ".join(
+            [*times, f"{' and '.join(kinds) or 'failures'}: no regression against {base}"]
+        )
+
+    def describe_exit(self, disturbed: int) -> list[str]:
+        """Return a line on the exit code where load selected it, none otherwise."""
+        code = 0 if self.worse else self.exit_code(disturbed)
+        return [f"exit code {code} (disturbed)"] if code else []
 
     @property
     def headline(self) -> str:
@@ -173,12 +228,10 @@ class RunComparison:
             console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def describe_end(found: RunComparison, base: str, head: str) -> list[str]:
-    """Return lines on what was compared, and on whether a regression is shown."""
-    line = f"{'a regression' if found.worse else 'no regression shown'} against {base}"
-    if open_ones := sum(row.verdict in (DISTURBED, NO_KERNEL) for row in found.rows):
-        line += f"; no verdict on times of {open_ones} of {plural(len(found.rows), 'benchmark')}"
-    return [found.describe_scope(base, head), line]
+def describe_end(found: RunComparison, base: str, head: str, disturbed_exit: int = 0) -> list[str]:
+    """Return lines on what was compared, whether a regression is shown, and a selected exit."""
+    lines = [found.describe_scope(base, head), found.describe_verdict(base)]
+    return lines + found.describe_exit(disturbed_exit)
 
 
 def compare_runs(
@@ -200,7 +253,8 @@ def compare_runs(
     for name in sorted(was | now):
         if name in failed:
             verdict = WRONG_ANSWERS if failed[name].startswith(WRONG_ANSWERS) else NOT_TIMED
-            rows.append(Row(name, verdict, remarks=(failed[name],)))
+            reason = failed[name].removeprefix(f"{WRONG_ANSWERS}: ")
+            rows.append(Row(name, verdict, remarks=(reason,)))
         elif name not in now:
             is_left_out = all(head.selection.leaves_out(name) for _, head in pairs)
             rows.append(Row(name, NOT_RUN if is_left_out else GONE))
@@ -229,9 +283,9 @@ def _judge_benchmark(name: str, pairs: Pairs, time: Assessment, complaints: Sequ
     # What is exact may still have noise of memory: the pair that grew least counts.
     exact = min((find_exact_changes(*pair) for pair in both), key=len)
     ratio: Interval | None = time.ratio
-    verdict, remarks = NO_CHANGE, list(exact)
+    verdict, remarks, not_judged = NO_CHANGE, list(exact), ""
     if complaints:
-        verdict = DISTURBED
+        verdict = not_judged = DISTURBED
         remarks += complaints
         # A single pair shows nothing of the noise that load makes.
         ratio = Interval(time.ratio.value, 0.0, np.inf) if len(both) == 1 else time.ratio
@@ -239,14 +293,16 @@ def _judge_benchmark(name: str, pairs: Pairs, time: Assessment, complaints: Sequ
         if all(one.complaints for pair in both for one in pair):
             ratio = None
     elif not np.isfinite(time.ratio.high):
-        verdict = NO_KERNEL
+        verdict = not_judged = NO_KERNEL
     elif time.verdict == "slower":
         verdict = SLOWER
     elif time.verdict == "faster":
         verdict = FASTER if all(head.is_verified for _, head in both) else NOT_VERIFIED
     if exact and verdict != SLOWER:
         verdict = WORSE
-    return Row(name, verdict, ratio, tuple(remarks))
+    common = {name for was, now in both for name in was.exact.keys() & now.exact.keys()}
+    kinds = [MEASURES[one][0] if one in MEASURES else one for one in sorted(common, reverse=True)]
+    return Row(name, verdict, ratio, tuple(remarks), not_judged, tuple(kinds))
 
 
 def find_exact_changes(was: Benchmark, now: Benchmark) -> list[str]:
@@ -255,9 +311,17 @@ def find_exact_changes(was: Benchmark, now: Benchmark) -> list[str]:
     for name in sorted(was.exact.keys() & now.exact.keys()):
         factor, more = SLACK.get(name, (1.0, 0.0))
         if now.exact[name] > factor * was.exact[name] + more:
-            changes.append(f"{name} {was.exact[name]:.6g} → {now.exact[name]:.6g}")
+            _, words, unit = MEASURES.get(name, ("", name, ""))
+            before, after = (_format_measure(one.exact[name]) for one in (was, now))
+            changes.append(f"{words} {before} → {after}{unit}")
     missing = sorted(was.exact.keys() - now.exact.keys())
-    return changes + [f"{name} is no longer measured" for name in missing]
+    words_of = [MEASURES.get(name, ("", name, ""))[1] for name in missing]
+    return changes + [f"{words}: no longer measured" for words in words_of]
+
+
+def _format_measure(value: float) -> str:
+    """Format an exact measure: a count in full, any other number in three significant digits."""
+    return format_count(value) if float(value).is_integer() else significant(value)
 
 
 def _assess_times(pairs: Pairs, margin: float) -> dict[str, tuple[Assessment, list[str]]]:

@@ -14,8 +14,10 @@ from dpbench.ci.benchmarks import (
     IMPORTED,
     SELECTION,
     Selection,
+    describe_disturbed_baseline,
     find_source_files,
     list_imported_files,
+    read_complaints,
 )
 
 
@@ -26,6 +28,7 @@ class FailedBenchmarks:
         self._config = config
         self._deselected: set[str] = set()
         self._collected = 0
+        self._warning = ""
         self.reasons: dict[str, str] = {}
 
     def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
@@ -62,6 +65,14 @@ class FailedBenchmarks:
     def pytest_benchmark_update_json(self, output_json: dict[str, Any]) -> None:
         """Add what this plug-in notes to the given JSON document, in place."""
         output_json |= self._make_notes()
+        entries = output_json["benchmarks"]
+        disturbed = sum(bool(read_complaints(entry.get("extra_info", {}))) for entry in entries)
+        self._warning = describe_disturbed_baseline(disturbed, len(entries))
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        """Warn where stored times are no use as a baseline."""
+        if self._warning:
+            terminalreporter.write_line(f"stored times: {self._warning}", yellow=True)
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self) -> None:

@@ -24,7 +24,12 @@ from rich.console import Console
 
 from dpbench.bench.record.machine import describe_machine
 from dpbench.ci import DISTURBED_EXIT
-from dpbench.ci.benchmarks import Benchmark, BenchmarkRun, load_run
+from dpbench.ci.benchmarks import (
+    Benchmark,
+    BenchmarkRun,
+    describe_disturbed_baseline,
+    load_run,
+)
 from dpbench.ci.comparison import (
     DISTURBED,
     SLOWER,
@@ -64,10 +69,12 @@ class SessionComparison:
             margin=self._margin,
             allow_gone=self._config.getoption("dpbench_allow_gone"),
         )
-        lines = describe_end(found, str(self._path), "this session")
+        passed = session.exitstatus == pytest.ExitCode.OK
+        selected = self._config.getoption("dpbench_disturbed_exit") if passed else 0
+        lines = describe_end(found, str(self._path), "this session", selected)
         found.print(Console(file=self._text, width=120), lines)
-        if session.exitstatus == pytest.ExitCode.OK:
-            session.exitstatus = found.exit_code(self._config.getoption("dpbench_disturbed_exit"))
+        if passed:
+            session.exitstatus = found.exit_code(selected)
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Print the comparison with the stored run below pytest's table of benchmarks."""
@@ -142,6 +149,8 @@ def main(argv: list[str] | None = None) -> int:
             baseline.write_bytes(arguments.json.read_bytes())
             why = "renewed" if arguments.renew else "no baseline of this machine yet"
             console.print(f"{why}: stored {baseline}, nothing compared", soft_wrap=True)
+            if warning := describe_disturbed_baseline(now.disturbed, len(now.benchmarks)):
+                console.print(warning, soft_wrap=True)
             return 0
         was = load_run(baseline)
         now = measure_suspects_again(was, now, arguments.retries, console)
@@ -149,8 +158,9 @@ def main(argv: list[str] | None = None) -> int:
         print(f"gate: {error}", file=sys.stderr)
         return 2
     found = compare_runs([(was, now)], allow_gone=arguments.allow_gone)
-    found.print(console, describe_end(found, str(baseline), str(arguments.json)))
-    return found.exit_code(arguments.disturbed_exit)
+    selected: int = arguments.disturbed_exit
+    found.print(console, describe_end(found, str(baseline), str(arguments.json), selected))
+    return found.exit_code(selected)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """One benchmark of pytest-benchmark: a pass over a sequence of QPs, its answers checked."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version
@@ -19,6 +20,7 @@ from dpbench.ci.machine_state import HasInfo, watch_machine
 from dpbench.errors import InputError, SituationError
 from dpbench.notebook.runs import Run, replay
 from dpbench.qp.program import ARRAYS, QPSequence, QPStep, QuadraticProgram
+from dpbench.report.formats import format_error, plural
 from dpbench.report.verdict_text import describe_caching_sign
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
@@ -137,14 +139,17 @@ def _fail_on_wrong_answers(run: Run, requirements: Requirements) -> None:
     (record,) = build_run_records(pd.DataFrame([run.summary]))
     if is_right_on_every_step(record, requirements):
         return
+    error = format_error(record.error_move_max)
+    unit = " maximum increments" if math.isfinite(record.error_move_max) else ""
     found = (
-        f"largest error of the first move {record.error_move_max:.2g} "
-        f"(allowed {requirements.error_move:g}), "
-        f"failed steps {record.failed_steps:g} (allowed {requirements.failed_steps})"
+        f"{run.label} on {run.summary['sequence'] or run.summary['scenario']}: largest error of "
+        f"the first move {error}{unit} (allowed {requirements.error_move:g}), "
+        f"{record.steps_done:g} of {plural(record.steps_planned, 'step')} done, "
+        f"{record.failed_steps:g} failed (allowed {requirements.failed_steps})"
     )
     reason = describe_caching_sign(record.configuration.solver, record.caching_sign)
     reason = reason or WRONG_ANSWERS
-    pytest.fail(f"{reason}: {found} by {run!r}", pytrace=False)
+    pytest.fail(f"{reason}: {found}", pytrace=False)
 
 
 def _make_pass_over_steps(

@@ -28,7 +28,14 @@ from dpbench.bench.estimate import format_duration
 from dpbench.bench.record.machine import run_git
 from dpbench.bench.workers.interrupts import first_signal_only
 from dpbench.ci import DISTURBED_EXIT, MARGIN
-from dpbench.ci.benchmarks import COLLECTED, IMPORTED, BenchmarkRun, is_in_site_packages, load_run
+from dpbench.ci.benchmarks import (
+    COLLECTED,
+    IMPORTED,
+    WRONG_ANSWERS,
+    BenchmarkRun,
+    is_in_site_packages,
+    load_run,
+)
 from dpbench.ci.comparison import NOT_TIMED, Row, RunComparison, compare_runs
 from dpbench.errors import InputError, SituationError
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe
@@ -36,10 +43,28 @@ from dpbench.report.formats import plural
 
 REMEDY = 'install it in a .venv of each tree, or give pytest `pythonpath = ["src"]`'
 """Ways to have a tree measured with its own package."""
-ADVICE = (
-    "stopped after two disturbed pairs in a row: run again when no other program is at work, or on "
-    "another machine; --disturbed-exit sets the exit code of such a run"
-)
+STOPPED = "stopped after two disturbed pairs in a row"
+ADVICE = f"{STOPPED}: run again when no other program is at work, or on another machine"
+OPTION = "; --disturbed-exit sets the exit code of such a run"
+"""End of the advice where the option is not set."""
+HELP_EPILOG = """\
+Arguments after -- are those of pytest.
+
+disturbed:
+  Other programs, the host or throttling slowed the machine during a benchmark, so its time is
+  not judged. Iterations, errors and failed tests are judged all the same. A disturbed pair of
+  runs is repeated; two in a row end the measurement.
+
+exit codes:
+  0     no regression shown, or a base without benchmarks
+  1     a regression: slower, worse, wrong answers, a benchmark that failed or is gone
+  2     bad input
+  CODE  of --disturbed-exit: times disturbed, no regression shown
+
+examples:
+  python -m dpbench.ci.revisions ../base . --markdown compare.md -- test_slsqp.py
+  python -m dpbench.ci.revisions ../base . --pairs 3 --disturbed-exit 75 -- -k transfer
+"""
 SHOWN_LINES = 5
 """Last lines of a pytest run that has no benchmarks."""
 
@@ -54,7 +79,7 @@ class Measured:
     @property
     def is_quiet(self) -> bool:
         """True if nothing disturbed the machine."""
-        return not any(one.complaints for one in self.run.benchmarks.values())
+        return not self.run.disturbed
 
 
 def _find_python(tree: Path) -> str:
@@ -187,20 +212,36 @@ def measure_by_turns(
         pairs.append((measured[0], measured[1]))
         base, head = pairs[-1]
         require_imports_of_own_files(trees, (base.run, head.run))
-        if not base.run.benchmarks or not head.run.benchmarks or head.run.failed:
-            break
+        end = describe_early_end(pairs, count)
         if not (base.is_quiet and head.is_quiet):
-            is_last = len(pairs) == 2 * count
-            again = "no repeat left" if is_last or is_stopped_by_load(pairs) else "repeated"
+            again = end or ("no repeat left" if len(pairs) == 2 * count else "repeated")
             print(f"{pair} disturbed: {again}", file=sys.stderr)
-        if is_stopped_by_load(pairs):
+        elif end:
+            print(end, file=sys.stderr)
+        if end:
             break
     return pairs
 
 
-def is_stopped_by_load(pairs: Sequence[tuple[Measured, Measured]]) -> bool:
-    """Return whether other load disturbed the last two pairs of runs, so that no other follows."""
-    return len(pairs) > 1 and not _count_undisturbed_pairs(pairs[-2:])
+def describe_early_end(pairs: Sequence[tuple[Measured, Measured]], count: int) -> str:
+    """Return why no pair follows though fewer than `count` are undisturbed; "" if one may."""
+    if _count_undisturbed_pairs(pairs) >= count:
+        return ""
+    base, head = pairs[-1]
+    why = ""
+    if any(reason.startswith(WRONG_ANSWERS) for reason in head.run.failed.values()):
+        why = "the head has wrong answers"
+    elif head.run.failed:
+        why = "a benchmark of the head failed"
+    elif head.reason:
+        why = "pytest failed in the head"
+    elif not head.run.benchmarks:
+        why = "the head has no benchmark"
+    elif not base.run.benchmarks:
+        why = "the base has no benchmark with a time"
+    if why:
+        return f"stopped after {plural(len(pairs), 'pair')} of runs, as {why}"
+    return STOPPED if len(pairs) > 1 and not _count_undisturbed_pairs(pairs[-2:]) else ""
 
 
 def _count_undisturbed_pairs(pairs: Sequence[tuple[Measured, Measured]]) -> int:
@@ -215,6 +256,7 @@ def compare_trees(
     margin: float,
     *,
     allow_gone: bool,
+    disturbed_exit: int,
 ) -> tuple[RunComparison, list[str]]:
     """Compare two working trees; return the comparison and lines on how it was measured.
 
@@ -226,18 +268,20 @@ def compare_trees(
         [(base.run, head.run) for base, head in pairs], margin=margin, allow_gone=allow_gone
     )
     base, head = pairs[-1]
-    scope = found.describe_scope(*map(_name_tree, ("base", "head"), trees))
-    by_turns = f"{plural(len(pairs), 'pair')} of runs by turns, {disturbed} of them disturbed"
-    lines = [f"{scope}; {by_turns}", *[ADVICE] * is_stopped_by_load(pairs)]
-    if base.reason:
-        lines.append(f"base: {base.reason}")
     if head.reason:
         if base.reason:
             raise InputError(str(trees[1]), "", head.reason, "a working tree with benchmarks")
         # Its benchmarks are not gone: nobody knows.
         row = Row("all benchmarks of the head", NOT_TIMED, remarks=(head.reason,))
         found = replace(found, rows=[row, *found.rows])
-    return found, lines
+    names = [_name_tree(*side) for side in zip(("base", "head"), trees, strict=True)]
+    by_turns = f"{plural(len(pairs), 'pair')} of runs by turns, {disturbed} of them disturbed"
+    lines = [f"{found.describe_scope(*names)}; {by_turns}", found.describe_verdict(names[0])]
+    end = describe_early_end(pairs, count)
+    if end == STOPPED:
+        end = ADVICE + ("" if disturbed_exit else OPTION)
+    lines += [line for line in (end, base.reason and f"base: {base.reason}") if line]
+    return found, lines + found.describe_exit(disturbed_exit)
 
 
 def _name_tree(side: str, tree: Path) -> str:
@@ -251,13 +295,21 @@ def _build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="dpbench.ci.revisions",
         description=__doc__.splitlines()[0],
-        epilog="What follows -- is for pytest.",
+        usage="python -m %(prog)s [OPTIONS] BASE HEAD [-- PYTEST ARGUMENTS]",
+        epilog=HELP_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("base", type=Path, metavar="BASE", help="working tree to compare with")
     parser.add_argument("head", type=Path, metavar="HEAD", help="working tree of the change")
-    parser.add_argument("--pairs", type=int, default=5, help="runs of each revision (5)")
     parser.add_argument(
-        "--margin", type=float, default=MARGIN, help=f"how much slower is no regression ({MARGIN})"
+        "--pairs", type=int, default=5, metavar="N", help="runs of each revision (5)"
+    )
+    parser.add_argument(
+        "--margin",
+        type=float,
+        default=MARGIN,
+        metavar="SHARE",
+        help=f"largest slowdown that is no regression ({MARGIN})",
     )
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write Markdown")
     parser.add_argument(
@@ -284,6 +336,7 @@ def main(argv: list[str] | None = None) -> int:
             given[end + 1 :],
             arguments.margin,
             allow_gone=arguments.allow_gone,
+            disturbed_exit=arguments.disturbed_exit,
         )
     except InputError as error:
         print(f"revisions: {error}", file=sys.stderr)

@@ -73,8 +73,9 @@ def test_a_disturbed_time_has_no_verdict(side: int, factor: float) -> None:
     assert row.cells["ratio"] == f"{factor:.2f}"
     assert "120 involuntary context switches" in row.cells["remarks"]
     assert found.headline.startswith("disturbed")
-    line = "no regression shown against base; no verdict on times of 1 of 1 benchmark"
-    assert describe_end(found, "base", "head")[-1] == line
+    line = "times not judged (machine disturbed) in 1 of 1 benchmark; failures: no regression"
+    assert describe_end(found, "base", "head")[-1] == f"{line} against base"
+    assert describe_end(found, "base", "head", 75)[-1] == "exit code 75 (disturbed)"
 
 
 def test_exact_measures_and_answers_have_a_verdict_on_a_disturbed_machine() -> None:
@@ -82,7 +83,12 @@ def test_exact_measures_and_answers_have_a_verdict_on_a_disturbed_machine() -> N
     loud = QUIET | {"involuntary_switches": 120.0}
     base = run_of(entry(machine=loud, exact={"iterations": 10}))
     more = run_of(entry(machine=loud, exact={"iterations": 11}))
-    assert verdicts(base, more) == ("worse", True)
+    found = compare_runs([(base, more)])
+    line = "a regression against base; times not judged (machine disturbed) in 1 of 1 benchmark"
+    assert describe_end(found, "base", "head", 75)[-1] == line
+    assert (found.verdict, found.rows[0].remarks[0]) == ("worse", "iterations 10 → 11")
+    line = "times not judged (machine disturbed) in 1 of 1 benchmark; iterations: no regression"
+    assert compare_runs([(more, base)]).describe_verdict("b") == f"{line} against b"
     assert verdicts(base, run_of(t="wrong answers: error 3")) == ("wrong answers", True)
 
 
@@ -161,7 +167,8 @@ def test_what_was_compared_is_counted() -> None:
     """Benchmarks of both, and how many each has; what the head was not to run is not gone."""
     base, head = run_of(entry("t"), entry("u"), entry("v")), run_of(entry("t"), new="TypeError")
     found = compare_runs([(base, _without(head, "u", "v"))])
-    assert found.describe_scope("base", "now") == "1 benchmark compared: base has 3, now has 2"
+    line = "1 benchmark compared, 1 failed, 2 not run: base has 3, now has 2"
+    assert found.describe_scope("base", "now") == line
     assert found.headline.endswith(": 1 failed, not timed, 1 no change shown, 2 not run")
     found = compare_runs([(base, _without(run_of(entry("t")), "u", "v"))])
     assert not found.worse and found.verdict == "no change shown"

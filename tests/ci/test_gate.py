@@ -5,11 +5,13 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 
 from dpbench.ci import gate
 from dpbench.ci.benchmarks import SELECTION
+from dpbench.ci.failures import FailedBenchmarks
 
 Write = Callable[..., Path]
 DESCRIBED = cache(gate.describe_machine)
@@ -103,7 +105,10 @@ def test_planted_changes(
 ) -> None:
     """A slower benchmark, one iteration more or 30 % more memory fail; slow machines pass."""
     assert judged(tmp_path, write("before"), write("later", **changes)) == [0, code]
-    assert ("test_x.py::test[4]" in capsys.readouterr().out) or code == 0
+    out = capsys.readouterr().out
+    assert ("test_x.py::test[4]" in out) or code == 0
+    words = "largest error of the first move 1.00e-09 → 1.00e-07 maximum increments"
+    assert (words in out) == (changes.get("error_move_max") == 1e-7)
 
 
 @pytest.mark.parametrize(("count", "machine"), [(4, 1.0), (4, 2.0), (10, 1.0), (10, 2.0)])
@@ -128,6 +133,27 @@ def test_a_run_without_a_benchmark_of_the_baseline_fails(
     assert "gone (a benchmark of the base is missing or skipped): 10 gone, 10 new" in out
     arguments = [str(renamed), str(tmp_path / "baseline"), "--retries", "0", "--allow-gone"]
     assert gate.main(arguments) == 0
+
+
+def test_a_baseline_of_a_disturbed_machine_has_a_warning(
+    write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A stored run names its benchmarks whose times have no verdict later."""
+    path = write("first", count=2)
+    stored = json.loads(path.read_text("utf-8"))
+    machine = {"wall_s": 1.0, "processor_s": 1.0, "involuntary_switches": 99.0}
+    stored["benchmarks"][1]["extra_info"]["machine"] = machine
+    path.write_text(json.dumps(stored), encoding="utf-8")
+    assert judged(tmp_path, path) == [0]
+    warning = "machine disturbed in 1 of 2 benchmarks: as a baseline, their times will not be"
+    assert warning in capsys.readouterr().out
+    config: Any = MagicMock(args=["."])
+    config.option.collectonly = False
+    config.rootpath = config.invocation_params.dir = tmp_path
+    notes, terminal = FailedBenchmarks(config), MagicMock()
+    notes.pytest_benchmark_update_json(stored)
+    notes.pytest_terminal_summary(terminal)
+    assert terminal.write_line.call_args.args[0].startswith(f"stored times: {warning}")
 
 
 def test_a_benchmark_that_the_session_left_out_is_not_gone(write: Write, tmp_path: Path) -> None:

@@ -15,6 +15,8 @@ from dpbench.ci import plugin, revisions
 from dpbench.ci.benchmarks import BenchmarkRun, list_imported_files
 from dpbench.ci.revisions import (
     ADVICE,
+    OPTION,
+    STOPPED,
     Measured,
     main,
     measure_by_turns,
@@ -74,8 +76,14 @@ def test_turns_alternate_and_one_disturbed_pair_is_repeated(
     stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
     assert main([*map(str, trees), "--pairs", "3"]) == 0
     found = capsys.readouterr()
-    assert found.err.splitlines()[-1] == "pair 1 of 3 disturbed: no repeat left"
-    assert "2 pairs of runs by turns, 2 of them disturbed\n" + ADVICE in found.out
+    assert found.err.splitlines()[-1] == f"pair 1 of 3 disturbed: {STOPPED}"
+    scope, verdict, advice = found.out.splitlines()[-3:]
+    assert scope.endswith("; 2 pairs of runs by turns, 2 of them disturbed")
+    assert verdict.startswith("times not judged (machine disturbed) in 1 of 1 benchmark; ")
+    assert advice == ADVICE + OPTION
+    stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
+    assert main([*map(str, trees), "--pairs", "3", "--disturbed-exit", "75"]) == 75
+    assert capsys.readouterr().out.splitlines()[-2:] == [ADVICE, "exit code 75 (disturbed)"]
 
 
 @pytest.mark.parametrize(
@@ -102,7 +110,10 @@ def test_exit_codes_and_first_lines(
     stub_runs(monkeypatch, seconds=seconds, **failed)
     markdown = trees[0].parent / "compare.md"
     assert main([*map(str, trees), "--markdown", str(markdown), "--", "-k", "t"]) == code
-    assert capsys.readouterr().out.startswith(text)
+    found = capsys.readouterr()
+    assert found.out.startswith(text)
+    end = "stopped after 1 pair of runs, as the head has wrong answers"
+    assert [end in stream for stream in found] == [text == "wrong answers"] * 2
     if code < 2:
         assert markdown.read_text(encoding="utf-8").startswith(f"**dpbench: {text}")
 
