@@ -22,7 +22,7 @@ from dpbench.report.formats import (
 )
 from dpbench.report.verdict_text import (
     describe_finding,
-    describe_first_finding,
+    describe_kinds_of_reasons,
     format_usual_time,
 )
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
@@ -59,9 +59,8 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) ->
     name = f"{_name_own_settings(verdict)} ({c.route} {c.policy}{best})"
     if verdict.refusal:
         return f"{name}: {verdict.state}: {verdict.refusal}."
-    findings = verdict.causes or verdict.findings_that_bar_pass
     time = f", {format_usual_time(verdict)}" if verdict.timed_on else ""
-    why = f": {describe_first_finding(findings)}" if findings else ""
+    why = f": {reasons}" if (reasons := describe_kinds_of_reasons(verdict)) else ""
     return (
         f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
         f"{plural(verdict.failed_steps, 'failed answer')}{time}{why}."

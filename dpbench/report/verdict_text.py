@@ -7,12 +7,13 @@ from dataclasses import replace
 from math import isnan
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by_key
+from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS, Interval
 from dpbench.analysis.times.machine import find_largest_by_name, sum_disturbances
 from dpbench.analysis.times.paired_times import PairedComparison
 from dpbench.analysis.verdict.requirements import (
+    LATE,
     PERHAPS_BY_MACHINE,
     Finding,
     Requirements,
@@ -138,10 +139,19 @@ def describe_main_reason(verdict: Verdict) -> str:
     """
     if verdict.refusal:
         return verdict.refusal
-    of_kind: dict[str, Finding] = {}
-    for finding in verdict.causes or verdict.findings_that_bar_pass:
-        of_kind.setdefault(finding.kind, replace(finding, runs=finding.runs[:1]))
-    return describe_first_finding([*of_kind.values()])
+    findings = verdict.causes or verdict.findings_that_bar_pass
+    of_kind = map_first_by_key(findings, lambda finding: finding.kind).values()
+    return describe_first_finding([replace(f, runs=f.runs[:1]) for f in of_kind])
+
+
+def describe_kinds_of_reasons(verdict: Verdict) -> str:
+    """Return the first cause of each kind why a configuration does not pass, or the first doubt.
+
+    All causes that make it late are of one kind.
+    """
+    by_kind = map_first_by_key(verdict.causes, lambda f: "late" if f.kind in LATE else f.kind)
+    causes = strip_markdown(describe_findings([*by_kind.values()]))
+    return causes or describe_first_finding(verdict.findings_that_bar_pass)
 
 
 def describe_first_finding(findings: Sequence[Finding]) -> str:
@@ -252,12 +262,10 @@ def describe_paired_times(by_size: Sequence[PairedComparison], in_windows: int =
         return f"too few common steps for a ratio ({in_windows} of {LEAST_STEPS})"
     if not by_size:
         return "no step was replayed by both"
-    if len(by_size) == 1:
-        return _describe_time_ratio(by_size[0])
-    return "; ".join(
-        f"at {one.variables:.0f} variables {_describe_time_ratio(one)}"
-        for one in (by_size[0], by_size[-1])
-    )
+    shown = (by_size[0], by_size[-1]) if len(by_size) > 1 else by_size
+    sizes = [f"at {one.variables:.0f} variables " * (len(by_size) > 1) for one in shown]
+    ratios = [size + _describe_time_ratio(one) for size, one in zip(sizes, shown, strict=True)]
+    return "; ".join([*ratios, *["windows of hardest steps not counted"] * (in_windows > 0)])
 
 
 def _describe_time_ratio(compared: PairedComparison) -> str:
@@ -267,11 +275,14 @@ def _describe_time_ratio(compared: PairedComparison) -> str:
         return f"{times} (geometric means over the same steps), {compared.separate}, so no ratio"
     typically = "typically " if compared.is_unstable else ""
     wording = f"{typically}{significant(compared.ratio.value)} times as long over the same steps"
+    others = len(compared.sequences) - MOST_NAMED
+    names = [*compared.sequences[:MOST_NAMED], *[f"{others} more"] * (others > 0)]
+    wording += f" of {join_with_and(names)}" * bool(names)
     if compared.is_of_one_run:
         return "the same run under another name: the settings make no difference"
     if not math.isfinite(compared.ratio.high):
-        few = f"; fewer than {LEAST_STEPS} steps" if compared.steps < LEAST_STEPS else ""
-        wording += f" (geometric mean of {plural(compared.steps, 'step')}{few}, so no interval)"
+        few = f"no interval: fewer than {LEAST_STEPS} in each sequence"
+        wording += f" (geometric mean of {plural(compared.steps, 'step')}, {few})"
     else:
         interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
         wording += f" (geometric mean, {interval})"

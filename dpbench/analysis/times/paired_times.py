@@ -36,6 +36,7 @@ class PairedComparison:
 
     `leaders` names the faster one by each yardstick; where they differ the order is unstable.
     first_ns, second_ns : geometric mean step time of each on these steps [ns].
+    sequences : the replays that these steps are of.
     separate : why there is no ratio, as they were not timed by turns; "" where they were.
     spread : slowest over fastest round, the larger of both, where other load disturbed one; else 1.
     """
@@ -50,6 +51,7 @@ class PairedComparison:
     second_ns: float
     separate: str = ""
     spread: float = 1.0
+    sequences: tuple[str, ...] = ()
 
     @property
     def is_tied(self) -> bool:
@@ -186,6 +188,7 @@ def _compare_on_size(
         math.exp(float(np.mean([np.log(ns).mean() for ns in select_long_series(series)])))
         for series in ([one.first_ns for one in used], [one.second_ns for one in used])
     ]
+    long = {id(one) for one in select_long_series(logs)}
     return PairedComparison(
         *names,
         found[0].variables,
@@ -196,6 +199,9 @@ def _compare_on_size(
         second_ns=means_ns[1],
         separate="" if paired else found[0].separate,
         spread=max(common.spread for common in used),
+        sequences=tuple(
+            one.sequence for one, log in zip(used, logs, strict=True) if id(log) in long
+        ),
     )
 
 

@@ -29,6 +29,7 @@ from dpbench.report.verdict_text import describe_paired_times
 NOTE = (
     "Time of the second over that of the first on the same steps, which were timed by turns: "
     "geometric mean, replays of one size of equal weight, with a 95 % interval from 500 steps on. "
+    "Windows of hardest steps are not counted. "
     "A configuration that fails has a ratio too: its answers are not right on every step."
 )
 

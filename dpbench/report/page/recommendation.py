@@ -193,10 +193,11 @@ def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> t
 
 
 def _describe_infeasible_steps(data: PageData, c: Configuration) -> str:
-    """Return a text on how many QPs had no solution, and if the solver said so; "" for none."""
+    """Return how many QPs have no solution, and if the solver reported it; "" for none."""
     steps, is_reported = data.count_infeasible_steps(c)
-    wording = ", as the solver reported" if is_reported else ""
-    return f" ({plural(steps, 'step')} had no solution{wording})" if steps else ""
+    reported = ", which the solver reported correctly" if is_reported else ""
+    has = "has" if steps == 1 else "have"
+    return f" ({plural(steps, 'step')} {has} no feasible solution{reported})" if steps else ""
 
 
 def _explain_no_choice(data: PageData, found: SolverChoice) -> str:

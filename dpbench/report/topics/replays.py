@@ -176,7 +176,8 @@ def build_settings_topic(records: Records) -> Topic | None:
         for one in found
     ]
     note = "Geometric mean of the step time ratios on common steps, in one call mode."
-    lead = f"{'; '.join(texts)}{ending}."
+    windows = any(run.steps_searched_for_hardest for run in records.runs)
+    lead = f"{'; '.join(texts)}{ending}.{' Windows of hardest steps are not counted.' * windows}"
     table = Table.from_rows(rows, text_columns=2)
     return Topic(
         "settings", "Two settings of one solver", (lead, note), (), (table,), short="Settings"

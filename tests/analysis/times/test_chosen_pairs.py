@@ -86,6 +86,7 @@ def test_the_command_prints_ratios_with_verdicts(
         in said
     )
     assert "Verdict on osqp (qpsolvers fresh, rho=1.6): fail." in said
+    assert "0.500 times as long over the same steps of " in said
     assert "- Machine: " in said and "- Versions: osqp 1.0, daqp 1.0; suite " in said
     (row,) = compare_configurations_of_folder(out, ["osqp", "daqp"]).ratios.to_dict("records")
     assert (row["ratio"], row["first_us"]) == (pytest.approx(0.25), pytest.approx(40.0))

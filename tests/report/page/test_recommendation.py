@@ -185,6 +185,17 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
     assert best in text and "| osqp | native warm, rho=1.6 | fail |" in text
 
 
+def test_inaccurate_settings_that_are_late_too_name_both_reasons(records: Any) -> None:
+    """One late reason stands for all: the p99 comes before the median of the closed loop."""
+    options = {"settings": "mine", "options": json.dumps({"rho": 1.6})}
+    records.loop("osqp", steps=200, error=0.33, raw_p50_ns=5e6, **options)
+    records.replay("osqp", median_us=4000.0, spread=0.0, **options)
+    line = records.ending()["options"]
+    late = "; its p99 is 4.00 ms in the replay of paper, above the limit of 3.00 ms."
+    assert "its first move is up to 0.33 times" in line and late in line
+    assert "median of its timings" not in line
+
+
 @pytest.mark.parametrize(
     ("own", "error", "left"),
     [
@@ -411,10 +422,13 @@ def test_steps_without_a_solution_are_said(records: Any) -> None:
     records.loop("daqp", "thruster_loss_hard", infeasible_steps=3)
     records.loop("daqp", "thruster_loss_hard", infeasible_steps=40, units="si")
     records.replay("daqp")
-    output = "of 2 closed loops and 1 replay (3 steps had no solution, as the solver reported). "
+    output = (
+        "of 2 closed loops and 1 replay (3 steps have no feasible solution, which the solver "
+        "reported correctly). "
+    )
     assert output in _answer(records).sentence
     records.replay("daqp", "thruster_loss_hard", infeasible_steps=6, rounds=3, true_share=0.99)
-    assert "(5 steps had no solution). " in _answer(records).sentence
+    assert "(5 steps have no feasible solution). " in _answer(records).sentence
     records.loop("osqp")
     assert _facts(records).count_infeasible_steps(_facts(records).configurations[-1]) == (0, True)
 

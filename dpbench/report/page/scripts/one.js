@@ -83,7 +83,7 @@ function resultOf(run) {
     + `with a largest error of the first move of ${figure(run.error)} times the maximum increment; ${wrongOf(run) || "every step is accurate"}.`,
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop`
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
-    run.infeasible > 0 ? `${run.infeasible} of the steps had no solution${run.all_true ? ", as the solver reported" : ""}.` : "",
+    run.infeasible > 0 ? `${run.infeasible} of the steps have no feasible solution${run.all_true ? ", which the solver reported correctly" : ""}.` : "",
     run.why && run.verdict !== "pass" ? `Reason (${run.outcome}): ${run.why}.` : "",
   ].filter(Boolean).join(" ");
 }
