@@ -56,13 +56,17 @@ _ESCAPES = str.maketrans(_SPECIAL | {sign: f"${math}$" for sign, math in _MATH.i
 _NUMBER = re.compile(r"(?<![\w.)])-?\d+(?:\.\d+)?e[+-]?\d+(?!\w)|(?<![\w.)])-(?=\d)")
 """A number with an exponent, or the minus of another one."""
 _DIGITS = 3
-_COLUMN_NAME = re.compile(r"[a-z]\w*", re.ASCII)
+_COLUMN_NAME = re.compile(r"[a-z][\w.]*", re.ASCII)
 _UNITS = {unit: unit for unit in ("ns", "ms", "s", "m", "cm", "N", "kN", "mps", "J")} | {
     "us": "µs",
     "deg": "°",
     "mps": "m/s",
+    "percent": "%",
 }
 """Units that column names end with."""
+_AMOUNT = re.compile(r"_for_\d+$")
+"""What a unit belongs to that is not the unit of the column."""
+_HEAD_NAMES = {"p_differs": "p-value"}
 
 
 def make_tabular(table: pd.DataFrame) -> str:
@@ -94,15 +98,23 @@ def make_tabular(table: pd.DataFrame) -> str:
 def make_table_head(name: str) -> str:
     """Return the head of a column for print: a name with words apart and its unit in brackets.
 
-    >>> make_table_head("longest_wait_us")
-    'longest wait [µs]'
+    The end of an interval precedes the unit. The unit of an amount in a name stays in the name.
+
+    >>> [make_table_head(name) for name in ("excess_error_cm_low", "realisations_for_1_cm")]
+    ['excess error, low [cm]', 'realisations for 1 cm']
     """
-    if _COLUMN_NAME.fullmatch(name) is None:
-        return name
-    words, _, unit = name.rpartition("_")
-    if not words or unit not in _UNITS:
-        words, unit = name, ""
-    return words.replace("_", " ") + (f" [{_UNITS[unit]}]" if unit else "")
+    if name in _HEAD_NAMES or _COLUMN_NAME.fullmatch(name) is None:
+        return _HEAD_NAMES.get(name, name)
+    if "." in name:
+        name = name.removeprefix("x_")  # the key of a study
+    stem, _, end = name.rpartition("_")
+    if end not in ("low", "high") or stem.rpartition("_")[2] not in _UNITS:
+        stem, end = name, ""
+    words, _, unit = stem.rpartition("_")
+    if not words or unit not in _UNITS or _AMOUNT.search(words):
+        words, unit = stem, ""
+    ending = (f", {end}" if end else "") + (f" [{_UNITS[unit]}]" if unit else "")
+    return words.replace("_", " ") + ending
 
 
 def _has_only_numbers(column: pd.Series) -> bool:

@@ -5,7 +5,7 @@ import math
 import pandas as pd
 import pytest
 
-from dpbench.notebook.latex import escape_latex, format_latex_cell, make_tabular
+from dpbench.notebook.latex import escape_latex, format_latex_cell, make_table_head, make_tabular
 
 
 @pytest.mark.parametrize(
@@ -58,3 +58,22 @@ def test_numbers_are_to_the_right_of_a_table() -> None:
     lines = make_tabular(table).splitlines()
     assert lines[0] == r"\begin{tabular}{lrlr}" and lines[2] == r"a b & n & is & t \\"
     assert lines[4] == r"x & 2 & True & 0.5 \\" and lines[-1] == r"\end{tabular}"
+
+
+@pytest.mark.parametrize(
+    ("name", "head"),
+    [
+        ("excess_error_cm_low", "excess error, low [cm]"),
+        ("excess_cost_percent", "excess cost [%]"),
+        ("realisations_for_1_cm", "realisations for 1 cm"),
+        ("p_differs", "p-value"),
+        ("x_environment.wind.speed_mps", "environment.wind.speed [m/s]"),
+        ("x_start.east_m", "start.east [m]"),
+        ("r_95_m", "r 95 [m]"),
+        ("low", "low"),
+        ("tau_x_N", "tau x [N]"),
+        ("median step time [%]", "median step time [%]"),
+    ],
+)
+def test_a_head_has_its_unit_at_the_end(name: str, head: str) -> None:
+    assert make_table_head(name) == head
