@@ -21,6 +21,7 @@ from dpbench.bench.record.result_folder import Results, load_results, read_lost_
 from dpbench.files.regular_files import write_bytes_atomically, write_text_atomically
 from dpbench.report.charts.render import encode_figure
 from dpbench.report.formats import make_markdown_table, plural, strip_markdown
+from dpbench.report.page.citations import format_citations
 from dpbench.report.page.section import Topic
 from dpbench.report.report import convert_to_frame, encode_csv
 from dpbench.report.topics.paper import (
@@ -130,7 +131,13 @@ def _make_claims_document(topic: Topic, results: Results) -> str:
     tables = [(t.title, make_markdown_table(t.heads, t.rows, len(t.heads))) for t in topic.tables]
     made = describe_version(results.suite)
     return render_document(
-        "claims.md", topic=topic, tables=tables, ran=ran, made_by=made, runs=RUNS
+        "claims.md",
+        topic=topic,
+        tables=tables,
+        ran=ran,
+        made_by=made,
+        runs=RUNS,
+        cite=format_citations(results),
     )
 
 

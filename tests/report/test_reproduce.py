@@ -62,6 +62,7 @@ def test_claims_that_fail_are_named_and_the_rest_is_counted(records: Any, tmp_pa
     assert len(others) == len(named) + int(more.split()[1])
     text = (tmp_path / "claims.md").read_text(encoding="utf-8")
     assert all(f"| {claim} |" in text for claim in claims["claim"])
+    assert "@misc{dpbench," in text and "@misc{xia_dp_mpc," in text
 
 
 def test_without_the_papers_loops_nothing_is_claimed(records: Any, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from dpbench.analysis.verdict.verdict import (
     list_best_verdict_of_each_solver,
 )
 from dpbench.bench.record.cell import Configuration
-from dpbench.bench.record.machine import describe_revisions, describe_version
+from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.report.charts import style
 from dpbench.report.charts.render import FORMATS, compile_vega, render_svg
@@ -31,6 +31,7 @@ from dpbench.report.embedded_text import (
     describe_deadline,
     make_calculator_rows,
 )
+from dpbench.report.page.citations import format_citations
 from dpbench.report.page.data import (
     GROUPS,
     MOST_ROWS,
@@ -288,7 +289,7 @@ def make_page_html(
         files=hash_files(folder, FILES),
         holds=FILES,
         kinds=[kind for kind in FORMATS[1:] if any((folder / "figures").glob(f"*.{kind}"))],
-        cite=format_software_citation(results),
+        cite=format_citations(results),
         experiments=experiments,
         terms=Terms([*WORDS, *glossary()["Solvers and how they are run"]]),
         footer=f"{describe_version(results.suite)}, run {started}; numpy {numpy}.",
@@ -328,18 +329,6 @@ def _encode_picture_as_url(chart: Any) -> str:
     colours = read_page_file("templates/page.css").split("* {", 1)[0]
     styled = f"{head}><style>{colours}</style>{rest}"
     return "data:image/svg+xml;base64," + base64.b64encode(styled.encode()).decode()
-
-
-def format_software_citation(results: Results) -> str:
-    """Return a BibTeX entry of the dpbench version that made the results."""
-    version = f"Software, version {results.suite.get('harness_version', '')}"
-    return f"""@misc{{dpbench,
-  author = {{{{The dpbench authors}}}},
-  title = {{dpbench: benchmark of QP solvers inside the model predictive controller of a dynamically
-    positioned ship}},
-  year = {{{results.suite.get("started_utc", "")[:4]}}},
-  howpublished = {{{", ".join(filter(None, (version, describe_revisions(results.suite))))}}},
-}}"""
 
 
 def _compile_vega_of_charts(charts: Mapping[str, Any]) -> dict[str, Any]:

@@ -23,15 +23,10 @@ from dpbench.report.formats import (
     format_rounded_up,
     strip_markdown,
 )
+from dpbench.report.page.citations import PAPER_CITATION
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.words import fill_template, read_words
 
-CITATION = """@misc{xia_dp_mpc,
-  author = {Xia, Guoqing and Liu, Ju and Pang, Chengcheng and Xue, Jingjing},
-  title = {Constrained Model Predictive Control Design for Dynamic Positioning of a Supply Ship},
-  howpublished = {Conference paper, College of Automation, Harbin Engineering University},
-}"""
-"""A copy of the paper names neither the conference nor the year."""
 DRAWN = (
     ("path", draw_path, "Fig. 4: path of the ship and the 1 m circle."),
     ("errors", draw_pose_errors, "Fig. 5: position and heading errors."),
@@ -57,7 +52,7 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
         id="paper",
         title="The paper",
         lines=(". ".join(wording) + ".",),
-        paste=CITATION,
+        paste=PAPER_CITATION,
         figures=tuple(
             Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in DRAWN
         ),

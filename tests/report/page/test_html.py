@@ -17,14 +17,14 @@ from markupsafe import escape
 
 from dpbench.bench.record.result_folder import hash_files
 from dpbench.embedded.table import EMBEDDED_FILE, write_counted_steps_atomically
+from dpbench.report.page.citations import PAPER_CITATION, format_software_citation
 from dpbench.report.page.vendored import (
     Vendored,
     compute_sha256_of_script,
     list_vendored_scripts,
     read_script,
 )
-from dpbench.report.page.write import SCRIPTS, format_software_citation, read_page_file
-from dpbench.report.topics.paper import CITATION as PAPER_CITATION
+from dpbench.report.page.write import SCRIPTS, read_page_file
 from dpbench.report.write import write_report
 from tests.embedded.made_counts import make_counts
 from tests.report.conftest import of_seas
@@ -197,8 +197,7 @@ def test_citations_are_those_of_the_citation_file(written: Any) -> None:
     assert len(of["family-names"]) == 4
     for family, given in zip(of["family-names"], of["given-names"], strict=True):
         assert f"{family}, {given}" in PAPER_CITATION
-    for text in (entry, PAPER_CITATION):
-        assert str(escape(text)) in written.html
+    assert str(escape(f"{entry}\n\n{PAPER_CITATION}")) in written.html
 
 
 VENDOR = files("dpbench.report.page").joinpath("vendor")
