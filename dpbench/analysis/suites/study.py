@@ -34,8 +34,10 @@ from dpbench.analysis.statistics import (
     Interval,
     MeanEstimate,
     adjust_p_values_by_holm,
+    bound_probability_after_no_event,
 )
 from dpbench.analysis.times.machine import separate_own_switches, sum_disturbances
+from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
 from dpbench.analysis.verdict.verdict import find_solver_record_or_none
 from dpbench.arrays import Floats
 from dpbench.bench.record.disturbance import Disturbance
@@ -158,6 +160,10 @@ class StudiedConfiguration:
     cost : closed-loop cost over that of the exact loop in the same sea, less one: mean over judged
         runs.
     r_95_m : 95 % radial error, mean over judged runs [m].
+    accurate : share of accurate steps over all runs; NaN if no QP was solved.
+    false_claims, steps : of so many steps, how many were reported as solved but are inaccurate.
+    error_move : largest error of the first move on any step, in maximum increments.
+    is_accurate_enough : whether every run passes the accuracy requirements of the suite.
     error_excess_m, log_cost_excess : r_95_m and logarithm of the cost, less the reference's; None
         of the reference itself.
     p_differs : of a radial error that differs from the reference's by more than `NOTHING`;
@@ -173,6 +179,11 @@ class StudiedConfiguration:
     within: float
     cost: float
     r_95_m: float
+    accurate: float
+    false_claims: int
+    steps: int
+    error_move: float
+    is_accurate_enough: bool
     error_excess_m: PairedDifference | None
     log_cost_excess: PairedDifference | None
     p_differs: float = 1.0
@@ -222,6 +233,7 @@ class Study:
     """All runs of one study: solver configurations over parameter points and sea realisations.
 
     refused : runs that were not run; disturbance : of the others, where it is known.
+    requirements : limits on accuracy of the suite.
     aliases : further names of a configuration's settings, with its own name.
     """
 
@@ -232,8 +244,10 @@ class Study:
         radius_m: float,
         disturbance: Disturbance | None = None,
         aliases: Mapping[str, str] | None = None,
+        requirements: Requirements | None = None,
     ) -> None:
         self.name, self.radius_m, self.disturbance = name, radius_m, disturbance
+        self.requirements = requirements or Requirements()
         self.refused = [run for run in runs if run.outcome == "refused"]
         names = {run.solver_label for run in runs}
         self.aliases = {alias: own for alias, own in (aliases or {}).items() if own in names}
@@ -254,6 +268,9 @@ class Study:
                 "failed_steps": run.failed_steps,
                 "steps_done": run.steps_done,
                 "true_share": run.true_share,
+                "claimed_not_true": run.claimed_not_true,
+                "error_move_max": run.error_move_max,
+                "passes_accuracy": is_right_on_every_step(run, self.requirements),
                 "raw_p50_ns": run.raw_p50_ns,
                 "raw_p99_ns": run.raw_p99_ns,
                 "cost": run.closed_loop_cost,
@@ -285,6 +302,15 @@ class Study:
     def sample_count(self) -> int:
         """Number of independent samples: sea realisations, or points if each is run once."""
         return self.seas_per_point if self.seas_per_point > 1 else len(self.points)
+
+    @property
+    def bound_of_none_percent(self) -> int:
+        """95 % upper bound, rounded up [%], of a share that no sample is in.
+
+        100 less it is the lower bound, rounded down, of a share that every sample is in.
+        """
+        # Rounding errors of 3/n do not add a percent.
+        return math.ceil(round(100.0 * bound_probability_after_no_event(self.sample_count), 9))
 
     @property
     def step_time_column(self) -> str:
@@ -357,6 +383,8 @@ class Study:
         """Return the summary of a configuration's runs, and its differences to the reference's."""
         runs = self.runs[self.runs["configuration"] == name]
         judged, itself = runs[runs["within"].notna()], name == self.reference_name
+        solved = runs[runs["true_share"].notna()]
+        steps = solved["steps_done"].sum()
         return StudiedConfiguration(
             name=name,
             solver=str(runs["solver"].iloc[0]),
@@ -367,6 +395,13 @@ class Study:
             within=float(judged["within"].mean()),
             cost=float(judged["over_exact"].mean()),
             r_95_m=float(judged["r_95_m"].mean()),
+            accurate=float((solved["true_share"] * solved["steps_done"]).sum() / steps)
+            if steps
+            else math.nan,
+            false_claims=int(solved["claimed_not_true"].sum()),
+            steps=int(steps),
+            error_move=float(solved["error_move_max"].max()),
+            is_accurate_enough=bool(runs["passes_accuracy"].all()),
             error_excess_m=None
             if itself
             else self.compute_difference_from_reference(name, "r_95_m"),
@@ -400,12 +435,13 @@ def find_studies(records: Records) -> list[Study]:
         table.get("name") or table["base"]: table.get("radius_m", 1.0)
         for table in records.suite.get("study", [])
     }
-    studies = []
+    studies, requirements = [], Requirements.from_suite(records.suite)
     for name, runs in group_by_key(records.study, lambda run: run.study).items():
         timed = separate_own_switches([run for run in runs if run.has_steps])
         disturbance = sum_disturbances(timed)
         radius_m = float(radii.get(name, 1.0))
-        studies.append(Study(name, runs, radius_m, disturbance, records.study_aliases))
+        aliases = records.study_aliases
+        studies.append(Study(name, runs, radius_m, disturbance, aliases, requirements))
     return studies
 
 

@@ -13,7 +13,6 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, build_run_records
 from dpbench.analysis.records.run_steps import MEASURES
 from dpbench.analysis.records.thinned_runs import FORCES, TRACK, ThinnedRun, Track, thin_track
-from dpbench.analysis.statistics import bound_probability_after_no_event
 from dpbench.analysis.suites.embedded import EmbeddedResults
 from dpbench.analysis.suites.study import Study, find_studies
 from dpbench.analysis.suites.study_tables import (
@@ -59,7 +58,7 @@ def make_study_document(
     return {
         "name": study.name,
         "radius_m": study.radius_m,
-        "upper_bound_of_none": bound_probability_after_no_event(study.sample_count),
+        "bound_of_none_percent": study.bound_of_none_percent,
         "reference": place.get(study.reference_name, 0),
         "keys": [str(key) for key in study.points],
         "points": [int(point) for point in study.points.index],

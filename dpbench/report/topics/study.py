@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.statistics import bound_probability_after_no_event
 from dpbench.analysis.suites import study_tables
 from dpbench.analysis.suites.study import (
     ALPHA,
@@ -30,7 +29,15 @@ from dpbench.report.charts.study import (
     draw_within_lines,
     draw_within_maps,
 )
-from dpbench.report.formats import MISSING, Table, join_with_and, plural, significant
+from dpbench.report.formats import (
+    MISSING,
+    Table,
+    format_rounded_up,
+    format_share,
+    join_with_and,
+    plural,
+    significant,
+)
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.study_effects_table import (
     convert_effect_and_interval,
@@ -179,10 +186,10 @@ def _format_share_with_bound(share: float, study: Study) -> str:
     """Format a share in percent, at 0 % or 100 % with its 95 % bound; return a dash for none."""
     if np.isnan(share):
         return MISSING
-    bound = 100 * bound_probability_after_no_event(study.sample_count)
+    bound = study.bound_of_none_percent
     wording = f"{100 * share:.0f} %"
     if share in (0.0, 1.0):
-        wording += f" (at {'least' if share else 'most'} {abs(100 * share - bound):.0f} %)"
+        wording += f" (at {'least' if share else 'most'} {100 - bound if share else bound} %)"
     return wording
 
 
@@ -191,14 +198,32 @@ def _describe_loosest_tolerances(study: Study) -> str:
     cheap = {s: c for s, c in study.loosest_cheap_by_solver.items() if c is not None}
     none = [s for s, c in study.loosest_cheap_by_solver.items() if c is None]
     limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
-    parts = [f"{solver} {c.tolerance:g}" for solver, c in cheap.items()]
+    parts = [
+        f"{solver} {c.tolerance:g} ({format_share(c.accurate)} of the steps accurate)"
+        for solver, c in cheap.items()
+    ]
     wording = (
         f"The loosest tolerance that costs significantly {limits}: {join_with_and(parts)}"
         if parts
         else ""
     )
     without = f"No tolerance of {join_with_and(none)} costs significantly {limits}" if none else ""
-    return ". ".join(filter(None, (wording if parts else "", without))) + "."
+    failing = (_describe_inaccuracy(c, study) for c in cheap.values() if not c.is_accurate_enough)
+    return ". ".join(filter(None, (wording, *failing, without))) + "."
+
+
+def _describe_inaccuracy(configuration: StudiedConfiguration, study: Study) -> str:
+    """Return that a configuration does not pass the accuracy requirements, with its errors."""
+    c, limit = configuration, study.requirements.error_move
+    reasons = []
+    if c.error_move > limit:
+        found = format_rounded_up(c.error_move, 2)
+        reasons.append(f"the error of the first move is up to {found} (limit {limit:g})")
+    if c.false_claims:
+        steps = f"{c.false_claims} of {plural(c.steps, 'step')}"
+        reasons.append(f"{steps} were reported as solved but are inaccurate")
+    wording = f"{c.solver} {c.tolerance:g} does not pass the requirements"
+    return f"{wording}: {join_with_and(reasons)}" if reasons else wording
 
 
 def _draw_study_figures(study: Study) -> Iterator[Figure]:
@@ -275,6 +300,7 @@ def _make_configuration_row(configuration: StudiedConfiguration, study: Study) -
         "runs": f"{configuration.finished} of {configuration.runs}"
         + (f", {configuration.stopped} stopped" if configuration.stopped else ""),
         "within": _format_share_with_bound(configuration.within, study),
+        "accurate steps": format_share(configuration.accurate),
         # Rounding alone is 0.
         "cost over exact": f"{0 if abs(cost) < NOTHING else significant(100.0 * cost, 2)} %",
         "excess error [cm]": "reference"

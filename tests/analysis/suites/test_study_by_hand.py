@@ -40,6 +40,10 @@ def _run(name: str, point: int, replicate: int, **columns: Any) -> Any:
         "failed_steps": 0,
         "steps_done": 400,
         "true_share": 1.0,
+        "claimed_not_true": 0,
+        "error_move_max": 0.0,
+        "caching_sign": None,
+        "steps_planned": 400,
         "raw_p50_ns": 2e4,
         "raw_p99_ns": LOST,
         "r_95_m": 0.25,
@@ -65,6 +69,8 @@ def _configuration(
     **columns: Any,
 ) -> StudiedConfiguration:
     usual = {"runs": 6, "finished": 6, "stopped": 0, "within": 1.0, "cost": 0.0, "r_95_m": 0.25}
+    usual |= {"accurate": 1.0, "false_claims": 0, "steps": 2400, "error_move": 0.0}
+    usual |= {"is_accurate_enough": True}
     return StudiedConfiguration(
         "osqp",
         "osqp",

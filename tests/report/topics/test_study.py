@@ -203,6 +203,33 @@ def test_a_share_of_all_or_none_has_a_bound(records: Any) -> None:
     assert {row[2] for row in found.tables[0].rows} == {"100 % (at least 75 %)"}
 
 
+@pytest.mark.parametrize(("seas", "most"), [(8, 38), (9, 34), (10, 30)])
+def test_a_bound_is_rounded_to_the_safe_side(records: Any, seas: int, most: int) -> None:
+    """3/8 is 37.5 %, 3/9 a third, 3/10 exactly 30 %."""
+    for sea in range(seas):
+        records.sea("daqp", 0, sea, {EAST: 1.0})
+    (study,) = find_studies(records.view())
+    assert study.bound_of_none_percent == most
+
+
+def test_the_loosest_tolerance_states_its_accuracy(records: Any) -> None:
+    """10 of 40 steps are accurate in each of 6 runs, and 28 of the others count as solved."""
+    for sea in range(6):
+        shared = {"r_95_m": 0.5, "closed_loop_cost": 100.0, "exact_cost": 100.0}
+        records.sea("daqp", 0, sea, {EAST: 1.0}, **shared)
+        accuracy = {"true_share": 0.25, "claimed_not_true": 28, "error_move_max": 0.0275}
+        records.sea("osqp", 0, sea, {EAST: 1.0}, settings="1e-2", **shared, **accuracy)
+    found = topic.build_study_topic(find_studies(records.view()))
+    assert found is not None and found.lines[-1] == (
+        "The loosest tolerance that costs significantly less than 1 cm and 1 % of the cost: osqp "
+        "0.01 (25.0 % of the steps accurate). osqp 0.01 does not pass the requirements: the error "
+        "of the first move is up to 0.028 (limit 0.01) and 168 of 240 steps were reported as "
+        "solved but are inaccurate."
+    )
+    heads, (_, osqp) = found.tables[0].heads, found.tables[0].rows
+    assert osqp[heads.index("accurate steps")] == "25.0 %"
+
+
 def test_what_was_lost_is_a_condition(records: Any) -> None:
     found = _fill(records, points=2, seas=6, lost=(1, 3))
     assert "1 of 24 runs did not finish" in found.lines[1] and "conditional" in found.lines[1]
@@ -226,7 +253,7 @@ def test_failed_steps_of_runs_are_said(records: Any) -> None:
 def test_a_mean_without_an_interval_has_no_ends(records: Any) -> None:
     found = _fill(records, points=1, seas=2)
     assert _drawn(found.figures[-1], "low_cm") in ([], [None])
-    assert "(no interval)" in found.tables[0].rows[1][4]
+    assert "(no interval)" in found.tables[0].rows[1][5]
 
 
 def test_a_cost_below_the_exact_loops_is_explained_where_it_is_shown(records: Any) -> None:
@@ -343,7 +370,7 @@ def test_points_left_out_are_named(records: Any) -> None:
     assert (tabulate_study_points(studies)["r_max_m"] == 1.77).all()
     built = topic.build_study_topic(studies)
     assert built is not None and built.lines[1] == (
-        "seas: 1 point left out of every difference from daqp, as the reference loop leaves "
+        "seas: 1 point excluded from every difference to daqp, as the reference loop leaves "
         "its station there: 0."
     )
 

@@ -119,9 +119,9 @@ function studySaid(study) {
     : tail === null ? "did not end"
     : `${study.runs.within[run] ? "within the radius" : "beyond the radius"}, at most ${figure(tail)} m off in the second half`
       + (behind === null || who === study.reference ? "" : `, ${figure(behind)} cm more error than ${study.names[study.reference]}`);
-  const share = all.length ? within(all) / all.length : NaN, bound = 100 * Math.abs(share - study.upper_bound_of_none);
+  const share = all.length ? within(all) / all.length : NaN, none = study.bound_of_none_percent;
   const bounded = share === 1 || share === 0
-    ? ` (95 % bound: at ${share ? "least" : "most"} ${bound.toFixed(0)} % of all realisations)` : "";
+    ? ` (95 % bound: at ${share ? "least" : "most"} ${share ? 100 - none : none} % of all realisations)` : "";
   return `${at}: ${study.names[who]} stays within ${study.radius_m} m in ${within(own)} of ${judgedOf(study, own).length} realisations, over all points in `
     + `${within(all)} of ${all.length}${bounded}. Realisation ${sea}: ${here}.`;
 }
