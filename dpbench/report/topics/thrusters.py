@@ -210,7 +210,10 @@ def _yield_offset_after_loss_sentences(
                     significant(run.r_tail_max_m),
                     f"{_compute_seconds_after_loss(run):.0f} s",
                 )
-                yield f"{opening} drifts away: up to {far} m off within {after} of the loss."
+                yield (
+                    f"{opening} it steers drifts away: up to {far} m off within {after} of the "
+                    "loss, measured at the start of each step."
+                )
             else:
                 within = format_rounded_up(run.r_tail_max_m, 2)
                 yield f"{opening} it steers stays within {within} m."

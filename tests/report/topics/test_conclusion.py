@@ -75,8 +75,8 @@ def test_a_ship_that_drifts_off_after_a_loss_is_said_to(records: Any) -> None:
     records.replay("daqp", "thrusters", **WARM)
     _, second = output(records)
     assert second == (
-        "After the loss of board A (thrusters_loss) the ship drifts away: up to 28.4 m off within "
-        "60 s of the loss."
+        "After the loss of board A (thrusters_loss) the ship it steers drifts away: up to 28.4 m "
+        "off within 60 s of the loss, measured at the start of each step."
     )
 
 
