@@ -91,7 +91,9 @@ def test_a_tile_of_the_matrix_chooses_the_experiment_too(selected: Any) -> None:
     page.wait_for_function("location.hash.includes('s=highs')")
     wait_for_strips(page)
     assert selection(page)["sc"] == "calm"
-    assert page.inner_text("#one-said").startswith(("Passes in calm", "Fails in calm"))
+    assert page.inner_text("#one-said").startswith(("highs passes in calm", "highs fails in calm"))
+    below = page.inner_text("#matrix-said")
+    assert below.startswith("highs (") and "in calm: it ran 200 of 200 steps" in below
     assert rows_in(page, "strips", "steps") >= 100
     assert rows_in(page, "strips", "forces") >= 100
 
@@ -164,6 +166,7 @@ def test_a_click_among_the_strips_opens_the_nearest_step(selected: Any) -> None:
 
 def test_the_hardest_steps_begin_with_those_of_all_experiments(selected: Any) -> None:
     page = selected("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
+    page.locator("#hard summary").click()
     heads = page.locator("#hard span").all_inner_texts()
     assert heads[0] == "slowest steps, fastest round of replays and windows"
     assert "largest single timings of all closed loops, stalls included" in heads[1:]
@@ -274,7 +277,7 @@ def test_replays_alone_are_counted_as_uncontradicted(chromium: Any, tmp_path: Pa
         records.replay(solver, steps=200)
     with opening(chromium, write_report(records.write(tmp_path / "replays"))) as opened:
         output = opened("#slow=2").inner_text("#slow-kept")
-    assert "2 of the 2 that nothing contradicts here keep the deadline of 300 ms" in output, output
+    assert "2 of 2 borderline or inconclusive solvers meet the deadline of 300 ms" in output, output
 
 
 def test_a_bound_is_never_rounded_up(selected: Any) -> None:
@@ -304,9 +307,9 @@ def _check_speed_margins(page: Any, facts: Any, slow: int) -> None:
     right = [row for row in drawn if row["verdict"] == "pass"]
     keep = [row for row in right if bounds[int(row["id"])] >= slow]
     output = page.inner_text("#slow-kept")
-    assert f"{len(keep)} of the {len(right)} that pass here keep the deadline" in output
+    assert f"{len(keep)} of {len(right)} passing solvers meet the deadline" in output
     assert len(right) < len(drawn)
-    named = [f"{r['solver']} (× {format_rounded_down(bounds[int(r['id'])])})" for r in keep]
+    named = [f"{r['solver']} (up to × {format_rounded_down(bounds[int(r['id'])])})" for r in keep]
     assert all((name in output) == (slow > 1 or len(keep) <= 6) for name in named)
     labels = page.locator("#figure-ladder .mark-symbol path[aria-label]").evaluate_all(
         "(all) => all.map((one) => one.getAttribute('aria-label'))"
@@ -322,7 +325,7 @@ def _check_speed_margins(page: Any, facts: Any, slow: int) -> None:
     for c, bound in bounds.items():
         page.evaluate(f"select({{ c: {c} }})")
         output = page.inner_text("#slow-kept")
-        assert (": up to × " in output) == (bound >= slow)
+        assert (": in time up to × " in output) == (bound >= slow)
         assert (": late beyond × " in output) == (bound < slow)
 
 
@@ -511,7 +514,7 @@ def test_the_keyboard_reaches_everything(opened: Any) -> None:
     assert met >= {str(i) for i in range(wanted)}
     page.focus("#table-body button")
     assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
-    page.focus("#hard button")
+    page.locator("#hard > p button").first.focus()
     page.keyboard.press("Enter")
     wait_for_strips(page)
     assert selection(page)["k"] != "74"
@@ -651,7 +654,7 @@ def test_the_largest_sample_stays_where_it_was_measured(selected: Any) -> None:
     output = page.locator("#figure-ladder text", has_text="as measured")
     assert output.count() == 0, "nothing is scaled there"
     caption = page.locator("#answer figcaption").inner_text()
-    assert "dashed: largest single timing, as measured" in caption
+    assert "dashed line: largest single timing" in caption
     page = selected("#slow=10000")
     assert page.locator(whiskers).count() < before
     assert page.locator("#figure-ladder text", has_text="jitter of this machine").count() == 1

@@ -94,6 +94,7 @@ function listenPage() {
       if (link.className === "term") glow($(id));
     });
   }
+  on("sections", "change", go);
   listenTerms();
   onNewLook(redraw);
   // Links within the page stop below the lines that stay, however many there are.
