@@ -65,7 +65,7 @@ _UNITS = {unit: unit for unit in ("ns", "ms", "s", "m", "cm", "N", "kN", "mps", 
 }
 """Units that column names end with."""
 _AMOUNT = re.compile(r"_for_\d+$")
-"""What a unit belongs to that is not the unit of the column."""
+"""Words after which a unit is not the unit of the column."""
 _HEAD_NAMES = {"p_differs": "p-value"}
 
 
