@@ -4,18 +4,20 @@ import math
 from collections.abc import Sequence
 
 from dpbench.analysis.records.run_record import group_by_key
-from dpbench.analysis.verdict.requirements import STATES
 from dpbench.analysis.verdict.verdict import (
+    ACCURATE,
     MOST_OWN,
     Verdict,
     Verdicts,
     find_solver_record_or_none,
     group_own_settings,
     list_best_verdict_of_own_settings,
+    make_sort_key_of_settings,
 )
 from dpbench.report.formats import (
     as_float,
     format_error,
+    format_time,
     join_with_and,
     plural,
     strip_markdown,
@@ -28,6 +30,8 @@ from dpbench.report.verdict_text import (
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
 from dpbench.solvers.settings import list_tolerances_left_at_default
 
+SIMILAR = 2.0
+"""Factor below which largest errors differ little, so that a wider grid would hardly help."""
 LEAST_POINTS = 3
 """Settings with the same options that count as a grid."""
 
@@ -118,7 +122,7 @@ def _format_options_by_name(verdict: Verdict) -> dict[str, str]:
 
 def _describe_best_of_grid(points: Sequence[Verdict]) -> str:
     """Return a line on the best of a solver's settings, and whether it is at the grid's edge."""
-    best = min(points, key=_make_sort_key_in_grid)
+    best = min(points, key=make_sort_key_of_settings)
     edges = []
     for option, value in _format_options_by_name(best).items():
         numbers = (as_float(_format_options_by_name(verdict)[option]) for verdict in points)
@@ -129,12 +133,14 @@ def _describe_best_of_grid(points: Sequence[Verdict]) -> str:
         if at in ends and not at == min(tried) <= 0.0:
             edges.append(option)
     edge = f", at the edge of the grid in {join_with_and(edges)}: widen it" if edges else ""
-    solver = best.configuration.solver
-    return f"Best of {len(points)} settings of {solver}: {best.configuration.settings}{edge}."
-
-
-def _make_sort_key_in_grid(verdict: Verdict) -> tuple[int, float]:
-    """Return a sort key: from pass to fail, then by time where it passes, else by error."""
-    in_time = verdict.state in ("pass", "borderline", "late")
-    figure = verdict.p99_ns if in_time else verdict.error_move
-    return STATES.index(verdict.state), figure if math.isfinite(figure) else math.inf
+    errors = [verdict.error_move for verdict in points]
+    least, largest = min(errors), max(errors)
+    if all(verdict.state == "fail" for verdict in points) and largest < SIMILAR * least:
+        similar = f"{format_error(least)} to {format_error(largest)}"
+        edge = f"; all fail, with similar errors ({similar})"
+    solver, by = best.configuration.solver, ""
+    if best.state not in ACCURATE:
+        by = f" by largest error ({format_error(best.error_move)})"
+    elif math.isfinite(best.p99_ns):
+        by = f" by p99 ({format_time(best.p99_ns)})"
+    return f"Best of {len(points)} settings of {solver}{by}: {best.configuration.settings}{edge}."

@@ -15,10 +15,11 @@ import numpy as np
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by_key
+from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
 from dpbench.analysis.records.thinned_runs import ThinnedRun
 from dpbench.analysis.times.machine import compute_round_spread, find_library_call_ns
 from dpbench.analysis.times.paired_times import (
+    PairedComparison,
     TimedReplay,
     compare_paired_times,
     compare_settings_of_solvers,
@@ -28,9 +29,12 @@ from dpbench.analysis.verdict.requirements import STATES
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import (
     Verdict,
+    Verdicts,
     find_solver_family,
     list_best_verdict_of_each_solver,
+    list_best_verdict_of_own_settings,
     list_main_verdicts,
+    make_sort_key_of_settings,
     sort_fastest_first,
 )
 from dpbench.bench.judge.rules import has_enough_samples_for_percentile, percentile_or_nan
@@ -242,20 +246,41 @@ def tabulate_hard_steps(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd
     return pd.DataFrame(rows)
 
 
+def _list_timed_best_fastest_first(verdicts: Verdicts) -> list[Verdict]:
+    """Return the best verdict of each solver that was timed, the fastest first."""
+    best = list_best_verdict_of_each_solver(verdicts)
+    return sort_fastest_first([verdict for verdict in best if verdict.timed_on])
+
+
+def compare_own_settings_with_fastest(
+    records: Records, verdicts: Verdicts
+) -> list[PairedComparison]:
+    """Return step time ratios of each other solver's best custom settings to the fastest solver."""
+    own = [v for v in list_best_verdict_of_own_settings(verdicts) if v.timed_on]
+    fastest = next(iter(_list_timed_best_fastest_first(verdicts)), None)
+    best = map_first_by_key(
+        sorted(own, key=make_sort_key_of_settings), lambda v: v.configuration.solver
+    )
+    return [
+        one
+        for solver, verdict in best.items()
+        if fastest is not None and solver != fastest.configuration.solver
+        for one in compare_paired_times(records, fastest, verdict)
+    ]
+
+
 def tabulate_time_ratios(matrix: RunMatrix) -> pd.DataFrame:
     """Return a table of step time ratios, one row for each two configurations and size of QP.
 
-    Each solver's best configuration over the fastest's, then each solver's settings over the first.
+    Each solver's best configuration and best custom settings over the fastest's, then each solver's
+    settings over the first.
     """
-    timed = sort_fastest_first(
-        [v for v in list_best_verdict_of_each_solver(matrix.verdicts) if v.timed_on]
-    )
-    pairs = [
-        one
-        for verdict in timed[1:]
-        for one in compare_paired_times(matrix.records, timed[0], verdict)
-    ]
-    rows = [*pairs, *compare_settings_of_solvers(matrix.records)]
+    records, verdicts = matrix.records, matrix.verdicts
+    timed = _list_timed_best_fastest_first(verdicts)
+    pairs = [one for v in timed[1:] for one in compare_paired_times(records, timed[0], v)]
+    pairs += compare_own_settings_with_fastest(records, verdicts)
+    pairs += compare_settings_of_solvers(records)
+    rows = map_first_by_key(pairs, lambda one: (one.first, one.second, one.variables)).values()
     return pd.DataFrame([one.table_row for one in rows])
 
 

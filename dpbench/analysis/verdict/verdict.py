@@ -448,6 +448,10 @@ def group_own_settings(verdicts: Verdicts) -> dict[tuple[str, str], list[Verdict
     return group_by_key(own, lambda v: (v.configuration.solver, v.configuration.options))
 
 
+ACCURATE: tuple[State, ...] = ("pass", "borderline", "late")
+"""Verdicts on configurations whose answers are right on every step."""
+
+
 def list_best_verdict_of_own_settings(verdicts: Verdicts) -> list[Verdict]:
     """Return the best verdict over the call modes of each solver's custom settings.
 
@@ -461,6 +465,12 @@ def _choose_of_most_judged(alike: Sequence[Verdict]) -> Verdict:
     judged = {v.configuration: (v.loops > 0, v.loops + v.replays + v.windows) for v in alike}
     most = max(judged.values())
     return sort_best_first(v for v in alike if judged[v.configuration] == most)[0]
+
+
+def make_sort_key_of_settings(verdict: Verdict) -> tuple[int, float]:
+    """Return a sort key: from pass to fail, then by p99 where it is accurate, else by error."""
+    figure = verdict.p99_ns if verdict.state in ACCURATE else verdict.error_move
+    return STATES.index(verdict.state), figure if math.isfinite(figure) else math.inf
 
 
 def list_main_verdicts(verdicts: Verdicts) -> list[Verdict]:

@@ -42,6 +42,7 @@ from dpbench.report.formats import (
 )
 from dpbench.report.own_settings_text import describe_best_of_grids
 from dpbench.report.page.data import PageData
+from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
 from dpbench.report.ship_text import ShipSummary
@@ -76,8 +77,7 @@ def make_report_markdown(report: Report) -> str:
     wording = [note for about, note in recommendation.notes if about == "stopped"]
     if data.verdicts.of or not lead:
         wording = [recommendation.sentence, *(note for _, note in recommendation.notes)]
-    valid = ", ".join(chip.text for chip in recommendation.chips)
-    after = [f"Verdicts by scenario: {valid}."] if valid else []
+    after = [*_yield_verdicts_by_scenario(data, recommendation)]
     after += [recommendation.requirements, recommendation.machine]
     after += yield_disturbance_sentences(data.studies)
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
@@ -104,6 +104,17 @@ def make_report_markdown(report: Report) -> str:
     text = "\n\n".join(part for part in parts if part) + "\n"
     elsewhere = "tables/verdicts.csv" if data.verdicts.of else "tables/study_*.csv"
     return truncate_text(text, MOST_BYTES, elsewhere)
+
+
+def _yield_verdicts_by_scenario(data: PageData, recommendation: Recommendation) -> Iterator[str]:
+    """Yield a sentence on the first configuration's verdict in each scenario, if there is any."""
+    valid = [
+        badge.text + " (not counted)" * (units == "si")
+        for badge in recommendation.chips
+        for units in ["" if badge.experiment is None else data.experiments[badge.experiment].units]
+    ]
+    if valid and recommendation.first is not None:
+        yield f"Verdicts on {recommendation.first.label} by scenario: {', '.join(valid)}."
 
 
 def _make_counts_tables(topics: Sequence[Topic]) -> list[str]:
@@ -258,7 +269,7 @@ def truncate_text(text: str, most_bytes: int, elsewhere: str) -> str:
 
 USUAL = ("osqp", "daqp")
 """Solvers to compare with by default."""
-COMMENT_BYTES = 3000
+COMMENT_BYTES = 4000
 """Largest size of a comment [B]: one screen."""
 MOST_CONFIGURATIONS = 3
 """Rows of the solver itself, or one for each of its settings where these are more."""

@@ -22,11 +22,13 @@ from dpbench.analysis.times.contrasts import (
     yield_matched_replays,
 )
 from dpbench.analysis.times.paired_times import compare_settings_of_solvers, match_times_by_step
+from dpbench.analysis.times.solver_tables import compare_own_settings_with_fastest
 from dpbench.analysis.verdict.requirements import (
     Requirements,
     is_right_on_every_step,
     is_right_to_the_end,
 )
+from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.bench.judge.rules import median_of_known
 from dpbench.bench.record.cell import sort_key_of_settings
 from dpbench.report.formats import (
@@ -144,26 +146,34 @@ def _describe_right_levels(records: Records, requirements: Requirements) -> str:
 
 
 MOST_RATIOS = 6
-"""Ratios of two settings that are named; of presets alone the page has as many at most."""
+"""Ratios of two settings that the page has at most of presets alone."""
+MOST_PAIRS = 3
+"""Pairs of settings that are named."""
 
 
-def build_settings_topic(records: Records) -> Topic | None:
-    """Return the report's part on settings of one solver timed side by side; None without two."""
+def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
+    """Return the report's part on settings of one solver timed side by side; None without two.
+
+    The best custom settings of each solver against the fastest solver come first.
+    """
     found = compare_settings_of_solvers(records)
     own = {run.configuration.label for run in records.runs if run.options}
     named = [one for one in found if {one.first, one.second} & own]
     if not found or (not named and len(found) > MOST_RATIOS):
         return None
-    named = named or found
-    sizes = {one.variables for one in named}
+    against = compare_own_settings_with_fastest(records, verdicts)
+    best = {one.second for one in against}
+    named.sort(key=lambda one: one.second not in best)
+    found = [*against, *found]
+    pairs = group_by_key(
+        [*against, *named] if named else found, lambda one: (one.second, one.first)
+    )
     texts = [
-        one.second
-        + (f" at {one.variables:.0f} variables" if len(sizes) > 1 else "")
-        + f" against {one.first} takes {describe_paired_times([one])}"
-        for one in named[:MOST_RATIOS]
+        f"{second} against {first}: {describe_paired_times(sizes)}."
+        for (second, first), sizes in [*pairs.items()][:MOST_PAIRS]
     ]
-    more = len(named) - len(texts)
-    ending = f"; {more} more: tables/paired_ratios.csv" if more > 0 else ""
+    more = len(pairs) - len(texts)
+    texts += [f"{plural(more, 'more pair')}: tables/paired_ratios.csv."] if more > 0 else []
     rows = [
         {
             "settings": one.second,
@@ -177,10 +187,15 @@ def build_settings_topic(records: Records) -> Topic | None:
     ]
     note = "Geometric mean of the step time ratios on common steps, in one call mode."
     windows = any(run.steps_searched_for_hardest for run in records.runs)
-    lead = f"{'; '.join(texts)}{ending}.{' Windows of hardest steps are not counted.' * windows}"
+    texts += ["Windows of hardest steps are not counted."] if windows else []
     table = Table.from_rows(rows, text_columns=2)
     return Topic(
-        "settings", "Two settings of one solver", (lead, note), (), (table,), short="Settings"
+        "settings",
+        "Two settings of one solver",
+        (" ".join(texts), note),
+        (),
+        (table,),
+        short="Settings",
     )
 
 

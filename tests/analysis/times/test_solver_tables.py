@@ -187,7 +187,7 @@ def test_settings_of_a_solver_are_compared_with_its_first_in_one_call_mode(recor
     assert (mine.finding_text, high.finding_text) == ("faster", "slower")
     report = Report.from_results(records.results())
     pair = "osqp (qpsolvers fresh, mine) against osqp (qpsolvers fresh)"
-    text = f"{pair} takes {significant(mine.ratio.value)} times as long over"
+    text = f"{pair}: {significant(mine.ratio.value)} times as long over"
     assert text in dict(report.summary_rows())["settings"] and "high" not in text
     assert text in make_report_markdown(report)
     (topic,) = (one for one in report.topics if one.id == "settings")

@@ -16,7 +16,7 @@ from dpbench.report.report import Report
 
 @pytest.mark.parametrize("solver", ["piqp", "ecos", "scs", "daqp"])
 def test_the_comment_is_short_and_names_whom_it_is_beside(written: Any, solver: str) -> None:
-    """At most 3 kB; the usual two, without the solver itself."""
+    """At most 4 kB; the usual two, without the solver itself."""
     text, worst = compare_solver(written.report, solver)
     assert len(text.encode()) <= COMMENT_BYTES
     others = ["osqp"] if solver == "daqp" else ["osqp", "daqp"]

@@ -179,7 +179,8 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
     assert "its first move is up to 0.55 times the maximum increment off the optimum" in lines[0]
     # With the steps that the percentile is of: other settings may have those of a window.
     assert re.search(r"answers, p99 [\d.]+ µs \(95 %: .*\) in the replay of paper: its", lines[0])
-    best = "Best of 3 settings of osqp: rho=16.0, at the edge of the grid in rho: widen it."
+    best = "Best of 3 settings of osqp by largest error (0.22): rho=16.0"
+    best += ", at the edge of the grid in rho: widen it."
     assert lines[3:] == [best]
     text = make_report_markdown(report)
     assert best in text and "| osqp | native warm, rho=1.6 | fail |" in text
@@ -221,7 +222,7 @@ def test_a_grid_that_is_best_at_zero_cannot_be_widened(records: Any) -> None:
         records.loop("osqp", error=error, failed=2, **options)
         records.replay("osqp", **options)
     rows = Report.from_results(records.results()).summary_rows()
-    assert ("options", "Best of 3 settings of osqp: eps_rel=0.0.") in rows
+    assert ("options", "Best of 3 settings of osqp by largest error (0.22): eps_rel=0.0.") in rows
 
 
 def test_own_settings_are_judged_by_the_call_modes_that_ran_most(records: Any) -> None:
@@ -272,9 +273,33 @@ def test_a_grid_whose_best_is_inside_needs_no_wider_one(records: Any) -> None:
     options = {"settings": "rho=10.0", "options": json.dumps({"rho": 10.0})}
     records.loop("osqp", **options)
     records.replay("osqp", median_us=90.0, **options)
-    assert "Best of 3 settings of osqp: rho=1.0.\n" in make_report_markdown(
-        Report.from_results(records.results())
-    )
+    text = make_report_markdown(Report.from_results(records.results()))
+    assert re.search(r"Best of 3 settings of osqp by p99 \([\d.]+ µs\): rho=1.0\.\n", text)
+
+
+def test_a_grid_that_fails_everywhere_alike_is_not_to_be_widened(records: Any) -> None:
+    """The ratio of the best settings to the fastest solver is the first of three pairs."""
+    for solver, us in (("daqp", 20.0), ("osqp", 40.0)):
+        records.loop(solver)
+        records.replay(solver, median_us=us)
+    for rho, error in ((0.1, 0.059), (0.4, 0.045), (1.6, 0.043), (6.4, 0.040)):
+        options = {"settings": f"rho={rho}", "options": json.dumps({"rho": rho})}
+        records.loop("osqp", error=error, **options)
+        records.replay("osqp", error=error, median_us=80.0, **options)
+    report = Report.from_results(records.results())
+    best = "Best of 4 settings of osqp by largest error (0.040): rho=6.4; all fail, with similar "
+    rows = report.summary_rows()
+    assert ("options", f"{best}errors (0.040 to 0.059).") in rows
+    settings = dict(rows)["settings"]
+    own = "osqp (qpsolvers fresh, rho=6.4) against"
+    assert settings.startswith(f"{own} daqp (qpsolvers fresh): ")
+    assert f" {own} osqp (qpsolvers fresh): " in settings
+    assert settings.endswith(" 2 more pairs: tables/paired_ratios.csv.")
+    ratios = report.tables["paired_ratios"]
+    pairs = list(zip(ratios["first"], ratios["second"], strict=True))
+    assert ("daqp (qpsolvers fresh)", "osqp (qpsolvers fresh, rho=6.4)") in pairs
+    assert len(pairs) == len(set(pairs)) == 6
+    assert "\n\nVerdicts on daqp (qpsolvers fresh) by scenario: " in make_report_markdown(report)
 
 
 def test_chips_say_of_each_experiment_what_the_first_did_there(records: Any) -> None:
