@@ -174,7 +174,8 @@ class WorstStep:
 def find_worst_steps(records: Records, configuration: Configuration) -> list[WorstStep]:
     """Return a configuration's steps of largest error, of largest time, of most iterations.
 
-    Over its replays and closed loops in scaled units; times are of its replays if it has any.
+    Over its replays and closed loops in scaled units; times are of its replays if it has any. After
+    a step of a closed loop comes the worst of the replays, whose QP `export` writes.
     """
     runs = {
         run.run_id: run
@@ -189,13 +190,22 @@ def find_worst_steps(records: Records, configuration: Configuration) -> list[Wor
     timed = [run_id for run_id in stepped if runs[run_id].mode == "replay"]
     worst: list[WorstStep] = []
     for measure in sorted(MEASURES, key=lambda name: name != "error"):
-        among = timed if measure == "time" and timed else stepped
-        candidates = [worst_of_run[i][measure] for i in among if measure in worst_of_run[i]]
-        if candidates:
-            worst.append(max(candidates, key=lambda step: step.value))
-            times = records.get_step_times(worst[-1].run) if measure == "time" and timed else None
-            worst[-1] = replace(worst[-1], wait_ns=times.hardest_wait_ns if times else 0.0)
-    return worst
+        groups = [timed] if measure == "time" and timed else [stepped, timed]
+        largest = {
+            step.run.run_id: step
+            for group in groups
+            if (found := [worst_of_run[i][measure] for i in group if measure in worst_of_run[i]])
+            for step in [max(found, key=lambda step: step.value)]
+        }
+        worst += largest.values()
+    return [_add_wait_for_core(records, step) for step in worst]
+
+
+def _add_wait_for_core(records: Records, step: WorstStep) -> WorstStep:
+    """Return a worst step with the wait for the core in a replay's hardest step."""
+    is_timed = step.measure == "time" and step.run.mode == "replay"
+    times = records.get_step_times(step.run) if is_timed else None
+    return step if times is None else replace(step, wait_ns=times.hardest_wait_ns)
 
 
 def _find_worst_step_by_measure(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstStep]:

@@ -37,8 +37,9 @@ def test_the_worst_step_is_the_largest_of_one_configuration(written: Any) -> Non
     steps = results.steps[results.steps["run_id"].isin(judged)]
     counting = steps[steps["counts"]].astype({"total_ns": float})
     timed = counting[counting["run_id"].map(judged) == "replay"]
-    error, time, _ = find_worst_steps(facts.records, configuration)
-    assert (error.measure, time.measure) == ("error", "time")
+    found = find_worst_steps(facts.records, configuration)
+    error, time = found[0], next(step for step in found if step.measure == "time")
+    assert error.measure == "error"
     assert error.value == counting["error_move"].max()
     assert time.value == timed.groupby(["run_id", "k"])["total_ns"].min().max()
     row = counting[(counting["run_id"] == error.run.run_id) & (counting["k"] == error.step_index)]
@@ -113,6 +114,8 @@ def test_the_worst_error_of_a_closed_loop_is_named_without_an_export(records: An
     row = next(line for line in text.splitlines() if line.startswith("| error |"))
     assert " of turn, a closed loop | qpsolvers fresh | 0.51 |" in row
     assert (worst[0].export_command, "export turn" in text) == ("", False)
+    assert (worst[1].measure, worst[1].run.mode) == ("error", "replay")
+    assert worst[1].value < worst[0].value and worst[1].export_command in text
     machine, versions = text.rstrip("\n").split("\n\n")[-2:]
     assert machine.startswith("Machine: ") and "Versions: osqp " in versions
 
