@@ -260,7 +260,7 @@ class SimulatedRecords:
 def _simulated_run(number: int, kernel_ns: float) -> Any:
     words = dict.fromkeys(("scenario", "sequence", "problem"), SEQUENCE)
     words |= {"mode": "replay", "solver": f"{number}", "route": "native", "policy": "fresh"}
-    words |= {"settings": "default", "units": "scaled", "formulation": "condensed_box"}
+    words |= {"turns": "", "settings": "default", "units": "scaled", "formulation": "condensed_box"}
     kernels = dict.fromkeys(("reference_kernel_ns", "load_kernel_ns"), kernel_ns)
     numbers = {"steps_planned": STEPS_OF_TABLE, "steps_searched_for_hardest": 0}
     return SimpleNamespace(**words, **kernels, **numbers, options="")

@@ -35,7 +35,8 @@ def test_runs_are_those_of_the_parquet_file(written: Any) -> None:
             np.testing.assert_array_equal(found, expected, err_msg=name)
         else:
             found = table[name].astype(object).where(table[name].notna(), "")
-            assert [str(x) for x in found] == [str(x) for x in runs[name]], name
+            expected = ["" if pd.isna(x) else str(x) for x in runs[name]]
+            assert [str(x) for x in found] == expected, name
 
 
 def test_verdicts_are_those_of_the_analysis(written: Any) -> None:

@@ -78,7 +78,7 @@ def describe_count_reproduced(judged: "Sequence[Claim]") -> str:
     """Return a sentence: how many claims of the paper are reproduced, how many not measured."""
     states = [claim.state for claim in judged]
     held, missing = states.count("reproduced"), states.count("not measured")
-    why = "as complete runs of both control laws are missing"
+    why = "as no complete runs of both control laws were made"
     open_ones = f", and {missing} not measured, {why}" if missing else ""
     return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced{open_ones}"
 

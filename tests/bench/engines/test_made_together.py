@@ -55,6 +55,9 @@ class Client:
     def wait_for_workers(self, count: int) -> None:
         """They are there."""
 
+    def subscribe_topic(self, topic: str, handler: Callable[..., None]) -> None:
+        """No worker sends an event."""
+
     def scheduler_info(self, n_workers: int) -> dict[str, Any]:
         return {"workers": {"tcp://a:0": {"host": "a", "nthreads": 1, "resources": {}}}}
 

@@ -144,7 +144,7 @@ def _suite(solvers: tuple[str, ...] = ("daqp",), **tables: object) -> suite.Suit
         ("thruster_loss_hard", ""),
         ("thruster_loss_soft", "layers"),
         ("watch_circle", "layers"),
-        ("turn", "linearised anew"),
+        ("turn", "linearised again"),
     ],
 )
 def test_a_scenario_without_stages_is_a_refused_row(scenario: str, why: str) -> None:
@@ -219,7 +219,7 @@ def test_a_campaign_shows_formulations_side_by_side(tmp_path: Path) -> None:
     strict = runs[(runs["solver"] == "quadprog") & (runs["formulation"] == "sparse")]
     assert set(strict["outcome_detail"]) == {SEMIDEFINITE_REFUSAL}
     page = write_report(out).with_suffix(".md").read_text(encoding="utf-8")
-    assert "Fastest form with right answers, of 4 configurations on a sequence: " in page
+    assert "Fastest formulation with accurate answers, for 4 configurations on a sequence: " in page
     assert (out / "tables" / "formulations.csv").is_file()
 
 

@@ -114,7 +114,7 @@ def put(key: str, value: object) -> Callable[[Fields], Fields]:
         (put("Q_3", [[1.0]]), ["stages", "gaps"]),
         (put("Q_1", [[1.0]] * 1999), ["2001", "1 to 2000"]),
         (lambda fields: {}, ["0 stages"]),
-        (lambda fields: {k: v for k, v in fields.items() if k != "B_0"}, ["B", "nothing"]),
+        (lambda fields: {k: v for k, v in fields.items() if k != "B_0"}, ["B", "missing"]),
     ],
 )
 def test_bad_dumps(change: Callable[[Fields], Fields], parts: list[str], tmp_path: Path) -> None:

@@ -156,8 +156,8 @@ def renamed(a: Arrays) -> Arrays:
     ("change", "parts"),
     [
         (without("format"), ["format", "nothing"]),
-        (without("q"), ["q", "nothing"]),
-        (without("bound"), ["bound", "nothing"]),
+        (without("q"), ["q", "missing"]),
+        (without("bound"), ["bound", "missing"]),
         (without("certificate"), ["certificate"]),
         (put("format", "spam"), ["format", "'spam'", "dpbench-sequence"]),
         (put("version", 2), ["version", "2", "newer"]),

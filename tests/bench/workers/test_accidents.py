@@ -350,9 +350,9 @@ def test_parts_damaged_meanwhile_are_lost(copied: Path, monkeypatch: pytest.Monk
     out, write = copied / "out", Campaign.write_results
     forget_cells(out)
 
-    def late(self: Campaign, *rest: object) -> None:
+    def late(self: Campaign, *rest: Any, **more: Any) -> None:
         truncate(self.store.parts[-1].steps)
-        write(self, *rest)  # type: ignore[arg-type] # passed on
+        write(self, *rest, **more)
 
     with monkeypatch.context() as patch:
         patch.setattr(Campaign, "write_results", late)

@@ -63,8 +63,8 @@ def test_contradicting_rows_are_believed(
     _pair(records, **{column: value})
     assert _states(records)[claim] == "opposite"
     topic = build_paper_topic(records.view())
-    assert topic is not None and "; the opposite: “" in topic.lines[0]
-    assert f"“{claim}”" in topic.lines[0].split("the opposite: ")[1]
+    assert topic is not None and "The opposite was measured: “" in topic.lines[0]
+    assert f"“{claim}”" in topic.lines[0].split("The opposite was measured: ")[1]
 
 
 @pytest.mark.parametrize(
