@@ -108,7 +108,6 @@ def _describe_configuration(
         "why": "" if v is None else recommendation.why(v).replace("**", ""),
         **{name: convert_to_json_number(times.get(name)) for name in ("p50", "p99", "max")},
         "replay_p99": None if v is None else convert_to_json_number(v.replay_p99_ns),
-        "raw_p99": None if v is None else convert_to_json_number(v.raw_p99_ns),
         "p50_in": "" if v is None else v.timed_on,
         "p99_in": "" if v is None else v.sequence_of_largest_p99 + describe_p99_interval(v),
         "error": None if v is None else convert_to_json_number(v.error_move),

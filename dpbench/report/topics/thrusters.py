@@ -178,12 +178,14 @@ def _compare_with_forces(commanded: ThrusterVerdicts) -> str:
         join_with_and(list(commanded.forces)),
     )
     lost = [solver for solver in before if solver in missed]
-    verb = "passes" if len(before) == 1 else "pass"
-    head = f"Of {plural(len(before), 'solver')} that {verb} with three forces ({where})"
+    is_one = len(before) == 1
+    verb = "passes" if is_one else "pass"
+    head = f"{plural(len(before), 'solver')} {verb} with three forces ({where})"
     if not lost:
-        return f"{head}, none fails with thrusters."
+        return f"{head}; {'it does not fail' if is_one else 'none of them fails'} with thrusters."
     fail = "fails" if len(lost) == 1 else "fail"
-    return f"{head}, {len(lost)} {fail} with thrusters: {_group_by_fault(commanded, lost)}."
+    which = "it" if is_one else f"{len(lost)} of them"
+    return f"{head}; {which} {fail} with thrusters: {_group_by_fault(commanded, lost)}."
 
 
 def _group_by_fault(commanded: ThrusterVerdicts, solvers: Sequence[str]) -> str:

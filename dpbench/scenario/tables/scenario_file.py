@@ -226,7 +226,7 @@ class ControllerTable(FileModel):
     model_heading_deg: keys.Degrees = 0.0
     """Heading the model is linearised at [°]."""
     linearisation: Literal["fixed", "each_step"] = "fixed"
-    """fixed: one model; each_step: the model, and so P, is computed at every measured heading."""
+    """Model of the controller. fixed: one; each_step: model and P at each measured heading."""
     amplitude: Literal["reachable", "hard", "soft"] = "reachable"
     """Amplitude limits. reachable: widened to what the rate can reach; hard: as they are, may
     be infeasible; soft: slacks with an exact penalty."""

@@ -38,7 +38,7 @@ def test_solvers_that_do_for_three_forces_only_are_named_with_their_fault(record
         "To steer thrusters take daqp (native, warm, default): its hardest step, k "
     )
     assert first.endswith(
-        "Of 3 solvers that pass with three forces (three_forces), 2 fail with "
+        "3 solvers pass with three forces (three_forces); 2 of them fail with "
         "thrusters: piqp, too late; osqp, wrong."
     )
     assert second == (
@@ -83,7 +83,7 @@ def test_a_ship_that_drifts_off_after_a_loss_is_said_to(records: Any) -> None:
 def test_where_nobody_qualifies_nobody_is_named(records: Any) -> None:
     (first,) = output(campaign(records, {"osqp": (60.0, 0.3)}))
     assert first.startswith("No solver can be recommended for a controller that steers thrusters.")
-    assert first.endswith("with three forces (three_forces), 1 fails with thrusters: osqp, wrong.")
+    assert first.endswith("with three forces (three_forces); it fails with thrusters: osqp, wrong.")
 
 
 def test_a_loss_beyond_what_was_run_is_not_spoken_of(records: Any) -> None:

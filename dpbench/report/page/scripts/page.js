@@ -9,21 +9,15 @@ function beside() {
     ? `, ${figure(ratioOf(rows), 2)} × the time of ${unlike(first, state.c)} (geometric mean of the same steps)` : "";
 }
 
-// The line that stays: the chosen one with its times and where it is shown; on a phone without what
-// stands elsewhere too.
+// The line that stays on a wide screen: the selected configuration, its times, where it is shown.
 function drawChosen() {
   const c = state.c, timed = facts.experiments[C().timed_experiment_index[c]]?.label, longest = facts.experiments[C().longest_at[c]]?.label;
-  const wide = (text) => {
-    const span = document.createElement("span");
-    span.className = "wide-only"; span.textContent = text;
-    return span;
-  };
   const times = [["p50", "p50"], ["p99", "replay_p99", timed && ` in ${timed}`],
-    ["hardest step", "max", `${C().max_wait[c]} of all replays`], ["largest timing", "longest", longest && ` in ${longest}`]]
+    ["hardest step", "max", `${C().max_wait[c]} of all replays`], ["largest timing", "longest", longest && `${C().longest_wait[c]} in ${longest}`]]
     .filter(([, column]) => C()[column][c] !== null)
-    .flatMap(([name, column, where]) => [`, ${name} ${time(C()[column][c])}`, wide(where ?? "")]);
+    .map(([name, column, where]) => `, ${name} ${time(C()[column][c])}${where ?? ""}`);
   const verdict = C().verdict[c] === "not judged" ? "" : `: ${C().verdict[c]}`;
-  $("chosen").replaceChildren(`${label(c)}${verdict}`, ...times, wide(beside()),
+  $("chosen").replaceChildren(`${label(c)}${verdict}`, ...times, beside(),
     `; shown in ${facts.experiments[state.p].label}${state.k === null ? "" : `, k ${state.k}`}`);
 }
 
