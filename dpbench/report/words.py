@@ -27,7 +27,10 @@ FILTERS = {
     "toml": formats.format_as_toml,
 }
 _FILE = Path(__file__).with_name("glossary.toml")
-_HEAD = "# Glossary\n\nColumns and the values in them are in the reference of columns.\n"
+_HEAD = """# Glossary
+
+The columns of the result tables and their values are described in the reference of columns.
+"""
 
 
 @cache

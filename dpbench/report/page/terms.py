@@ -35,7 +35,7 @@ _FOUND = re.compile(
 DRAG_MISMATCH = "The ship meets cross-flow drag; the controller's model is linear."
 
 _HEAD_TOPICS = (
-    "Solvers and how they are run",
+    "Solvers and configurations",
     "Studies",
     "Commanded thrusters",
 )

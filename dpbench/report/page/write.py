@@ -290,7 +290,7 @@ def make_page_html(
         kinds=[kind for kind in FORMATS[1:] if any((folder / "figures").glob(f"*.{kind}"))],
         cite=format_citations(results),
         experiments=experiments,
-        terms=Terms([*WORDS, *glossary()["Solvers and how they are run"]]),
+        terms=Terms([*WORDS, *glossary()["Solvers and configurations"]]),
         footer=f"{describe_version(results.suite)}, run {started}; numpy {numpy}.",
         block=block,
     )
