@@ -102,25 +102,26 @@ def make_calculator_rows(results: EmbeddedResults, requirements: Requirements) -
     ]
 
 
-def describe_embedded_cost(
+def list_embedded_cost_sentences(
     results: EmbeddedResults, requirements: Requirements, solver: str
-) -> str:
-    """Return a sentence on what a solver costs on an embedded core; "" where not counted."""
+) -> list[str]:
+    """Return sentences on the cost of a solver on an embedded core; none where not counted."""
     largest = results.find_largest_count_of_solver(solver)
     if largest is None or largest[1].error_move > requirements.error_move:
-        return ""
+        return []
     sequence, one = largest
     worst_ns = convert_instructions_to_ns(one.worst)
     core = name_core_and_precision(sequence.target, single=sequence.single)
     share = format_sample_share(worst_ns / requirements.deadline_ns)
     of_deadline = f", {share} of the {describe_deadline(requirements)}"
-    return (
+    return [
         f"On a {core} its worst step of `{sequence.sequence}` executes "
         f"{format_count(one.worst)} instructions, which take {format_time(worst_ns)} at "
         f"{CLOCK_MHZ:g} MHz and 1 instruction per cycle (an assumption)"
-        f"{of_deadline * requirements.judges_step_times}. At p99 it executes "
-        f"{format_count(one.p99)}. {CAVEAT}"
-    )
+        f"{of_deadline * requirements.judges_step_times}.",
+        f"At p99 it executes {format_count(one.p99)}.",
+        CAVEAT,
+    ]
 
 
 def describe_cheapest_solver(sequence: CountedSequence, requirements: Requirements) -> str:

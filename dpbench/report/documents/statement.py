@@ -50,7 +50,7 @@ from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
 from dpbench.report.formats import format_time, join_with_and, strip_markdown
 from dpbench.report.open_losses import find_open_losses
 from dpbench.report.page.data import PageData
-from dpbench.report.page.recommendation import Recommendation, describe_speed_margin
+from dpbench.report.page.recommendation import Recommendation, list_speed_margin_sentences
 from dpbench.report.page.terms import DRAG_MISMATCH
 from dpbench.report.ship_text import describe_ship, describe_unmet, list_losses, summarise_ships
 from dpbench.report.verdict_text import (
@@ -255,7 +255,7 @@ def _fill_statement(
         requirements=describe_requirements(data.requirements),
         unanswered=describe_unanswered_qps(records, c.solver),
         stopped=describe_stopped_runs(records.runs),
-        slower=describe_speed_margin(data, chosen),
+        slower=" ".join(list_speed_margin_sentences(data, chosen)),
         ships=[f"{vessel.title} ({vessel.id})" for vessel in vessels.values()],
         mismatch=DRAG_MISMATCH if any(vessel.drag for vessel in vessels.values()) else "",
         experiments=[

@@ -28,7 +28,7 @@ from dpbench.bench.record.cell import Configuration
 from dpbench.errors import InputError, format_allowed_names
 from dpbench.report.capability_text import describe_consequence_solver, describe_unanswered_qps
 from dpbench.report.commands_text import describe_machine, describe_turns
-from dpbench.report.embedded_text import describe_embedded_cost
+from dpbench.report.embedded_text import list_embedded_cost_sentences
 from dpbench.report.formats import (
     format_error,
     format_rounded_down,
@@ -56,7 +56,6 @@ from dpbench.solvers.settings import has_preset_or_tolerance, resolve_settings_w
 MOST_CHIPS = 16
 """More experiments are counted by state, and named only where they are at most `FEW`."""
 FEW = 5
-MARGIN_NOTES = ("counted", "slower")
 MOST_INCONCLUSIVE = 2
 """Number of faster but inconclusive configurations with a note."""
 
@@ -81,12 +80,14 @@ class Recommendation:
     """Headline of the report page: ship, solver to use, notes, verdicts by scenario, code to paste.
 
     ship : what the controller does to it whatever the solver; comes before `sentence` everywhere.
-    verdict : which solver to use, or why none; evidence : what its runs measured, "" without one.
+    verdict : which solver to use, or why none; evidence : what its runs measured, "" without one;
+    margin : on which computer, or how much slower, the solver may run, "" without one.
     """
 
     ship: ShipSummary
     verdict: str
     evidence: str
+    margin: str
     notes: tuple[tuple[str, str], ...]
     chips: tuple[Badge, ...]
     snippets: tuple[tuple[str, str], ...]
@@ -99,12 +100,6 @@ class Recommendation:
     def sentence(self) -> str:
         """Verdict and evidence as one text."""
         return " ".join(filter(None, (self.verdict, self.evidence)))
-
-    @property
-    def margin(self) -> str:
-        """Sentence on how much slower, or on which computer, the solver may run; "" for none."""
-        own = [text for about, text in self.notes if about in MARGIN_NOTES]
-        return own[0].split(". ")[0].removesuffix(".") + "." if own else ""
 
     @staticmethod
     def why(verdict: Verdict) -> str:
@@ -140,11 +135,18 @@ def build_recommendation(
         second = fastest.configuration if fastest else own[0]
     ship = summarise_ships(data.ships)
     verdict, evidence = _describe_choice(data, found, is_lost=bool(ship.warning))
+    about_margin, margin = _list_margin_sentences(data, chosen)
     return Recommendation(
         ship=ship,
         verdict=" ".join(filter(None, (_describe_lone_solver(known), verdict))),
         evidence=evidence,
-        notes=(*_make_notes(data, found), *_yield_notes_on_runs(data)),
+        margin=margin[0] if margin else "",
+        notes=(
+            *_yield_deployment_notes(chosen),
+            *([(about_margin, " ".join(margin))] if margin else ()),
+            *_yield_notes_on_choice(data, found),
+            *_yield_notes_on_runs(data),
+        ),
         chips=tuple(_make_badges(data, first)),
         snippets=tuple(_make_snippets(chosen.configuration)) if chosen else (),
         requirements=describe_requirements(data.requirements) if data.verdicts.of else "",
@@ -210,18 +212,27 @@ def _explain_no_choice(data: PageData, found: SolverChoice) -> str:
     return "" if other else NOBODY
 
 
-def _make_notes(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
-    """Yield notes on the recommended solver, as speed margin, as keyword and text."""
+def _list_margin_sentences(data: PageData, chosen: Verdict | None) -> tuple[str, list[str]]:
+    """Return the keyword and sentences of the margin: counted instructions, else measured times."""
+    if chosen is None:
+        return "", []
+    solver = chosen.configuration.solver
+    if counted := list_embedded_cost_sentences(data.counts, data.requirements, solver):
+        return "counted", counted
+    return "slower", list_speed_margin_sentences(data, chosen)
+
+
+def _yield_deployment_notes(chosen: Verdict | None) -> Iterator[tuple[str, str]]:
+    """Yield the note on the deployment of the recommended solver, if there is one."""
+    if chosen is not None:
+        yield "deployment", describe_deployment(chosen.configuration.solver)
+
+
+def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tuple[str, str]]:
+    """Yield notes on the recommended solver beside others, as keyword and text."""
     chosen = found.chosen
     if chosen is None:
         return
-    yield "deployment", describe_deployment(chosen.configuration.solver)
-    if counted := describe_embedded_cost(
-        data.counts, data.requirements, chosen.configuration.solver
-    ):
-        yield "counted", counted
-    elif slower := describe_speed_margin(data, chosen):
-        yield "slower", slower
     shortest_ns = find_shortest_wait_ns(data.records.calibration)
     if chosen.p50_ns < shortest_ns:
         p50, shortest = format_time(chosen.p50_ns), format_time(shortest_ns)
@@ -273,11 +284,11 @@ def _yield_inconclusive_notes(data: PageData, found: SolverChoice) -> Iterator[t
         )
 
 
-def describe_speed_margin(data: PageData, chosen: Verdict) -> str:
-    """Return a text on how much slower a computer may be for a solver, and its limiting steps."""
+def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
+    """Return sentences: how much slower a computer may be for a solver, and its limiting steps."""
     margin, requirements = data.get_speed_margin(chosen.configuration), data.requirements
     if margin is None:
-        return ""
+        return []
     wait = describe_hardest_wait(data.records, margin.hardest.run)
     hardest = p99 = _describe_slow_step(margin.hardest, wait)
     if margin.p99.time_ns != margin.hardest.time_ns:
@@ -303,8 +314,7 @@ def describe_speed_margin(data: PageData, chosen: Verdict) -> str:
         wait = describe_longest_wait(data.records, run)
         largest = f"{format_time(run.raw_max_ns)}{wait} in {experiment.label}{arms}"
         parts.append(f"Stalls do not scale with the computer: the largest timing is {largest}.")
-    parts += _yield_untimed_loops_sentences(data)
-    return " ".join(parts)
+    return [*parts, *_yield_untimed_loops_sentences(data)]
 
 
 def _yield_untimed_loops_sentences(data: PageData) -> Iterator[str]:

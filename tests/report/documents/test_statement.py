@@ -25,7 +25,7 @@ from dpbench.report.documents.statement import (
 )
 from dpbench.report.formats import format_error, format_time
 from dpbench.report.open_losses import OpenLosses
-from dpbench.report.page.recommendation import describe_speed_margin
+from dpbench.report.page.recommendation import list_speed_margin_sentences
 from dpbench.report.report import Report
 from dpbench.report.ship_text import BANNER
 from dpbench.scenario.own_thrusters import list_assumptions_on_vessel, split_source
@@ -93,7 +93,7 @@ def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, writte
         format_error(verdict.error_move),
         format_time(verdict.p99_ns),
         format_time(verdict.algo_max_ns),
-        describe_speed_margin(facts, verdict).split(":")[0],
+        list_speed_margin_sentences(facts, verdict)[0],
         *("Synthetic CPU", "0123456789ab", "Its state: quiet", "does not cover other vessels"),
         *("DNV-ST-0111", "IMCA M 220", "This statement is none of these"),
         *("Compared: daqp 1.0 pass", "ecos 1.0 fail", "Author ___", "Date ___", "Signature ___"),

@@ -27,7 +27,7 @@ from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import (
     Recommendation,
     build_recommendation,
-    describe_speed_margin,
+    list_speed_margin_sentences,
 )
 from dpbench.report.page.write import make_page_document
 from dpbench.report.report import Report
@@ -561,6 +561,5 @@ def test_a_margin_of_too_few_steps_names_no_p99(records: Any, steps: int, named:
     records.replay("daqp", steps=steps, spread=0.0)
     data = Report.from_results(records.results()).data
     (verdict,) = data.verdicts.all_verdicts
-    assert f"The {named} reaches 3 ms at × 150: it is 20.0 µs" in describe_speed_margin(
-        data, verdict
-    )
+    text = " ".join(list_speed_margin_sentences(data, verdict))
+    assert f"The {named} reaches 3 ms at × 150: it is 20.0 µs" in text
