@@ -8,6 +8,7 @@ import numpy as np
 from dpbench.analysis.compare.pairs import Pair
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.paired_times import (
+    MACHINE_DISTURBED,
     PairedComparison,
     compare_settings_of_solvers,
     match_times_by_step,
@@ -79,4 +80,6 @@ def _format_ratio(found: PairedComparison | None) -> tuple[str, str]:
     if found.separate:
         times = (format_microseconds(ns) for ns in (found.second_ns, found.first_ns))
         return " µs, ".join(times) + " µs", found.separate
-    return f"{ratio.value:.3f}", format_interval(ratio.low, ratio.high)
+    interval = format_interval(ratio.low, ratio.high)
+    is_disturbed = found.finding_text == MACHINE_DISTURBED
+    return f"{ratio.value:.3f}", f"{interval}, {MACHINE_DISTURBED}" if is_disturbed else interval

@@ -21,7 +21,14 @@ from dpbench.analysis.times.contrasts import (
     find_right_levels_by_solver,
     yield_matched_replays,
 )
-from dpbench.analysis.times.paired_times import compare_settings_of_solvers, match_times_by_step
+from dpbench.analysis.times.machine import compute_round_spread
+from dpbench.analysis.times.paired_times import (
+    MACHINE_DISTURBED,
+    TimedReplay,
+    compare_settings_of_solvers,
+    is_within_spread,
+    match_times_by_step,
+)
 from dpbench.analysis.times.solver_tables import compare_own_settings_with_fastest
 from dpbench.analysis.verdict.requirements import (
     Requirements,
@@ -207,27 +214,44 @@ def build_race_topic(records: Records) -> Topic | None:
     replays = list(yield_matched_replays(records, first, second))
     if len({run.configuration.call_text for (run, _), _ in replays}) != 1:
         return None
-    rows, wording, apart = [], [], []
-    for (run, here), (rival, there) in replays:
-        options, both = run.configuration.call_text, (here, there)
-        if not (ratio := run.explain_separate_timing(rival)):
-            ratio = _format_ratio(estimate_paired_time_ratio(*match_times_by_step(*both)))
-            wording.append(f"{ratio} in {run.sequence} ({options})")
+    rows, decided, apart, disturbed = [], [], [], []
+    for pair in replays:
+        (run, here), (_, there) = pair
+        ratio, why_none = _compare_race(records, *pair)
+        where = f"`{run.sequence}` ({run.configuration.call_text})"
+        if why_none == MACHINE_DISTURBED:
+            disturbed.append(where)
+        elif why_none:
+            apart.append(where)
         else:
-            apart.append(f"{run.sequence} ({options})")
-        p50 = [format_time(median_of_known(times.algo_ns)) for times in both]
-        tails = [estimate_percentile_interval(times.algo_ns, 99) for times in both]
+            decided.append(f"{ratio} in {where}")
+        p50 = [format_time(median_of_known(times.algo_ns)) for times in (here, there)]
+        tails = [estimate_percentile_interval(times.algo_ns, 99) for times in (here, there)]
         p99 = [f"{format_time(tail.value)}{format_p99_interval(tail)}" for tail in tails]
-        rows.append((run.sequence, options, *p50, *p99, ratio))
+        cell = ", ".join(filter(None, (ratio, why_none)))
+        rows.append((run.sequence, run.configuration.call_text, *p50, *p99, cell))
     times = [f"{solver} {time}" for time in ("p50", "p99") for solver in (first, second)]
     head = ("sequence", "call mode", *times, "ratio (95 %)")
-    leads = [f"{first} takes {', '.join(wording)} times as long per step as {second}."]
-    leads = leads if wording else []
-    leads += [f"Without a ratio, as not timed by turns: {join_with_and(apart)}."] if apart else []
+    leads = {
+        f"Step time of `{first}` over that of `{second}`: ": decided,
+        "Without a ratio, as not timed by turns: ": apart,
+        "Not decided, as the machine was disturbed: ": disturbed,
+    }
+    lead = " ".join(f"{text}{join_with_and(named)}." for text, named in leads.items() if named)
     note = "Geometric mean of the paired ratios of all common steps."
-    table = Table(head, tuple(rows))
     title = f"{first} against {second}"
-    return Topic("race", title, (" ".join(leads), note), (), (table,))
+    return Topic("race", title, (lead, note), (), (Table(head, tuple(rows)),))
+
+
+def _compare_race(records: Records, first: TimedReplay, second: TimedReplay) -> tuple[str, str]:
+    """Return a ratio of step times, "" for none, and why it decides nothing, "" where it does."""
+    (run, here), (rival, there) = first, second
+    if separate := run.explain_separate_timing(rival):
+        return "", separate
+    ratio = estimate_paired_time_ratio(*match_times_by_step(here, there))
+    spread = max(compute_round_spread(records, *replay) for replay in (first, second))
+    is_disturbed = spread > 1.0 and is_within_spread(ratio, spread)
+    return _format_ratio(ratio), MACHINE_DISTURBED * is_disturbed
 
 
 def _make_median_tables(

@@ -35,6 +35,8 @@ EARLY = {"turns": "a1", "campaign_utc": "2026-11-28T08:00:00.000+00:00"}
 LATE = {"turns": "b2", "campaign_utc": "2026-11-28T09:30:00.000+00:00"}
 EARLY["judged_utc"], LATE["judged_utc"] = "2026-11-28T08:05:00Z", "2026-11-28T09:42:10Z"
 EXACT = {"spread": 0.0, "rounds": 1}
+UNDECIDED = "Not decided, as the machine was disturbed:"
+STOLEN = {"replay_s": 1.0, "steal_s": 0.1}
 QUIET = {"replay_s": 2.0, "involuntary_switches": 4, "steal_s": 0.0}
 
 
@@ -77,6 +79,41 @@ def test_every_place_names_separate_commands_in_place_of_a_ratio(records: Any) -
     race = build_race_topic(records.view())
     assert race is not None
     assert race.tables[0].rows[0][-1] == SEPARATE and "without a ratio" in race.lines[0].lower()
+
+
+@pytest.mark.parametrize(
+    ("median_us", "state", "lead", "end"),
+    [
+        (19.0, {}, "Step time of `osqp` over that of `daqp`: 1.05", ")"),
+        (
+            19.0,
+            STOLEN,
+            "Not decided, as the machine was disturbed: `paper` (",
+            ", machine disturbed",
+        ),
+        (10.0, STOLEN, "Step time of `osqp` over that of `daqp`: 1.99", ")"),
+    ],
+)
+def test_two_solvers_on_a_disturbed_machine_are_ranked_beyond_its_spread_alone(
+    records: Any, median_us: float, state: dict[str, float], lead: str, end: str
+) -> None:
+    """The slower rounds take 1.155 times as long as the fastest, see `test_solver_tables`."""
+    records.replay("osqp", median_us=20.0, spread=0.1, **state)
+    records.replay("daqp", median_us=median_us, spread=0.1)
+    race = build_race_topic(records.view())
+    assert race is not None and race.lines[0].startswith(lead)
+    assert race.tables[0].rows[0][-1].endswith(end)
+
+
+def test_settings_within_a_disturbed_folder_have_the_finding_beside_the_interval(
+    records: Any,
+) -> None:
+    records.replay("osqp", median_us=20.0, spread=0.1, **STOLEN)
+    records.replay("osqp", median_us=19.0, settings="high", spread=0.1)
+    view = records.view()
+    table = make_settings_table(view, view)
+    assert table is not None
+    assert all(cell.endswith(", machine disturbed") for cell in table.rows[0][4::2])
 
 
 def test_replays_by_turns_alone_count_where_some_are(records: Any) -> None:
