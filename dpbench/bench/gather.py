@@ -19,6 +19,7 @@ import pandas as pd
 from dpbench.bench.campaign import Campaign, plan_embedded_counts, plan_stability_studies
 from dpbench.bench.engines.shards import ShardRecord
 from dpbench.bench.plan.run_request import Plan
+from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.cell import HARNESS_VERSION, Outcome
 from dpbench.bench.record.cell_store import CellStore
 from dpbench.bench.record.result_folder import (
@@ -46,6 +47,7 @@ def join_result_folders(
     *,
     suite: str | Path | None = None,
     solver_module: str | Path | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Join the result folders of a suite that was run in parts into one result folder `out`.
 
@@ -53,6 +55,7 @@ def join_result_folders(
     ----------
     folders : one of each shard; suite : path of the suite, if it was elsewhere.
     solver_module : their plug-in. None is run because a shard names it.
+    progress : receiver of the name of each stage.
 
     Returns
     -------
@@ -64,13 +67,13 @@ def join_result_folders(
         that has changed since, shards of a plug-in without `solver_module`, or a finished result in
         `out` that has other cells.
     """
-    started_utc, started_s = datetime.now(UTC), time.monotonic()
+    started_utc, started_s, progress = datetime.now(UTC), time.monotonic(), progress or Silent()
     shards = {Path(folder): ShardRecord.read(Path(folder)) for folder in folders}
     plan, records = _make_common_plan(shards, suite, solver_module), list(shards.values())
     designs, remarks = plan_stability_studies(plan), _describe_missing_shards(records)
     with lock_result_folder(Path(out), plan.name):
         refuse_other_selection(plan.cells, Path(out), "another folder")
-        finished, ignored = _copy_finished_runs(list(shards), Path(out), plan.name)
+        finished, ignored = _copy_finished_runs(list(shards), Path(out), plan.name, progress)
         remarks += ignored
         machine, others = _split_main_and_other_machines(records, finished)
         if others:
@@ -95,7 +98,8 @@ def join_result_folders(
         campaign.find_unfinished_jobs()
         made_by = [record.revision for record in records if record.revision]
         made_by = [one for i, one in enumerate(made_by) if one not in made_by[:i]]
-        campaign.write_results(started_utc, time.monotonic() - started_s, remarks, made_by)
+        seconds = time.monotonic() - started_s
+        campaign.write_results(started_utc, seconds, remarks, made_by, progress=progress)
     return Path(out)
 
 
@@ -143,7 +147,7 @@ def _describe_missing_shards(shards: Sequence[ShardRecord]) -> list[str]:
 
 
 def _copy_finished_runs(
-    folders: Sequence[Path], out: Path, name: str
+    folders: Sequence[Path], out: Path, name: str, progress: Progress
 ) -> tuple[pd.DataFrame, list[str]]:
     """Copy all finished runs into `out`; return their rows, and remarks on the folders."""
     with ExitStack() as stack:
@@ -151,7 +155,8 @@ def _copy_finished_runs(
             stack.enter_context(lock_result_folder(folder, name))
         store, others = CellStore(out), [CellStore(folder) for folder in folders]
         _refuse_mixed_versions(pd.concat([one.read_finished_runs() for one in (store, *others)]))
-        for other in others:
+        for i, other in enumerate(others, 1):
+            progress.advance(0, f"gather: folder {i} of {len(others)}")
             store.copy_runs_of_other_folder(other)
             for path in other.folder.iterdir():
                 # No link to other files.

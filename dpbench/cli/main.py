@@ -225,9 +225,9 @@ def _gather_shards(arguments: argparse.Namespace) -> int:
     from dpbench.cli.terminal import ProgressBar, print_ending
     from dpbench.report.write import write_report_with_summary
 
-    out = join_result_folders(**_collect_options(arguments, *HOW_TO_END))
     with ProgressBar(transient=True, quiet=arguments.quiet or arguments.json) as bar:
         bar.start(0)
+        out = join_result_folders(**_collect_options(arguments, *HOW_TO_END), progress=bar)
         page_and_ending = write_report_with_summary(out, progress=bar)
     lost_ship = print_ending(*page_and_ending, arguments)
     return _print_accidents(out) or lost_ship
