@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import SEPARATE, RunRecord, group_by_key
 from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.plan.cells import PlannedCell
@@ -205,20 +205,33 @@ def measure_settings(
 ) -> list[RunRecord]:
     """Time settings of a solver and some of its presets side by side; return the runs.
 
-    The suite is written beside `folder`, which is the result folder; finished runs are kept.
+    The suite is written beside `folder`, which is the result folder. Finished runs are kept, unless
+    an interruption left the times of one sequence to two commands: all are timed again then.
     """
     suite = folder.with_suffix(".toml")
     folder.parent.mkdir(parents=True, exist_ok=True)
     write_text_atomically(suite, format_suite_as_toml(solver, problems, settings, presets))
-    run_campaign(
-        suite,
-        folder,
-        may_leave_out=True,
-        progress=progress,
-        solver_module=solver.solver_module,
-        wait_s=wait_s,
-    )
-    return list(Records(load_results(folder)).all_runs)
+    runs: list[RunRecord] = []
+    for fresh in (False, True):
+        run_campaign(
+            suite,
+            folder,
+            may_leave_out=True,
+            progress=progress,
+            solver_module=solver.solver_module,
+            wait_s=wait_s,
+            fresh=fresh,
+        )
+        runs = list(Records(load_results(folder)).all_runs)
+        if not _has_separate_times(runs):
+            break
+    return runs
+
+
+def _has_separate_times(runs: Sequence[RunRecord]) -> bool:
+    """Return whether runs on one sequence were timed in separate commands."""
+    groups = group_by_key(runs, lambda run: run.sequence).values()
+    return any(run.explain_separate_timing(one[0]) == SEPARATE for one in groups for run in one)
 
 
 def format_suite_as_toml(

@@ -3,6 +3,7 @@
 import math
 import tomllib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -11,6 +12,7 @@ import pytest
 from dpbench.analysis.records.run_record import RunRecord, build_run_records
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.plan.suite import SuiteFile
+from dpbench.bench.progress import Silent
 from dpbench.bench.record.schema import convert_to_run_columns
 from dpbench.solvers.own_settings import parse_options_of_choice
 from dpbench.tuning.campaigns import (
@@ -18,6 +20,7 @@ from dpbench.tuning.campaigns import (
     TunedProblem,
     TunedSolver,
     format_suite_as_toml,
+    measure_settings,
     plan_settings,
     score_runs,
     score_settings,
@@ -75,6 +78,21 @@ def test_one_wrong_run_is_enough(columns: dict[str, Any], excess: float) -> None
     score = _score(_run("rho=2", "a", 1.0), _run("rho=2", "b", 1.0, **columns))
     assert (score.wrong, score.is_right) == (1, False)
     assert score.excess == pytest.approx(excess) and math.isnan(score.ratio)
+
+
+@pytest.mark.slow
+def test_settings_timed_in_two_commands_are_timed_again_together(tmp_path: Path) -> None:
+    """As after an interruption; finished runs are kept where one command timed them all."""
+    solver = TunedSolver("daqp", "native", "warm", LIMIT)
+    problem = TunedProblem("paper", {"kind": "replay", "scenario": "paper", "steps": 3})
+    own = {"strict": {"primal_tol": 1e-9}}
+    first = measure_settings(solver, [problem], {}, tmp_path / "a", Silent())
+    both = measure_settings(solver, [problem], own, tmp_path / "a", Silent())
+    assert {run.settings for run in both} == {"default", "strict"}
+    assert len({run.campaign_utc for run in both}) == len({run.turns for run in both}) == 1
+    assert both[0].campaign_utc != first[0].campaign_utc
+    again = measure_settings(solver, [problem], own, tmp_path / "a", Silent())
+    assert {run.campaign_utc for run in again} == {both[0].campaign_utc}
 
 
 def test_what_was_not_run_is_no_success() -> None:
