@@ -138,26 +138,36 @@ def draw_none(rng: Random, count: int) -> tuple[float, Interval]:
 
 
 STUDIES: dict[str, Draw] = {
-    "balanced, 4 points in 6 realisations": partial(draw_study, counts=COUNTS_EVEN),
-    "balanced, 1 point in 10": partial(draw_study, counts=(10,)),
-    "balanced, 8 points in 2": partial(draw_study, counts=(2,) * 8),
-    "unbalanced, 3, 5, 8 and 4": partial(draw_study, counts=COUNTS_ODD),
-    "unbalanced, 3, 3, 2, 1, 1 and 1": partial(draw_study, counts=(3, 3, 2, 1, 1, 1)),
-    "unbalanced, 4, 4, 1 and 1, the last twice as rough": partial(
-        draw_study, counts=(4, 4, 1, 1), roughest=1.4
+    "balanced: 4 points, 6 realisations each": partial(draw_study, counts=COUNTS_EVEN),
+    "balanced: 1 point, 10 realisations": partial(draw_study, counts=(10,)),
+    "balanced: 8 points, 2 realisations each": partial(draw_study, counts=(2,) * 8),
+    "unbalanced: 3, 5, 8 and 4 realisations": partial(draw_study, counts=COUNTS_ODD),
+    "unbalanced: 3, 3, 2, 1, 1 and 1 realisations": partial(draw_study, counts=(3, 3, 2, 1, 1, 1)),
+    "unbalanced: 4, 4, 1 and 1 realisations, the last point with twice the scatter of the first": (
+        partial(draw_study, counts=(4, 4, 1, 1), roughest=1.4)
     ),
-    "unbalanced, 2, 1, 1 and 1": partial(draw_study, counts=(2, 1, 1, 1)),
-    "lost at random, 30 % of 10 points in 4": partial(draw_study, counts=(4,) * 10, lost=0.3),
-    "lost at random, 30 % of 6 points in 3": partial(draw_study, counts=(3,) * 6, lost=0.3),
-    "rarely lost, 2 % of 4 points in 30": partial(draw_study, counts=(30,) * 4, lost=0.02),
-    "a sea common to 16 points in 6 (correlation 0.3)": partial(
+    "unbalanced: 2, 1, 1 and 1 realisations": partial(draw_study, counts=(2, 1, 1, 1)),
+    "30 % of runs lost at random: 10 points, 4 realisations each": partial(
+        draw_study, counts=(4,) * 10, lost=0.3
+    ),
+    "30 % of runs lost at random: 6 points, 3 realisations each": partial(
+        draw_study, counts=(3,) * 6, lost=0.3
+    ),
+    "2 % of runs lost at random: 4 points, 30 realisations each": partial(
+        draw_study, counts=(30,) * 4, lost=0.02
+    ),
+    "correlated points (0.3): 16 points, 6 realisations each": partial(
         draw_study, counts=(6,) * 16, shared=0.3
     ),
-    "skewed (exponential), 4 points in 6": partial(
+    "skewed (exponential): 4 points, 6 realisations each": partial(
         draw_study, counts=COUNTS_EVEN, kind="exponential"
     ),
-    "skewed (exponential), 1 point in 10": partial(draw_study, counts=(10,), kind="exponential"),
-    "very skewed (lognormal), 1 point in 30": partial(draw_study, counts=(30,), kind="lognormal"),
+    "skewed (exponential): 1 point, 10 realisations": partial(
+        draw_study, counts=(10,), kind="exponential"
+    ),
+    "very skewed (lognormal): 1 point, 30 realisations": partial(
+        draw_study, counts=(30,), kind="lognormal"
+    ),
 }
 
 
@@ -288,18 +298,23 @@ def comparison_rows(rng: Random, tables: int) -> Iterator[Row]:
         found = np.array([compare_once(rng, planted, disturbed=disturbed) for _ in range(tables)])
         held, false, slower = found.mean(axis=0).tolist()
         machine = "disturbed" if disturbed else "quiet"
-        case = f"{machine} machine, {'no change' if not planted else f'one {planted:.0%} slower'}"
-        yield Row("`compare`, all intervals of a table", case, tables, tables, held)
+        change = f"one configuration {100.0 * planted:.0f} % slower" if planted else "no change"
+        case = f"{machine} machine, {change}"
+        yield Row("`compare`, all intervals of a table together", case, tables, tables, held)
         yield Row("`compare`, tables with a false claim", case, tables, tables, false, False)
         if planted:
-            what = "false" if planted <= 0.05 else "right"
-            yield Row(f"`compare`, {what} *slower*", case, tables, tables, slower, False)
+            what = "false" if planted <= 0.05 else "correct"
+            yield Row(
+                f"`compare`, tables with a {what} *slower*", case, tables, tables, slower, False
+            )
 
 
 def rows(rng: Random, draws: int, tables: int) -> Iterator[Row]:
     """All rows of the table."""
     kinds: dict[str, dict[str, Draw]] = {"mean difference of a study": STUDIES}
-    bound = {f"none of {count}": partial(draw_none, count=count) for count in (10, 30)}
+    bound = {
+        f"no case in {count} realisations": partial(draw_none, count=count) for count in (10, 30)
+    }
     kinds |= {"bound of a share": cast(dict[str, Draw], bound)} | STEPS
     for kind, cases in kinds.items():
         for case, draw in cases.items():
@@ -316,7 +331,7 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="draw little and write nothing")
     quick: bool = parser.parse_args().quick
     draws, tables = (QUICK_DRAWS, QUICK_TABLES) if quick else (DRAWS, TABLES)
-    heads = ("interval or claim", "truth", "draws", "stated [%]", "share that holds [%]")
+    heads = ("interval or claim", "truth", "draws", "draws with an interval [%]", "share [%]")
     lines = [" | ".join(("", *heads, "")).strip(), "|---|---|--:|--:|--:|"]
     print("\n".join(lines))
     outside = []

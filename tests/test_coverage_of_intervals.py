@@ -57,7 +57,7 @@ def test_every_documented_interval_holds_as_often_as_it_says(script: ModuleType)
         held, error = map(float, re.split(" ± ", share))
         if "false" in interval:
             assert held - 2 * error <= 5.0, (interval, truth)
-        elif "right" not in interval:
+        elif "correct" not in interval:
             assert 93.0 - 2 * error <= held <= 99.0 + 2 * error, (interval, truth)
 
 

@@ -49,7 +49,7 @@ def test_the_largest_reach_is_what_the_method_says() -> None:
     """The skewness of an estimate is at most that of one value far from all others."""
     text = (DOCS / "method.md").read_text(encoding="utf-8")
     for count, reach in ((6, 10.6), (12, 9.1), (30, 8.5)):
-        assert re.search(rf"{reach} e (from the mean\s+)?of\s+{count}\b", text)
+        assert re.search(rf"{reach} e (from the mean\s+)?with\s+{count}\b", text)
         single = estimate_mean_over_points(np.eye(count)[:1])
         assert single.skew == pytest.approx(1.0)
         quantile = stats.t.ppf(0.975, count - 1)
