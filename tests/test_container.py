@@ -117,7 +117,7 @@ def test_the_image_runs_a_suite_for_the_user_who_asks(engine: str, tmp_path: Pat
     build, run = (f"{engine} {line.removeprefix('docker ')}" for line in block.commands)
     _run(["bash", "-c", build], ROOT)
     _run(["bash", "-c", run], tmp_path)
-    report = tmp_path / "smoke" / "report.html"
+    report = tmp_path / "results" / "smoke" / "report.html"
     assert report.stat().st_size > 0 and report.owner() == tmp_path.owner()
     look = "id -u; command -v cc gcc clang zig; python -c 'import ziglang' 2>/dev/null && echo zig"
     shell = [engine, "run", "--rm", "--entrypoint", "sh", "dpbench"]
