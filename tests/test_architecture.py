@@ -15,7 +15,7 @@ import dpbench
 ROOT = Path(__file__).parents[1]
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 HOP = re.compile(r"\| `(dpbench/[\w/]+\.py)` \| `(\w+)` \|")
-WALK = HOP.findall(ARCHITECTURE.split("## The walk of one datum")[1].split("\n## ")[0])
+WALK = HOP.findall(ARCHITECTURE.split("## Data flow")[1].split("\n## ")[0])
 # The blocks of layers, one below the other: the names of a line before its text.
 LAYERS = [
     [set(re.findall(r"\w+", line.split("  ")[0])) for line in re.findall(r"^\w.*", block, re.M)]
