@@ -75,7 +75,7 @@ def describe_capability(arguments: argparse.Namespace) -> str:
         *_suggest_closed_loops(capability, arguments.vessel),
     ]
     if answers:
-        lines += ["", *format_answer_counts(answers), "", f"judged in {out / 'run'}"]
+        lines += ["", *format_answer_counts(answers), "", f"results in {out / 'run'}"]
     return "\n".join(lines)
 
 
@@ -239,9 +239,9 @@ def format_answer_counts(answers: Sequence[Answers]) -> list[str]:
     """Return lines of a table of solvers' right and wrong allocations and solve times."""
     first = answers[0]
     about = (
-        f"{first.asked} static allocations at the edge of what is held. Right are optima that are "
-        "true, and infeasible ones called so; wrong are untrue claims; of the rest nothing was "
-        "claimed."
+        f"{first.asked} static allocations at the edge of the plot. Columns: feasible QPs with a "
+        "correct optimum, infeasible QPs reported as infeasible, and false claims. For the other "
+        "QPs the solver claimed nothing."
     )
     widths = (20, 12, 13, 7, 10, 10)
     rows: list[tuple[str, ...]] = [("solver", "optimum", "infeasible", "wrong", "p50", "largest")]
