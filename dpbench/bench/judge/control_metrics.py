@@ -1,4 +1,4 @@
-"""Closed-loop metrics of one run (method.md section 3), from arrays alone.
+"""Closed-loop metrics of one run (docs/method.md, section Control), from arrays alone.
 
 Those of thrusters are thrust, power, wear and limits. Power of a propeller grows as |f|^1.5
 (constant pitch, at zero speed); the wear of its drive is measured by how much its thrust varies and

@@ -1,4 +1,4 @@
-"""Rules of evaluation and counting, each of them once (method.md sections 1 and 2).
+"""Rules of evaluation and counting, each once (docs/method.md, Accuracy and Times).
 
 Steps are the columns of `make_step_columns`, or those of `steps.parquet`.
 """

@@ -1,7 +1,7 @@
 """The move of a step without a usable answer in time: by a backup solver, or a fallback policy.
 
 The backup gets the QP of that very step, is set up from nothing for it, and is timed by itself.
-Where it has no usable answer either, the fallback acts (method.md section 3). A late answer is
+Where it has no usable answer either, the fallback acts (docs/method.md). A late answer is
 treated in `slow_computer.py`; of a cascade, the backup is one of its first QP alone.
 """
 

@@ -1,4 +1,4 @@
-"""The closed loop: one solver controls the ship (method.md section 3).
+"""The closed loop: one solver controls the ship (docs/method.md, section Control).
 
 Order at t_k: measure or estimate x_m; Δx_m(k) = x_m(k) − x_m(k−1), zero at k = 0; emit the QP;
 solve; limit the first move by rate, then by amplitude; hold the force over [t_k, t_{k+1}). u(k−1)

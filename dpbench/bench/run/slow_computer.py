@@ -1,4 +1,4 @@
-"""A slow computer, and answers that come late (method.md section 3); time is simulated.
+"""A slow computer, and answers that come late (docs/method.md); time is simulated.
 
 An answer computed from the state at t_k has the latency L = slowdown × measured step time (set-up
 + update + solve + read), or × processor time where the kernel meanwhile gave the processor to

@@ -12,7 +12,7 @@ A point x in [−1, 1]^d makes a scenario with documents of its own, as any file
     x[12]   when that happens, from the first sample to the last
     x[13]   when the first fault happens; only where the scenario has faults
 
-A run starts without force (method.md section 3), and is long enough to reach the limits.
+A run starts without force (docs/method.md), and is long enough to reach the limits.
 """
 
 import copy

@@ -1,4 +1,4 @@
-"""The closed loop does what method.md section 3 says, whatever the solver does."""
+"""The closed loop does what docs/method.md says of control, whatever the solver does."""
 
 import copy
 import itertools
