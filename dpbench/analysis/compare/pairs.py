@@ -128,7 +128,8 @@ def _group_unpaired_keys_by_name(
     groups: dict[Key, list[Key]] = {}
     for key, run in cells.items():
         if run.options and key not in others:
-            name = tuple((pick_identifying_columns(run) | {"options": ""}).values())
+            columns = pick_identifying_columns(run) | {"options": ""}
+            name = (*columns.values(), *_identify_study_point(run))
             groups.setdefault(name, []).append(key)
     return groups
 
@@ -142,14 +143,25 @@ def _map_runs_by_identity(records: Records) -> dict[Key, RunRecord]:
     """Return runs by their identifying column values, simulated slow computers left out."""
     # A loop on a slow computer takes another course each time: its answers' delays are measured.
     lasting = (run for run in records.all_runs if not run.slowdown > 0.0)
-    return {tuple(pick_identifying_columns(run).values()): run for run in lasting}
+    return {
+        (*pick_identifying_columns(run).values(), *_identify_study_point(run)): run
+        for run in lasting
+    }
+
+
+def _identify_study_point(run: RunRecord) -> Key:
+    """Return a study's name, point and realisation of a run; the same for all runs of none."""
+    point = {key: str(value) for key, value in sorted(run.x.items())}
+    return (run.study, tuple(point.items()), run.replicate) if run.study else ()
 
 
 def _describe_run(run: RunRecord) -> str:
     """Return a text that names a run by configuration, options, mode, steps and problem."""
     mode, options = run.mode.replace("_", " "), run.configuration.options_text
     label = run.configuration.label + (f" with {options}" if options else "")
-    return f"{label}, {mode} of {run.steps_planned} steps of {run.problem}"
+    point = ", ".join(f"{key} = {value}" for key, value in run.x.items())
+    study = f", {point}, realisation {run.replicate:.0f}" if run.study else ""
+    return f"{label}, {mode} of {run.steps_planned} steps of {run.problem}{study}"
 
 
 def make_problem_key(run: RunRecord) -> tuple[object, ...]:
