@@ -237,6 +237,14 @@ class RunRecord:
         """Name of the problem that the run solves: QP sequence of a replay, else its scenario."""
         return self.sequence or self.scenario
 
+    def has_problem_of(self, other: "RunRecord") -> bool:
+        """Return whether two runs have the same ship, tuning and weather, whatever their names."""
+        documents = (self.files.get("scenario"), self.files.get("vessel"))
+        return bool(self.files) and documents == (
+            other.files.get("scenario"),
+            other.files.get("vessel"),
+        )
+
     @property
     def horizons(self) -> Horizons | None:
         """Prediction and control horizon (N_p, N_c); None for a QP without a ship."""

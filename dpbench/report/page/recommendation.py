@@ -321,9 +321,13 @@ def _yield_untimed_loops_sentences(data: PageData) -> Iterator[str]:
     """Yield a sentence that names judged closed loops whose QPs no replay timed, if any."""
     judged = [run for run in data.records.runs if run.units == "scaled"]
     # A sequence from a file has no scenario; that of a `LinearMPC` has the problem's name.
-    replayed = {run.scenario or run.sequence for run in judged if run.mode == "replay"}
-    loops = dict.fromkeys(run.scenario for run in judged if run.mode == "closed_loop")
-    if untimed := [name for name in loops if name not in replayed]:
+    replays = {run.scenario or run.sequence: run for run in judged if run.mode == "replay"}
+    loops = {run.scenario: run for run in judged if run.mode == "closed_loop"}
+    if untimed := [
+        name
+        for name, loop in loops.items()
+        if name not in replays and not any(map(loop.has_problem_of, replays.values()))
+    ]:
         yield f"Not timed, as no replay has their QPs: {join_with_and(untimed)}."
 
 

@@ -345,6 +345,17 @@ NOBODY = [
 ]
 
 
+def test_a_replay_of_the_same_horizons_by_another_name_times_the_loop(records: Any) -> None:
+    """`horizons = ["30/5"]` of `paper` names it `paper-30-5`."""
+    for scenario in ("paper", "calm"):
+        records.loop("osqp", scenario)
+    files = records.scenario("paper").files
+    same = json.dumps({"scenario": {**files, "name": "paper-30-5"}})
+    records.replay("osqp", scenario="paper-30-5", cell=same)
+    slower = dict(_answer(records).notes)["slower"]
+    assert slower.endswith("Not timed, as no replay has their QPs: calm.")
+
+
 def test_loops_without_times_and_stopped_runs_are_named(records: Any) -> None:
     for scenario in ("paper", "calm", "rough"):
         records.loop("osqp", scenario)
