@@ -24,8 +24,8 @@ _STORED = {
 """Arguments whose values are names of stored files, with their kind."""
 _BAD_INPUT = "2 bad input"
 _RUN = (
-    "0 done, whether solvers failed or not; 1 runs were lost by dpbench itself: give the same "
-    f"command again; {_BAD_INPUT}"
+    "0 done, even if solvers failed; 1 dpbench itself lost runs: give the same command again; "
+    f"{_BAD_INPUT}"
 )
 
 
@@ -117,7 +117,7 @@ def _list_commands() -> str:
         lines.append("")
     examples = ("  dpbench run smoke --open", "  dpbench run standard --solver daqp --solver osqp")
     return "\n".join(
-        [*lines, "examples:", *examples, "", "help of a command:", "  dpbench COMMAND --help"]
+        [*lines, "examples:", *examples, "", "help for a command:", "  dpbench COMMAND --help"]
     )
 
 
@@ -176,26 +176,26 @@ COMMANDS: dict[str, CommandHelp] = {
         options.add_cells_options,
         ("cells standard --shard 1/8 --out shard-1", "gather shard-* --out results/all"),
         _RUN,
-        "Run one of N shards of a suite; several machines may run different shards at a time. Give "
-        "the same command again after an interruption.",
+        "Run one of N shards of a suite; several machines can run different shards at the same "
+        "time. After an interruption, give the same command again.",
     ),
     "gather": CommandHelp(
         _BENCHMARK,
         "Join the shards of a suite and write the report",
         options.add_gather_options,
         ("gather shard-* --out results/all", "gather a b --out results/all --open"),
-        "0 done; 1 runs are missing: `dpbench run` with this --out runs them on this machine; "
+        "0 done; 1 runs are missing: run them here by `dpbench run` with the same --out; "
         f"{_BAD_INPUT}",
     ),
     "report": CommandHelp(
         _BENCHMARK,
-        "Write the report of a result folder again",
+        "Rewrite the report of a result folder",
         options.add_report_options,
         (
             "report results/standard --open",
             "report results/standard --statement statement.pdf",
         ),
-        "0 done; 1 with --strict, a ship is not held; 2 bad input",
+        "0 done; 1 with --strict: the controller does not hold a ship; 2 bad input",
     ),
     "compare": CommandHelp(
         _BENCHMARK,
@@ -205,15 +205,15 @@ COMMANDS: dict[str, CommandHelp] = {
             "compare results/before results/after --html compare.html",
             "compare results/mine --solver 'osqp[rho=1.6]' --solver daqp",
         ),
-        f"0 no regression is significant; 1 one is; {_BAD_INPUT}",
+        f"0 no significant regression; 1 a significant regression; {_BAD_INPUT}",
     ),
     "paper": CommandHelp(
         _BENCHMARK,
         "Reproduce Figures 4-7 and the claims of the paper",
         options.add_paper_options,
         ("paper", "paper --out results/figures"),
-        "0 done, whether claims are reproduced or not; 1 runs were lost by dpbench itself: give "
-        f"the same command again; {_BAD_INPUT}",
+        "0 done, even if claims are not reproduced; 1 dpbench itself lost runs: give the same "
+        f"command again; {_BAD_INPUT}",
     ),
     "export": CommandHelp(
         _ANALYSE,
@@ -229,10 +229,13 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "iteration-bound": CommandHelp(
         _ANALYSE,
-        "Prove the most iterations of paper_active_set in a box",
+        "Prove a bound on the iterations of paper_active_set",
         options.add_iteration_bound_options,
         ("iteration-bound surge", "iteration-bound sway-yaw --box 0.016"),
-        f"0 proved; 1 the time was too short, or the C library needs another number; {_BAD_INPUT}",
+        "0 proved; 1 not proved in time, or the C library takes another number of iterations; "
+        f"{_BAD_INPUT}",
+        "Prove a bound on the iterations of paper_active_set from a cold start, for all QPs of a "
+        "controller whose parameters (offset, speed, applied force) lie in a box.",
     ),
     "active-sets": CommandHelp(
         _ANALYSE,
@@ -248,12 +251,12 @@ COMMANDS: dict[str, CommandHelp] = {
         f"0 settings found; 1 none is accurate on every training sequence; {_BAD_INPUT}; "
         "130 interrupted",
         "Find the fastest settings of a solver that are accurate on the training sequences, and "
-        "measure them on test sequences of other loops. Ctrl-C writes the best so far; the same "
-        "command continues.",
+        "measure them on test sequences of other loops. Ctrl-C writes the best settings so far; "
+        "the same command continues the search.",
     ),
     "init": CommandHelp(
         _SHIP,
-        "Write vessel, scenario and suite of your own ship",
+        "Write the vessel, scenario and suite of your own ship",
         options.add_init_options,
         (
             "init my_ship --length 80 --breadth 18 --draught 6 \\\n"
@@ -262,12 +265,13 @@ COMMANDS: dict[str, CommandHelp] = {
         ),
         text="Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml; their comments "
         "explain how each value was derived. With --thrusters, also write NAME_thrusters.toml, "
-        "whose controller commands the thrusters, NAME_loss_*.toml, which lose other switchboards, "
-        "and the plot NAME_capability.svg. Sectors and barred zones of azimuths are directions in "
-        "which they push the ship, clockwise from ahead; the race goes the other way. A port "
-        "azimuth whose race must not go to 60 to 120 deg, towards the starboard one, has "
-        "barred_from_deg 240 and barred_to_deg 300. If NAME.toml exists and only --sea is given, "
-        "the weather of the same ship is written again.",
+        "whose controller commands the thrusters, NAME_loss_*.toml, which simulate the loss of "
+        "other switchboards, and the plot NAME_capability.svg. Sectors and barred zones of "
+        "azimuths are the directions in which they push the ship, clockwise from ahead; the race "
+        "(wash) goes the other way. A port azimuth whose race must not go to 60 to 120 deg, "
+        "towards the starboard azimuth, has barred_from_deg 240 and barred_to_deg 300. If "
+        "NAME.toml exists and only --sea is given, write scenario and suite of the same ship for "
+        "that sea.",
     ),
     "check": CommandHelp(
         _SHIP,
@@ -280,20 +284,20 @@ COMMANDS: dict[str, CommandHelp] = {
         "Search for weights and horizons that hold a ship",
         options.add_tune_options,
         ("tune my_ship_weather.toml", "tune my_ship_weather.toml --seas 4,5"),
-        "0 found; 1 none keeps the margin in the search and in the test realisations; "
+        "0 found; 1 the best controller exceeds the margin in the search or in the test; "
         f"{_BAD_INPUT}",
-        "Find weights and horizons that hold the ship with margin at little wear, test them in "
-        "other realisations of the sea, and write the scenario with them. Give the same command "
-        "again after an interruption.",
+        "Find weights and horizons that hold the ship with a margin and little thruster wear, test "
+        "them in other realisations of the sea, and write the scenario with them. After an "
+        "interruption, give the same command again.",
     ),
     "capability": CommandHelp(
         _SHIP,
-        "Compute the largest wind a ship's thrusters hold",
+        "Compute the largest wind that a ship's thrusters hold",
         options.add_capability_options,
         ("capability osv --figure osv.svg", "capability my_ship.toml --solver daqp"),
         text="Compute the largest wind that the thrusters hold in 36 directions (DNV-ST-0111, "
-        "level 1), intact and after the loss of each failure group; with --solver, judge solvers' "
-        "answers to the QPs at that limit.",
+        "level 1), intact and after the loss of each failure group; with --solver, judge the "
+        "answers of solvers to the QPs at that limit.",
     ),
     "embedded": CommandHelp(
         _DEPLOY,
@@ -321,7 +325,7 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "doctor": CommandHelp(
         _HELP,
-        "Check that the machine is quiet and times are correct",
+        "Check that the machine is quiet and measures times correctly",
         options.add_doctor_options,
         ("doctor", "doctor --offline"),
     ),

@@ -34,12 +34,18 @@ def add_run_options(run: Command) -> None:
     _add_suite_options(run)
     engine = run.add_argument_group("execution")
     _add_execution_options(engine)
-    _option(engine, "--engine", "E", "local (default) or dask", default="local")
+    _option(
+        engine,
+        "--engine",
+        "ENGINE",
+        "run in local processes (local, default) or on Dask workers (dask)",
+        default="local",
+    )
     scheduler = "address of a Dask scheduler (default: start --jobs workers on this machine)"
     _option(engine, "--scheduler", "ADDRESS", scheduler)
     tls = "PEM files for a scheduler at tls://HOST:PORT (default: Dask's configuration)"
     engine.add_argument("--tls", nargs=3, metavar=("CA", "CERT", "KEY"), help=tls)
-    estimate = "estimate number of runs, time and disk use, then exit"
+    estimate = "estimate the number of runs, time and disk use, then exit"
     _flag(engine, "--dry-run", estimate)
     output = run.add_argument_group("output")
     _option(output, "--out", "DIR", "result folder (default: results/SUITE)")
@@ -50,25 +56,28 @@ def _add_suite_options(run: Command) -> None:
     """Add the options that select the runs of a suite to a command's parser."""
     run.add_argument("suite", nargs="?", metavar="SUITE", help="name of a suite, or a TOML file")
     choice = run.add_argument_group("selection")
-    sequence = "replay recorded QPs instead: a name, or a file or folder (.npz, .json, .mat)"
-    _option(choice, "--sequence", "S", sequence)
-    solver = "run only this solver, as osqp or with options as 'osqp[rho=[0.1,1]]'"
-    _repeated(choice, "--solver", "S", solver, dest="solvers")
-    scenario = "run only this scenario; a name outside the suite or a file replaces its scenarios"
-    _repeated(choice, "--scenario", "N", scenario, dest="scenarios")
-    settings = "run only with these settings: default, low, mid, high or a name in the suite"
-    _repeated(choice, "--settings", "L", settings)
-    route = "override the interface: native, qpsolvers or default (each solver's own)"
-    _repeated(choice, "--route", "R", route, dest="routes")
-    policy = "override the start of each solve: fresh, reuse or warm"
-    _repeated(choice, "--policy", "P", policy, dest="policies")
+    sequence = "replay recorded QPs instead of a suite: name, file or folder (.npz, .json, .mat)"
+    _option(choice, "--sequence", "SEQUENCE", sequence)
+    solver = "run only this solver, such as osqp or, with options, 'osqp[rho=[0.1,1]]'"
+    _repeated(choice, "--solver", "SOLVER", solver, dest="solvers")
+    scenario = (
+        "run only this scenario: one of the suite, or a name or file that replaces its scenarios"
+    )
+    _repeated(choice, "--scenario", "SCENARIO", scenario, dest="scenarios")
+    settings = "run only these settings: default, low, mid, high or a name in the suite"
+    _repeated(choice, "--settings", "NAME", settings)
+    route = "override the route: native, qpsolvers or default (the default of each solver)"
+    _repeated(choice, "--route", "ROUTE", route, dest="routes")
+    policy = "override the policy (start of each solve): fresh, reuse or warm"
+    _repeated(choice, "--policy", "POLICY", policy, dest="policies")
     _option(choice, "--steps", "N", "run at most N steps of each run", type=int)
     _add_module_option(choice)
 
 
 def _add_execution_options(group: Command) -> None:
     """Add the options on parallel runs, resumption and waiting to a group of a command."""
-    _option(group, "--jobs", "J", "closed loops, or runs on random QPs, at a time", type=int)
+    jobs = "closed loops, or runs on random QPs, in parallel (default: one per core)"
+    _option(group, "--jobs", "N", jobs, type=int)
     _flag(group, "--fresh", "run finished cells again")
     _add_wait_options(group)
 
@@ -86,16 +95,16 @@ def add_cells_options(cells: Command) -> None:
     """Add the options of `dpbench cells`, which runs one shard, to its parser."""
     _add_suite_options(cells)
     engine = cells.add_argument_group("execution")
-    _option(engine, "--shard", "I/N", "shard to run, as 2/8 (default: 1/1)", default="1/1")
+    _option(engine, "--shard", "I/N", "shard to run, such as 2/8 (default: 1/1)", default="1/1")
     _add_execution_options(engine)
     output = cells.add_argument_group("output")
-    _option(output, "--out", "DIR", "folder of this shard alone", required=True)
+    _option(output, "--out", "DIR", "folder for this shard only", required=True)
 
 
 def add_gather_options(gather: Command) -> None:
     """Add the options of `dpbench gather`, which joins shards, to its parser."""
     gather.add_argument("folders", metavar="DIR", nargs="+", help="folders of all shards")
-    _option(gather, "--suite", "FILE", "path of the suite, if it was moved")
+    _option(gather, "--suite", "FILE", "path of the suite file, if it has moved")
     _option(gather, "--solver-module", "FILE.py", "plug-in that the shards were run with")
     output = gather.add_argument_group("output")
     _option(output, "--out", "DIR", "result folder", required=True)
@@ -113,114 +122,115 @@ def add_ending_options(group: Command) -> None:
 def add_report_options(report: Command) -> None:
     """Add the options of `dpbench report` to its parser."""
     report.add_argument("dir", metavar="DIR", help="result folder of `dpbench run`")
-    _option(report, "--baseline", "S", "solver to compare the recommended one with")
+    _option(report, "--baseline", "SOLVER", "solver to compare the recommended one with")
     more = report.add_argument_group("further documents")
-    formats = "write the figures as pdf or png too"
+    formats = "also write the figures as pdf or png"
     _repeated(more, "--figures", "FORMAT", formats, default=[])
     _option(more, "--statement", "FILE.pdf", "write a one-page statement for a class society")
-    beside = "write DIR/S.md: solver S next to others, for a pull request, with its worst steps"
-    _option(more, "--for", "S", beside, dest="solver")
-    against = "with --for: solver to compare with (default: osqp and daqp)"
-    _repeated(more, "--against", "S", against, default=[])
-    _option(more, "--send", "FOLDER", "write a folder for results/community, to be submitted")
-    _flag(more, "--tables", "list the tables of the folder and their content instead")
+    beside = "write DIR/SOLVER.md for a pull request: a solver next to others, its worst steps"
+    _option(more, "--for", "SOLVER", beside, dest="solver")
+    against = "with --for: compare with this solver (default: osqp and daqp)"
+    _repeated(more, "--against", "SOLVER", against, default=[])
+    _option(more, "--send", "FOLDER", "write a folder to submit to results/community")
+    _flag(more, "--tables", "list the tables of the folder and their contents instead")
     _option(more, "--latex", "TABLE", "print a table as a LaTeX tabular (booktabs) instead")
     add_ending_options(report.add_argument_group("output"))
 
 
 def add_compare_options(compare: Command) -> None:
     """Add the options of `dpbench compare` to its parser."""
-    folders = "two result folders, A and B; one with --solver"
+    folders = "two result folders, A and B; with --solver one, with --releases two or more"
     compare.add_argument("folders", metavar="DIR", nargs="+", help=folders)
-    chosen = "compare these in one folder instead, as osqp or 'osqp[rho=1.6]'; repeatable"
-    _option(compare, "--solver", "S", chosen, action="append", default=[], dest="choices")
-    releases = "compare each solver over its versions instead, in two or more folders"
+    chosen = "compare configurations in one folder, such as osqp or 'osqp[rho=1.6]'; repeatable"
+    _option(compare, "--solver", "SOLVER", chosen, action="append", default=[], dest="choices")
+    releases = "compare the versions of each solver instead"
     _flag(compare, "--releases", releases)
     reference = (
-        "compare ratios to this solver, as always for two machines "
+        "compare step times as ratios to this solver's; always done for two machines "
         "(default: paper_active_set, else daqp)"
     )
-    _option(compare, "--reference", "S", reference)
+    _option(compare, "--reference", "SOLVER", reference)
     _flag(compare, "--any-machine", argparse.SUPPRESS)
     margin = "relative difference treated as equivalent (default: 0.05)"
     _option(compare, "--margin", "SHARE", margin, type=float, default=0.05)
     alpha = "family-wise error probability (default: 0.05)"
     _option(compare, "--alpha", "SHARE", alpha, type=float, default=0.05)
     output = compare.add_argument_group("output")
-    _option(output, "--markdown", "FILE", "write Markdown; - prints it")
-    _option(output, "--html", "FILE", "write a page with figures")
+    _option(output, "--markdown", "FILE", "write Markdown to this file; - prints it")
+    _option(output, "--html", "FILE", "write an HTML page with figures")
 
 
 def add_export_options(export: Command) -> None:
     """Add the options of `dpbench export` to its parser."""
-    problems = "a scenario, a sequence (name, .npz, random_mpc-NX-NU-N) or a folder of QPs"
+    problems = "scenario, sequence (name, .npz file, random_mpc-NX-NU-N) or folder of QPs"
     export.add_argument("what", metavar="WHAT", nargs="?", help=problems)
     _flag(export, "--all", "write all stored sequences instead")
     choice = export.add_argument_group("selection")
-    _option(
-        choice, "--horizons", "N_p/N_c", "prediction and control horizon instead of the tuning's"
-    )
+    horizons = "use these prediction and control horizons instead of the scenario's"
+    _option(choice, "--horizons", "N_p/N_c", horizons)
     _option(choice, "--steps", "N", "write only the first N steps", type=int)
     _option(choice, "--every", "K", "write every K-th step (default: 1)", type=int, default=1)
     _option(choice, "--at", "K", "write only step K", type=int)
-    part = "controller (default) or allocation, of a cascade"
+    part = "QPs of a cascade to write: controller (default) or allocation"
     _option(choice, "--part", "PART", part, default="controller")
     output = export.add_argument_group("output")
-    formats = "npz (default), qpbenchmark, mat, csv or qps"
-    _option(output, "--format", "F", formats, default="npz")
+    formats = "file format: npz (default), qpbenchmark, mat, csv or qps"
+    _option(output, "--format", "FORMAT", formats, default="npz")
     _option(
-        output, "--out", "PATH", "file or folder to write (default of --all: results/sequences)"
+        output, "--out", "PATH", "file or folder to write (default with --all: results/sequences)"
     )
 
 
 def add_worst_case_options(worst_case: Command) -> None:
     """Add the options of `dpbench worst-case` to its parser."""
-    worst_case.add_argument("solver", metavar="SOLVER", help="solver to search")
+    worst_case.add_argument("solver", metavar="SOLVER", help="solver to search the worst step of")
     _add_call_options(worst_case.add_argument_group("solver"), has_settings=True)
     search = worst_case.add_argument_group("search")
-    _option(search, "--goal", "GOAL", "iterations (default) or error", default="iterations")
-    start = "scenario whose initial states are varied (default: paper)"
-    _option(search, "--scenario", "N", start, default="paper")
-    _option(search, "--budget", "B", "cases to try (default: 300)", type=int, default=300)
-    _option(search, "--steps", "N", "steps of a case (default: 60)", type=int, default=60)
+    goal = "figure to maximise: iterations (default) or error"
+    _option(search, "--goal", "GOAL", goal, default="iterations")
+    start = "scenario whose initial state and disturbances are varied (default: paper)"
+    _option(search, "--scenario", "SCENARIO", start, default="paper")
+    _option(search, "--budget", "N", "number of cases to try (default: 300)", type=int, default=300)
+    _option(search, "--steps", "N", "steps per case (default: 60)", type=int, default=60)
     _option(search, "--seed", "N", "seed of the search (default: 1)", type=int, default=1)
     output = worst_case.add_argument_group("output")
-    _option(output, "--out", "FILE.npz", "file (default: worst-cases/SOLVER-GOAL.npz)")
+    _option(output, "--out", "FILE.npz", "file to write (default: worst-cases/SOLVER-GOAL.npz)")
 
 
 def _add_call_options(group: Command, *, has_settings: bool = False) -> None:
     """Add the options on how a solver is called to a group of a command."""
-    _option(group, "--route", "R", "native (default where available) or qpsolvers")
-    _option(group, "--policy", "P", "fresh (default), reuse or warm", default="fresh")
+    _option(group, "--route", "ROUTE", "route: native (default where available) or qpsolvers")
+    policies = "start of each solve: fresh (default), reuse or warm"
+    _option(group, "--policy", "POLICY", policies, default="fresh")
     if has_settings:
-        levels = "default, low, mid or high (default: default)"
-        _option(group, "--settings", "L", levels, default="default")
+        levels = "tolerance preset: default, low, mid or high (default: default)"
+        _option(group, "--settings", "NAME", levels, default="default")
     _add_module_option(group)
 
 
 def add_iteration_bound_options(bound: Command) -> None:
     """Add the options of `dpbench iteration-bound` to its parser."""
-    bound.add_argument("axes", metavar="AXES", help="surge or sway-yaw")
+    bound.add_argument("axes", metavar="AXES", help="axes: surge or sway-yaw")
     controller = "scenario with the controller (default: paper)"
-    _option(bound, "--scenario", "N", controller, default="paper")
-    box = "size of the box of parameters (default: 1)"
+    _option(bound, "--scenario", "SCENARIO", controller, default="paper")
+    box = "scale the box of parameters by this factor (default: 1)"
     _option(bound, "--box", "FACTOR", box, type=float, dest="factor", default=1.0)
-    limit = "time after which the proof stops (default: 600)"
+    limit = "stop the proof after this time (default: 600)"
     _option(bound, "--limit", "SECONDS", limit, type=float, dest="limit_s", default=600.0)
 
 
 def add_active_sets_options(visited: Command) -> None:
     """Add the arguments of `dpbench active-sets` to its parser."""
     visited.add_argument("names", nargs="+", metavar="NAME", help="scenario, sequence or .npz file")
-    counted = "count what stored laws save on an emulated Cortex-M7 (extra embedded)"
+    counted = "count the instructions that stored laws save on a Cortex-M7 (extra: embedded)"
     visited.add_argument("--instructions", action="store_true", help=counted)
 
 
 def add_check_options(check: Command) -> None:
     """Add the options of `dpbench check` to its parser."""
     file = (
-        "a name, scenario@vessel, a TOML file, a file or folder of QPs, whose optima are "
-        "certified again, or a folder of results/community"
+        "name, SCENARIO@VESSEL, TOML file, file or folder of QPs (their optima are certified "
+        "again) or folder of results/community"
     )
     check.add_argument("file", metavar="FILE", help=file)
     quick = "skip the simulations of initial offsets of a ship or scenario"
@@ -235,9 +245,9 @@ def add_init_options(init: Command) -> None:
     _option(ship, "--breadth", "M", "breadth [m]")
     _option(ship, "--draught", "M", "draught [m]")
     _option(ship, "--displacement", "T", "displacement [t]")
-    _option(ship, "--like", "V", "library vessel to scale (default: the nearest in size)")
-    _option(ship, "--from-mss", "FILE.mat", "read a vessel of the MSS toolbox")
-    _option(ship, "--from-csv", "FILE", "read rows coefficient,value")
+    _option(ship, "--like", "VESSEL", "library vessel to scale (default: the nearest in size)")
+    _option(ship, "--from-mss", "FILE.mat", "read the hull from a vessel of the MSS toolbox")
+    _option(ship, "--from-csv", "FILE", "read the hull from rows of coefficient,value")
     thrust = init.add_argument_group("thrust")
     _option(thrust, "--thrust", "KN", "largest force ahead [kN]")
     _option(
@@ -245,30 +255,31 @@ def add_init_options(init: Command) -> None:
     )
     moment = "largest yaw moment [kN·m] (default: 0.57 times sway thrust times length)"
     _option(thrust, "--yaw-moment", "KNM", moment)
-    _option(thrust, "--thrusters", "FILE.csv", "one row per thruster instead; - prompts for them")
+    rows = "read the thrusters instead, one per row; - prompts for them"
+    _option(thrust, "--thrusters", "FILE.csv", rows)
     _option(
         init.add_argument_group("weather"),
         "--sea",
         "N",
-        "DP number, 1 to 9 (default: largest held)",
+        "DP number, 1 to 9 (default: largest that the ship holds)",
     )
     output = init.add_argument_group("output")
-    _option(output, "--out", "DIR", "folder to write to (default: this folder)", default=".")
+    _option(output, "--out", "DIR", "folder to write to (default: current folder)", default=".")
     _flag(output, "--force", "overwrite existing files")
 
 
 def add_capability_options(capability: Command) -> None:
     """Add the options of `dpbench capability` to its parser."""
-    vessel = "a vessel with thrusters by name, or a TOML file"
+    vessel = "name of a vessel with thrusters, or a TOML file"
     capability.add_argument("vessel", metavar="VESSEL", help=vessel)
-    _option(capability, "--sides", "N", "use polygons of N sides instead of circles", type=int)
-    _flag(capability, "--planned", "add the half turns that controllers plan for azimuths")
-    solver = (
-        "judge this solver's answers to the QPs at the edge of the plot; all: every installed one"
-    )
-    _repeated(capability, "--solver", "S", solver)
+    sides = "model azimuths as polygons of N sides, not circles"
+    _option(capability, "--sides", "N", sides, type=int)
+    planned = "also show the wind held with the half turns that controllers plan for azimuths"
+    _flag(capability, "--planned", planned)
+    solver = "judge this solver's answers to the QPs at this limit; all: every installed solver"
+    _repeated(capability, "--solver", "SOLVER", solver)
     output = capability.add_argument_group("output")
-    _option(output, "--out", "DIR", "folder of these QPs (default: results/capability-VESSEL)")
+    _option(output, "--out", "DIR", "folder for these QPs (default: results/capability-VESSEL)")
     _option(output, "--figure", "FILE", "write the plot: .svg, .html, .png or .pdf")
     _flag(output, "--json", "print the result as JSON")
 
@@ -277,13 +288,13 @@ def add_codegen_options(codegen: Command) -> None:
     """Add the options of `dpbench codegen` to its parser."""
     codegen.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or a TOML file")
     solver = "solver to include: paper_active_set (default), daqp or osqp"
-    _option(codegen, "--solver", "S", solver, default="paper_active_set")
+    _option(codegen, "--solver", "SOLVER", solver, default="paper_active_set")
     steps = "steps of the recorded trajectory (default: 1000)"
     _option(codegen, "--steps", "N", steps, type=int, default=1000)
     output = codegen.add_argument_group("output")
     _option(output, "--out", "DIR", "folder to write to", required=True)
-    _option(output, "--fmu", "FILE.fmu", "write a functional mock-up unit too (extra: embedded)")
-    _option(output, "--fmi", "V", "FMI version of the unit: 2 (default) or 3", type=int, default=2)
+    _option(output, "--fmu", "FILE.fmu", "also write a functional mock-up unit (extra: embedded)")
+    _option(output, "--fmi", "N", "FMI version of the unit: 2 (default) or 3", type=int, default=2)
 
 
 def add_embedded_options(embedded: Command) -> None:
@@ -292,13 +303,13 @@ def add_embedded_options(embedded: Command) -> None:
     embedded.add_argument("sequences", metavar="SEQUENCE", nargs="*", help=sequences)
     repeated: Callable[..., None] = partial(_repeated, default=[])
     solver = embedded.add_argument_group("solvers")
-    repeated(solver, "--solver", "S", "count only this solver (default: all with a recipe)")
+    repeated(solver, "--solver", "SOLVER", "count only this solver (default: all with a recipe)")
     repeated(solver, "--recipe", "DIR", "folder of your own recipe: recipe.toml and shim.c")
-    repeated(solver, "--source", "SOLVER=DIR", "folder with a solver's sources, as for hpipm")
-    repeated(solver, "--settings", "S.KEY=N", "setting of a solver, as osqp.rho=0.1")
+    repeated(solver, "--source", "SOLVER=DIR", "folder with the sources of a solver, such as hpipm")
+    repeated(solver, "--settings", "SOLVER.KEY=N", "setting of a solver, such as osqp.rho=0.1")
     _flag(solver, "--float", "compile in single precision", dest="single")
     core = embedded.add_argument_group("core")
-    repeated(core, "--target", "T", "m7 (default), a53, riscv or x86")
+    repeated(core, "--target", "CORE", "core: m7 (default), a53, riscv or x86")
     fit = (
         "find the largest control horizon of a scenario (default: paper) that fits in KB kilobytes"
     )
@@ -307,32 +318,32 @@ def add_embedded_options(embedded: Command) -> None:
     _flag(core, "--second-opinion", opinion)
     _option(core, "--steps", "N", "count at most N steps (default: all)", type=int, default=0)
     output = embedded.add_argument_group("output")
-    folder = "folder of embedded.parquet (default: results/embedded)"
+    folder = "folder for embedded.parquet (default: results/embedded)"
     _option(output, "--out", "DIR", folder, default="results/embedded")
     _flag(output, "--json", "print a summary as JSON")
 
 
 def add_tune_solver_options(tune: Command) -> None:
     """Add the options of `dpbench tune-solver` to its parser."""
-    start = "solver to tune, as osqp, or with settings to start from as 'osqp[rho=1.6]'"
+    start = "solver to tune, such as osqp or, with settings to start from, 'osqp[rho=1.6]'"
     tune.add_argument("solver", metavar="SOLVER", help=start)
     _add_call_options(tune.add_argument_group("solver"))
     repeated: Callable[..., None] = partial(_repeated, default=[])
     data = tune.add_argument_group("sequences")
     training = "sequence or scenario to search on (default: paper, rough, turn)"
-    repeated(data, "--train", "S", training, dest="training")
-    repeated(
-        data, "--test", "S", "sequence or scenario to measure on (default: move, extreme, weather)"
-    )
-    _option(data, "--steps", "N", "use at most N steps (default: all)", type=int, default=0)
+    repeated(data, "--train", "SEQUENCE", training, dest="training")
+    test = "sequence or scenario to measure on (default: move, extreme, weather)"
+    repeated(data, "--test", "SEQUENCE", test)
+    _option(data, "--steps", "N", "use at most N steps of each (default: all)", type=int, default=0)
     search = tune.add_argument_group("search")
-    ranges = "search only this option, as 'rho=[1e-3,10]'"
+    ranges = "search only this option, in this range, such as 'rho=[1e-3,10]'"
     repeated(search, "--range", "RANGE", ranges, dest="ranges")
-    widened = "search this option in this range, in addition to the usual ones"
+    widened = "search this option in this range, in addition to the usual options"
     repeated(search, "--widen", "RANGE", widened, dest="widened")
-    error = "largest error allowed of the first move, in maximum increments (default: 0.01)"
-    _option(search, "--error", "E", error, type=float, default=0.01, dest="error_move")
-    _option(search, "--trials", "N", "settings to try (default: 48)", type=int, default=48)
+    error = "largest allowed error of the first move, in maximum increments (default: 0.01)"
+    _option(search, "--error", "X", error, type=float, default=0.01, dest="error_move")
+    trials = "number of settings to try (default: 48)"
+    _option(search, "--trials", "N", trials, type=int, default=48)
     _option(search, "--seed", "N", "seed of the search (default: 1)", type=int, default=1)
     _flag(search, "--dry-run", "estimate the time, then exit")
     _add_wait_options(search)
@@ -340,29 +351,30 @@ def add_tune_solver_options(tune: Command) -> None:
     _option(
         output, "--name", "NAME", "name of the settings found (default: tuned)", default="tuned"
     )
-    _option(output, "--out", "DIR", "folder (default: results/tune-SOLVER)")
+    _option(output, "--out", "DIR", "folder to write to (default: results/tune-SOLVER)")
 
 
 def add_tune_options(tune: Command) -> None:
     """Add the options of `dpbench tune` to its parser."""
     tune.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or a TOML file")
-    seas = "DP numbers, as 4,5 (default: the scenario's own weather)"
+    seas = "DP numbers, such as 4,5 (default: the scenario's own weather)"
     _option(tune, "--seas", "N,N", seas, default="")
     search = tune.add_argument_group("search")
-    _option(search, "--trials", "N", "controllers to try (default: 48)", type=int, default=48)
-    count = "realisations of each sea, and as many to test with (default: 2)"
-    _option(search, "--realisations", "R", count, type=int, default=2)
-    margin = "largest offset, as a share of the limits of 5 m and 5° (default: 0.7)"
+    trials = "number of controllers to try (default: 48)"
+    _option(search, "--trials", "N", trials, type=int, default=48)
+    count = "realisations of each sea to search in, and as many to test in (default: 2)"
+    _option(search, "--realisations", "N", count, type=int, default=2)
+    margin = "largest allowed offset, as a share of the limits of 5 m and 5° (default: 0.7)"
     _option(search, "--margin", "SHARE", margin, type=float, default=0.7)
     _option(search, "--steps", "N", "run at most N steps (default: all)", type=int, default=0)
     _option(search, "--seed", "N", "seed of the search (default: 1)", type=int, default=1)
     output = tune.add_argument_group("output")
-    _option(output, "--out", "DIR", "folder (default: results/tune-SCENARIO)")
+    _option(output, "--out", "DIR", "folder to write to (default: results/tune-SCENARIO)")
 
 
 def add_paper_options(paper: Command) -> None:
     """Add the options of `dpbench paper` to its parser."""
-    _option(paper, "--out", "DIR", "folder (default: results/paper)")
+    _option(paper, "--out", "DIR", "folder to write to (default: results/paper)")
 
 
 def add_doctor_options(doctor: Command) -> None:
