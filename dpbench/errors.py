@@ -31,7 +31,8 @@ class InputError(DpbenchError, ValueError):
     where : file or argument the mistake is in. An argument is in backquotes, as others in its text;
         the command line prints them as its options, `jobs` as --jobs.
     key : the key inside it ("" when the whole of it is meant).
-    found : the value there, or "nothing" for a key or option that is missing.
+    found : the value there; "nothing" for a key or option that is missing; "no such file" and the
+        like for a name without a file.
     allowed : the values that are accepted.
 
     Examples
@@ -47,10 +48,12 @@ class InputError(DpbenchError, ValueError):
     def __init__(self, where: str, key: str, found: object, allowed: str) -> None:
         self.where, self.key, self.found, self.allowed = where, key, found, allowed
         place = f"{where}: {key}" if key else where
-        is_missing = found == "nothing"
-        fault = (
-            f"missing; required: {allowed}" if is_missing else f"found {found}; allowed: {allowed}"
-        )
+        if found == "nothing":
+            fault = f"missing; required: {allowed}"
+        elif str(found).startswith("no such "):
+            fault = f"{found}; required: {allowed}"
+        else:
+            fault = f"found {found}; allowed: {allowed}"
         super().__init__(" ".join(f"{place}: {fault}".split()))
 
     def __reduce__(self) -> "tuple[type[InputError], tuple[str, str, object, str]]":

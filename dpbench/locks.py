@@ -155,7 +155,9 @@ def _wait_for_lock_or_raise_busy(
             return
     waited = f" after a wait of {patience.limit_s:g} s" if patience.limit_s else ""
     found = f"in use by {describe_lock_holders(lock)}{waited}"
-    raise BusyError(where, "", found, "to wait for it, without --no-wait or longer")
+    raise BusyError(
+        where, "", found, "another time; or a wait without --no-wait, or with a longer --wait"
+    )
 
 
 def _try_lock_open_file(lock: int, how: int) -> bool:

@@ -42,12 +42,12 @@ FOUND = {
     8: ("children", "finished", ""),
     9: ("daemons", "finished", ""),
     10: ("daemons, then _exit", "crashed", "exit code 0"),
-    11: ("kills the fork server", "crashed", "starts the workers"),
-    12: ("kills the keeper", "crashed", "starts the workers"),
+    11: ("kills the fork server", "crashed", "the fork server was killed"),
+    12: ("kills the keeper", "crashed", "the fork server was killed"),
     13: ("stops the fork server", "finished", ""),
     14: ("stops fork server and keeper", "finished", ""),
     17: ("stops itself", "hung", ""),
-    16: ("daemons, kills the fork server", "crashed", "starts the workers"),
+    16: ("daemons, kills the fork server", "crashed", "the fork server was killed"),
 }
 """By variables of the random problem: what `hostile_plugin.py` does, the outcome of that cell, and
 words of its detail."""

@@ -151,7 +151,7 @@ class Campaign:
         try:
             self.store.write_part_file(result.part)
         except OSError as error:
-            job.outcome = Outcome("lost", f"it could not be kept: {error}")
+            job.outcome = Outcome("lost", f"its result could not be stored: {error}")
 
     def _make_capability_files(self, dispatcher: Dispatcher, pending: list[CellJob]) -> None:
         """Make missing files of capability-plot QPs; a failure shows in the runs that use them."""

@@ -338,7 +338,7 @@ def load_stability_records(folder: Path) -> Designs | None:
         return None
     schema = read_json(path).get("schema")
     if schema == DESIGN_SCHEMA - 1:
-        older = f"{path}: designs of schema {schema} are not shown; run again"
+        older = f"{path}: designs of schema {schema} are not shown; run the suite again"
         warnings.warn(older, RenamedWarning, stacklevel=2)
         return None
     return _read_stability_file(path)
@@ -349,5 +349,7 @@ def _read_stability_file(path: Path) -> Designs:
     document = read_json(path)
     if document.get("schema") != DESIGN_SCHEMA:
         schema = f"schema {document.get('schema')}"
-        raise ResultsError(str(path), "schema", schema, f"schema {DESIGN_SCHEMA}; run again")
+        raise ResultsError(
+            str(path), "schema", schema, f"schema {DESIGN_SCHEMA}; run the suite again"
+        )
     return check_document_as_type(document, Designs, path)

@@ -87,7 +87,7 @@ def pair_sequences_with_cores(
     known = list(find_recipes())
     for name in table.solvers:
         if name not in known:
-            allowed = f"solvers with a recipe: {format_allowed_names(name, known)}"
+            allowed = f"a solver with a recipe: {format_allowed_names(name, known)}"
             raise InputError("suite", "embedded.solvers", repr(name), allowed)
     return [
         PlannedCount(solver, target, *part, single=table.precision == "float")
@@ -186,7 +186,7 @@ class EmbeddedCounts:
                 "solver": count.solver,
                 "target": count.target,
                 "sequence": count.sequence,
-                "reason": self._reasons.get(path) or "its count is damaged or gone",
+                "reason": self._reasons.get(path) or "its count is damaged or missing",
             }
             for path, count in self._counts.items()
             if stored[path] is None

@@ -87,7 +87,7 @@ class Rates:
 
 
 STATED_RATES = Rates(
-    "stated rates of another machine; a run in the same folder gives those of this one"
+    "stated rates of another machine; a run in the same folder measures this machine"
 )
 
 
@@ -254,9 +254,11 @@ def find_finished_cells(planned: Sequence[PlannedCell], folder: Path) -> set[int
 
 def describe_what_is_not_forecast(slots: int) -> list[str]:
     """Return lines on what a forecast leaves out: other campaigns and other programs' load."""
-    lines = ["not in it: waits for other campaigns on this machine (--wait), other programs"]
+    lines = ["not included: waits for other campaigns on this machine (--wait), other programs"]
     if holders := find_machine_lock_holders():
-        lines.append(f"now in use by {' and '.join(map(str, holders))}: perhaps to be waited for")
+        lines.append(
+            f"now in use by {' and '.join(map(str, holders))}, so the run may have to wait"
+        )
     cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
     slower = (load + slots) / cores
     if slower > LOADED:
@@ -312,7 +314,7 @@ def estimate_campaign(
 ) -> Estimate:
     """Return a campaign's expected duration and table size on this machine, without running it."""
     if engine != "local":
-        raise InputError("--dry-run", "", f"engine {engine}", "engine local")
+        raise InputError("--dry-run", "", f"--engine {engine}", "--engine local")
     plan = RunRequest(None if suite is None else str(suite), **asked).make_plan()
     return estimate_plan(plan, choose_result_folder(plan, out), count_slots(jobs), fresh=fresh)
 

@@ -78,8 +78,8 @@ def join_result_folders(
         machine, others = _split_main_and_other_machines(records, finished)
         if others:
             remarks.append(
-                f"cells ran on {len(others) + 1} kinds of machines: times of replays are ranked "
-                f"on {machine.get('cpu_model', 'an unnamed CPU')} ({machine['id']}) alone"
+                f"cells ran on {len(others) + 1} kinds of machines: only replay times on "
+                f"{machine.get('cpu_model', 'an unnamed CPU')} ({machine['id']}) are ranked"
             )
             machine = {**machine, "others": others}
         campaign = Campaign(plan, designs, Path(out), machine, counts=plan_embedded_counts(plan))
@@ -113,24 +113,28 @@ def _make_common_plan(
     for folder, shard in shards.items():
         if shard.harness_version != HARNESS_VERSION:
             found = f"{folder} of dpbench {shard.harness_version}"
-            raise InputError(_WHERE, "", found, f"folders of {HARNESS_VERSION}, this version")
+            raise InputError(
+                _WHERE, "", found, f"folders of {HARNESS_VERSION}, the installed version"
+            )
         if shard.digest != first.digest:
-            found = f"{folder} of another suite, or another choice of it, than {where}"
-            raise InputError(_WHERE, "", found, "shards of one plan")
+            found = f"{folder} of another suite, or with other options, than {where}"
+            raise InputError(_WHERE, "", found, "shards of one suite, run with the same options")
         if shard.asked.solver_module is not None and solver_module is None:
             found = f"{folder} run with the plug-in {shard.asked.solver_module!r}"
-            raise InputError(_WHERE, "", found, "its file, if you trust it, by --solver-module")
+            raise InputError(
+                _WHERE, "", found, "--solver-module FILE.py with its file, if you trust it"
+            )
     # The same suite may lie elsewhere on each of their machines.
     asked = next((one.asked for one in shards.values() if one.asked.has_suite), first.asked)
     asked = asked if suite is None else replace(asked, suite=str(suite))
     # What a folder says is data: a file that is run comes from the command line alone.
     asked = replace(asked, solver_module=None if solver_module is None else str(solver_module))
     if not asked.has_suite:
-        raise InputError(_WHERE, "", f"no file {asked.suite}", "the suite's, by --suite")
+        raise InputError(_WHERE, "", f"no file {asked.suite}", "the path of the suite, by --suite")
     plan = asked.make_plan()
     if plan.digest != first.digest:
         found = f"{plan.path} changed since {where} was run from it"
-        allowed = "the suite as it was, by --suite, and a plug-in at the path it had"
+        allowed = "the unchanged suite, by --suite, and a plug-in at its original path"
         raise InputError(_WHERE, "", found, allowed)
     return plan
 
@@ -140,10 +144,10 @@ def _describe_missing_shards(shards: Sequence[ShardRecord]) -> list[str]:
     counts = {shard.shard.count for shard in shards}
     if len(counts) > 1:
         found = " and ".join(f"shards of {count}" for count in sorted(counts))
-        raise InputError(_WHERE, "", found, "shards of as many")
+        raise InputError(_WHERE, "", found, "shards of one division, all I/N with the same N")
     absent = set(range(1, counts.pop() + 1)) - {shard.shard.index for shard in shards}
     named = ", ".join(str(replace(shards[0].shard, index=i)) for i in sorted(absent))
-    return [f"shards that are not among them: {named}"] if absent else []
+    return [f"missing shards: {named}"] if absent else []
 
 
 def _copy_finished_runs(
@@ -173,7 +177,7 @@ def _refuse_mixed_versions(rows: pd.DataFrame) -> None:
     for solver, alike in versions.groupby(rows["solver"]):
         if alike.nunique() > 1:
             found = " and ".join(sorted(alike.unique()))
-            raise InputError(_WHERE, str(solver), found, "one version of a solver")
+            raise InputError(_WHERE, str(solver), found, "one version of each solver")
 
 
 def _split_main_and_other_machines(

@@ -87,7 +87,7 @@ class RequestedRuns:
         """Return the row of a run without results: its description and outcome."""
         outcome = job.outcome or Outcome("lost", "it was not run")
         if outcome.outcome not in ("refused", "lost", "invalid"):
-            outcome = Outcome("lost", "its record is damaged or gone")
+            outcome = Outcome("lost", "its record is damaged or missing")
         cell = job.cell.with_settings_name(settings)
         return make_run_row(run_id, cell, outcome, job.library, job.machine_id, None, None)
 

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from dpbench.scenario.problem_files import ScenarioDocuments
 
 CHECKED = (
-    "a vessel, scenario, scenario@vessel, suite or sequence by name, a TOML file, "
-    "a .npz, .json or .mat file of QPs or a folder of them, a folder of results/community"
+    "the name of a vessel, scenario, SCENARIO@VESSEL, suite or sequence; a TOML file; "
+    "a .npz, .json or .mat file of QPs, or a folder of them; a folder of results/community"
 )
 """Arguments of `dpbench check`, for errors."""
 NONE_PASSES = (
@@ -69,9 +69,9 @@ def _make_unknown_name_error(name: str) -> InputError:
     kinds = (*problems.KINDS, problems.SEQUENCES)
     names = [known for kind in kinds for known in problems.list_shipped_problem_names(kind)]
     near = find_nearest_names(name, names, likeness=0.6)
-    hint = f"e.g. {', '.join(near)}; " if near else ""
+    hint = f"{', '.join(near)} (nearest names); " if near else ""
     shown = repr(name if len(name) <= 80 else f"{name[:77]}...")
-    return InputError("check", "", shown, f"{hint}{CHECKED}; `dpbench list` has the names")
+    return InputError("check", "", shown, f"{hint}{CHECKED}; `dpbench list KIND` lists all names")
 
 
 def _check_folder(folder: Path, progress: Progress | None) -> str:
@@ -127,7 +127,7 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
             "[limits] or [[thrusters]] (a vessel), [controller] and [environment] (a scenario), "
             f"or {', '.join(f'[[{table}]]' for table in of_suite)} (a suite)"
         )
-        raise InputError(str(file), "", f"tables {', '.join(document) or '(none)'}", allowed)
+        raise InputError(str(file), "", f"the tables {', '.join(document) or '(none)'}", allowed)
     suite_path, suite = load_path_and_suite(file)
     from dpbench.bench.design import pair_controllers_with_vessels
     from dpbench.bench.embedded_counts import pair_sequences_with_cores
@@ -171,7 +171,7 @@ def _suggest_first_run(file: Path) -> list[str]:
         return []
     if FIRST_SOLVER not in name_solvers_of_suite(whole.document.solvers) or not part.cells:
         return []
-    share = f"{len(part.cells)} of its {len(whole.cells)} cells, which the whole run keeps"
+    share = f"{len(part.cells)} of its {len(whole.cells)} cells, which the complete run keeps"
     command = f"dpbench run {path} --solver {FIRST_SOLVER} --settings default"
     return [f"first run ({share}):", f"  {command}"]
 

@@ -24,8 +24,8 @@ from dpbench.ship.capability.losses import list_thruster_cautions
 from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel
 
-WITHOUT = "--quick leaves them out"
-LEFT_OUT = "left out by --quick: the sideways offsets that each tuning recovers from"
+WITHOUT = "--quick skips it"
+LEFT_OUT = "not simulated (--quick): the sideways offsets from which each tuning recovers"
 CONTROLLERS = ("paper", "rough")
 """The scenarios whose controllers a vessel is tried with: the paper's 30/5 and the robust 60/10."""
 _SPEEDS = ("m/s", "m/s", "°/s")
@@ -195,7 +195,9 @@ def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None, *, quick:
     if quick:
         return [LEFT_OUT]
     progress = progress or Silent()
-    progress.remark(f"simulating offsets to recover from, which may take minutes ({WITHOUT})")
+    progress.remark(
+        f"simulating the recovery from sideways offsets, which may take minutes ({WITHOUT})"
+    )
     progress.start(_TRIALS * len(tuned))
     lines = []
     for scenario in tuned:
@@ -223,5 +225,5 @@ def _describe_bracket(bracket: Bracket, scale: float) -> str:
         return f"holds calm water, from {holds} m sideways and all below"
     fails = f"{float(format_rounded_up(scale * bracket.fails_m)):g}"
     if bracket.holds_m == 0.0:
-        return f"does not hold calm water: {fails} m sideways is too much"
+        return f"does not hold calm water: {fails} m sideways is too far"
     return f"holds calm water, up to {holds} m sideways (not {fails} m)"

@@ -46,8 +46,8 @@ from dpbench.report.formats import MISSING, Table, format_count, format_error
 from dpbench.scenario.scenario import Scenario, load_scenario
 
 REMARK = (
-    "Instructions compare solvers under one compiler and its flags. They are no times: they hold "
-    "no caches, no pipeline and no bus. The worst step is the worst of this sequence."
+    "Instructions compare solvers under one compiler and its flags. They are not times: they leave "
+    "out caches, pipeline and bus. The worst step is the worst of this sequence."
 )
 
 COMPARED_STEPS = 3
@@ -55,8 +55,8 @@ COMPARED_STEPS = 3
 STEPS = 5
 """Steps of each trial, unless told otherwise."""
 NOTE = (
-    "kB: 1024 bytes, of code, constants, static data, heap and the deepest stack of a step. Next: "
-    "of N_c + 1, which does not fit."
+    "kB: 1024 bytes of code, constants, static data, heap and the deepest stack of a step. Next: "
+    "the memory at N_c + 1, which does not fit."
 )
 
 
@@ -154,7 +154,7 @@ def _print_counts_of_two_tools(
                 }
             )
         title = f"{recorded.sequence.name}: instructions of all steps by Unicorn and another tool"
-        note = "Bytes differ: of all answers and statuses; none should."
+        note = "Bytes differ: bytes of all answers and statuses that differ; expected: 0."
         screen.print(make_report_table(Table.from_rows(rows, title, note=note), screen))
     return int(not agrees)
 
@@ -194,7 +194,12 @@ def _read_settings(texts: list[str], recipes: list[Recipe]) -> dict[str, dict[st
         name, _, value = text.partition("=")
         solver, _, key = name.partition(".")
         if solver not in solvers or not key:
-            raise InputError("--settings", "", repr(text), f"SOLVER.KEY=N of {', '.join(solvers)}")
+            raise InputError(
+                "--settings",
+                "",
+                repr(text),
+                f"SOLVER.KEY=N with SOLVER one of {', '.join(solvers)}",
+            )
         try:
             number = float(value)
         except ValueError:
@@ -365,5 +370,5 @@ def parse_kilobytes(texts: list[str]) -> list[int]:
     """Return sizes of memory in kB from texts; InputError for no whole number above 0."""
     for text in texts:
         if not text.isdecimal() or not int(text):
-            raise InputError("--fit", "", repr(text), "kB of memory, as 128")
+            raise InputError("--fit", "", repr(text), "memory in kB, such as 128")
     return [int(text) for text in texts]

@@ -162,7 +162,7 @@ def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interru
 def _print_interrupted(arguments: argparse.Namespace) -> int:
     """Print that a command was stopped by a signal; return its exit code."""
     resumes = arguments.call in (_run_suite, _run_shard, _tune_controller, _tune_solver)
-    kept = "; finished cells are kept, run again to go on" if resumes else ""
+    kept = "; finished cells are kept; give the same command again to continue" if resumes else ""
     print(f"dpbench: interrupted{kept}", file=sys.stderr)
     return INTERRUPTED
 
@@ -242,9 +242,9 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
     from dpbench.report.write import write_report_with_summary
 
     if arguments.against and arguments.solver is None:
-        raise SituationError("--against", "name the solver to compare with these by --for SOLVER")
+        raise SituationError("--against", "add --for SOLVER, the solver to compare with these")
     later = count_batches_newer_than_tables(Path(arguments.dir))
-    interrupted = f"a later run was interrupted (batches of it in no table: {later})"
+    interrupted = f"a later run was interrupted (its batches in no table: {later})"
     if later and arguments.statement:
         raise SituationError(
             "--statement", f"{interrupted}; finish it by the same `dpbench run` in {arguments.dir}"
@@ -298,7 +298,8 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
         _compare_configurations(arguments)
         return 0
     if len(arguments.folders) != 2:
-        given = f"{len(arguments.folders)} folders were given"
+        count = len(arguments.folders)
+        given = "one folder was given" if count == 1 else f"{count} folders were given"
         raise SituationError(
             "compare", f"{given}; name two, A and B, or add --releases or --solver"
         )
@@ -317,8 +318,8 @@ def _compare_configurations(arguments: argparse.Namespace) -> None:
     from dpbench.report.compare.chosen import compare_configurations_of_folder
 
     if len(arguments.folders) != 1 or arguments.html or arguments.reference:
-        allowed = "one folder, --solver twice or more, and --markdown"
-        raise SituationError("compare", f"found --solver with other words; allowed: {allowed}")
+        allowed = "one folder, two or more --solver, and --markdown"
+        raise SituationError("compare", f"found --solver with other arguments; allowed: {allowed}")
     chosen = compare_configurations_of_folder(arguments.folders[0], arguments.choices)
     _print_comparison(chosen.markdown(), [chosen.table], chosen.lines, arguments.markdown)
 

@@ -105,7 +105,7 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
     """
     name, folder = options.name, Path(options.out)
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name):
-        raise InputError(WHERE, "NAME", repr(name)[:80], "1 to 60 of letters, digits, _ and -")
+        raise InputError(WHERE, "NAME", repr(name)[:80], "1 to 60 letters, digits, _ and -")
     vessel_file = folder / f"{name}.toml"
     numbers = {
         option: quantity.parse(option, getattr(options, option.replace("-", "_")))
@@ -248,7 +248,9 @@ def _read_particulars(numbers: dict[str, float | None], hull: Hull | None) -> sc
             f"{displacement:g} t in a block of {length:g} x {breadth:g} x {draught:g} m, a block "
             f"coefficient of {own.block_coefficient:.2g}"
         )
-        raise InputError(WHERE, "--displacement", found, f"{BLOCK[0]:g} to {BLOCK[1]:g}")
+        raise InputError(
+            WHERE, "--displacement", found, f"a coefficient of {BLOCK[0]:g} to {BLOCK[1]:g}"
+        )
     return own
 
 
@@ -414,7 +416,7 @@ def list_cautions(ship: OwnShip) -> list[str]:
     if not others:
         return []
     differs = f"differ{'s' * (len(others) == 1)} by more than {FORM_DIFFERS:.0%}"
-    return [f"CAUTION: another form than that of {ship.like}: {' and '.join(others)} {differs}."]
+    return [f"CAUTION: the hull form is not that of {ship.like}: {' and '.join(others)} {differs}."]
 
 
 def choose_sample_s(vessel: Vessel) -> float:

@@ -217,7 +217,9 @@ def read_own_thrusters(
     if share > MOST_TO_WEIGHT:
         total_kN = thrusters.largest_thrusts_N.sum() / 1e3
         found = f"{total_kN:.3g} kN in all, {share:.2g} of the ship's weight"
-        raise InputError(where, "power_kW, thrust_kN", found, f"at most {MOST_TO_WEIGHT:g} of it")
+        raise InputError(
+            where, "power_kW, thrust_kN", found, f"at most {MOST_TO_WEIGHT:g} of the weight"
+        )
     return OwnThrusters(where, rows, tables, thrusters)
 
 

@@ -55,14 +55,14 @@ def generate_controller(
     SituationError : the sources cannot be fetched, or an emulated core commands something else.
     """
     if solver not in SOLVERS:
-        raise InputError("codegen", "solver", repr(solver), ", ".join(SOLVERS))
+        raise InputError("`solver`", "", repr(solver), f"one of {', '.join(SOLVERS)}")
     if fmi not in SYSTEMS:
-        raise InputError("codegen", "fmi", fmi, "2 or 3")
+        raise InputError("`fmi`", "", fmi, "2 or 3")
     data = read_controller_data_of_scenario(resolve_to_scenario(scenario))
     sources = SOLVERS[solver](data.qp)
     if fmu is not None and not sources.copies:
-        allowed = "a solver whose memory is the caller's: paper_active_set"
-        raise InputError("codegen --fmu", "solver", solver, allowed)
+        allowed = "paper_active_set, which uses memory of the caller"
+        raise InputError("`fmu`", "", f"`solver` {solver}", allowed)
     tables = list_constant_tables(data)
     sizes = {
         "constants": sum(table.bytes for table in (*tables, *sources.tables)),

@@ -155,7 +155,9 @@ def open_core_with_solver_set_up(
     mailbox.write_inputs_and_clear_answer()
     refused, _ = core.call_function_and_count("embedded_set_up", DATA)
     if refused:
-        raise SituationError(recipe.solver, f"it refuses {sequence.name} at set-up ({refused})")
+        raise SituationError(
+            recipe.solver, f"its set-up for {sequence.name} fails with code {refused}"
+        )
     return core, mailbox
 
 
@@ -359,7 +361,7 @@ def _count_steps_by_qemu(tool: str, loader: Path, trace: Path, entry: int) -> tu
         counts = list(_yield_instructions_of_each_call(run.stderr, entry & ~1))
         answer = run.stdout.read()
     if run.returncode or not answer:
-        raise SituationError(f"second opinion by {tool}", f"it ends with {run.returncode}")
+        raise SituationError(f"second opinion by {tool}", f"it exits with code {run.returncode}")
     return counts, int(answer)
 
 

@@ -105,7 +105,9 @@ class Recipe:
         shims = [self.folder / name for name in ("shim.c", "shim.cpp")]
         self._shims = [path for path in shims if path.is_file()]
         if not self._shims:
-            raise InputError(str(folder), "shim.c", "no such file", "a shim by embedded.h")
+            raise InputError(
+                str(folder), "shim.c", "no such file", "a shim that implements embedded.h"
+            )
 
     @property
     def solver(self) -> str:
@@ -117,7 +119,7 @@ class Recipe:
         """Reason why the recipe cannot be used, such as a missing package; "" if there is none."""
         missing = [name for name in self.file.requires if importlib.util.find_spec(name) is None]
         if self.file.folder and self.source is None:
-            return f"name a folder with {self.file.folder}: --source {self.solver}=DIR"
+            return f"add --source {self.solver}=DIR, a folder with {self.file.folder}"
         return f"not installed: pip install {' '.join(missing)}" if missing else ""
 
     def with_settings(self, given: Settings) -> Settings:
@@ -139,7 +141,7 @@ class Recipe:
             found = f"{' and '.join(changes)} that change in {sequence.name}"
             raise InputError(self.solver, "", found, "constant matrices and bounds")
         if file.largest and n > file.largest:
-            allowed = f"at most {file.largest}, as its C grows with the QP"
+            allowed = f"at most {file.largest}, as its C code grows with the QP"
             raise InputError(self.solver, "variables", n, allowed)
 
     def compile(
@@ -190,7 +192,9 @@ def _find(origin: Path, patterns: Iterable[str]) -> list[Path]:
     for pattern in patterns:
         files = sorted(origin.glob(pattern))
         if not files:
-            raise InputError(str(origin), "sources", repr(pattern), "a pattern of files there")
+            raise InputError(
+                str(origin), "sources", repr(pattern), "a pattern that matches files there"
+            )
         found += files
     return found
 
@@ -267,10 +271,10 @@ def fetch_sources(name: str, version: str, sha256: str) -> Path:
     if not archive.is_file():
         _download(name, version, sha256, store)
     if not archive.is_file():
-        raise SituationError(name, f"pip fetched no {archive.name}")
+        raise SituationError(name, f"pip did not fetch {archive.name}")
     found = hashlib.sha256(archive.read_bytes()).hexdigest()
     if found != sha256:
-        raise SituationError(str(archive), f"its hash is {found}, not {sha256}: remove it")
+        raise SituationError(str(archive), f"its hash is {found}, not {sha256}: remove the file")
     _unpack(archive, folder)
     return folder
 

@@ -106,9 +106,16 @@ def read_counted_steps_of_file(path: Path) -> pd.DataFrame:
         raise
     except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
         found = f"a damaged file ({str(error)[:80]})"
-        raise ResultsError(str(path), "", found, "a table of counts; run again") from error
+        raise ResultsError(
+            str(path), "", found, "a table of counts; run the suite again"
+        ) from error
     if steps.empty or (steps["instructions"] < 1).any():
-        raise ResultsError(str(path), "instructions", "a step of none", "1 or more; run again")
+        raise ResultsError(
+            str(path),
+            "instructions",
+            "a step without instructions",
+            "1 or more; run the suite again",
+        )
     return steps
 
 

@@ -173,7 +173,7 @@ def require_extra() -> None:
     missing = [name for name in EXTRAS if importlib.util.find_spec(name) is None]
     if missing:
         names = " and ".join("pyelftools" if name == "elftools" else name for name in missing)
-        raise SituationError("embedded", f"{names} not installed: {REMEDY}")
+        raise SituationError("embedded", f"missing {names}: {REMEDY}")
 
 
 def has_extra() -> bool:
@@ -186,7 +186,7 @@ def compiler_version() -> str:
     try:
         return importlib.metadata.version("ziglang")
     except importlib.metadata.PackageNotFoundError:
-        raise SituationError("embedded", f"ziglang not installed: {REMEDY}") from None
+        raise SituationError("embedded", f"missing ziglang: {REMEDY}") from None
 
 
 def installed_compiler() -> str:
@@ -318,7 +318,7 @@ def _compile(
             shown = shlex.join(["cc", *words[:2]])
             first = [line for line in done.stderr.splitlines() if "error:" in line]
             words_of = " ".join((first or done.stderr.splitlines() or ["no message"])[:2])
-            raise SituationError(f"{shown} {out.name}", f"the compiler refused: {words_of}")
+            raise SituationError(f"{shown} {out.name}", f"the compilation failed: {words_of}")
         partial.replace(out)
     finally:
         # What the linker puts beside a library of Windows.

@@ -36,13 +36,15 @@ def read_mat_structure_in_child(path: Path, name: str) -> tuple[list[str], dict[
                 program, stdin=file, capture_output=True, timeout=WAIT_S, env=alone, check=False
             )
         except subprocess.TimeoutExpired as error:
-            raise InputError(str(path), "", f"nothing in {WAIT_S:g} s", _ALLOWED) from error
+            raise InputError(
+                str(path), "", f"a file that SciPy does not read within {WAIT_S:g} s", _ALLOWED
+            ) from error
     if ended.returncode < 0:
-        died = f"a file that SciPy dies of ({signal.Signals(-ended.returncode).name})"
+        died = f"a file that crashes SciPy ({signal.Signals(-ended.returncode).name})"
         raise InputError(str(path), "", died, _ALLOWED)
     if ended.returncode:
         said = ended.stderr.decode(errors="replace").strip().splitlines() or ["no reason given"]
-        raise InputError(str(path), "", f"no MATLAB file ({said[-1][:200]})", _ALLOWED)
+        raise InputError(str(path), "", f"an unreadable MATLAB file ({said[-1][:200]})", _ALLOWED)
     with np.load(io.BytesIO(ended.stdout), allow_pickle=False) as arrays:
         fields = {key: arrays[key] for key in arrays.files}
     return fields.pop("names").tolist(), fields

@@ -59,7 +59,7 @@ def open_regular_file(
     try:
         state = os.fstat(number)
         if not stat.S_ISREG(state.st_mode):
-            kind = _KINDS.get(stat.S_IFMT(state.st_mode), "no regular file")
+            kind = _KINDS.get(stat.S_IFMT(state.st_mode), "not a regular file")
             raise error(str(path), "", kind, what)
         if most_bytes is not None and state.st_size > most_bytes:
             raise error(str(path), "", f"{state.st_size} bytes", f"at most {most_bytes}: {what}")
@@ -99,7 +99,7 @@ def read_json_object(
     try:
         document = parse_json(data.decode("utf-8"))
     except ValueError as failure:
-        raise error(str(path), "", f"no JSON ({failure})", what) from failure
+        raise error(str(path), "", f"invalid JSON ({failure})", what) from failure
     if not isinstance(document, dict):
         raise error(str(path), "", type(document).__name__, "a JSON object")
     return document
@@ -120,7 +120,7 @@ def read_csv_rows(path: Path) -> list[list[str]]:
 def parse_json(text: str) -> Any:
     """Parse untrusted JSON; ValueError if damaged, too large, too deep or not valid Unicode."""
     if len(text) > MOST_JSON_BYTES:
-        raise ValueError(f"{len(text)} characters where {MOST_JSON_BYTES} are allowed")
+        raise ValueError(f"{len(text)} characters, more than {MOST_JSON_BYTES}")
     try:
         document = json.loads(text)
     except RecursionError as failure:
@@ -161,7 +161,7 @@ def is_plain_file_name(text: str) -> bool:
 def make_folder_if_missing(path: Path) -> Path:
     """Make a folder unless it exists and return its path; InputError if a link has its name."""
     if path.is_symlink():
-        raise InputError(str(path), "", "a link", "a folder: nothing is written through a link")
+        raise InputError(str(path), "", "a link", "a folder, as nothing is written through a link")
     path.mkdir(exist_ok=True)
     return path
 
@@ -229,7 +229,7 @@ def write_file_set_into_folder(folder: Path, contents: Mapping[str, Callable[[],
     """
     for name in contents:
         if not is_plain_file_name(name):
-            raise InputError(str(folder), "", f"a file called {name!r}", "a name without a folder")
+            raise InputError(str(folder), "", f"a file called {name!r}", "a name without a path")
     earlier, now = _read_names_of_written_files(make_folder_if_missing(folder)), set(contents)
     # Should this be interrupted, the next time has to know the files of both.
     _write_names_of_written_files(folder, earlier | now)

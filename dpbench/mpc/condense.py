@@ -95,7 +95,7 @@ def solve_discrete_riccati_of_model(
     except np.linalg.LinAlgError as error:
         stable, reason = False, str(error)
     if not stable:
-        allowed = 'a model that its inputs stabilise and its weights see, or "none"'
+        allowed = 'a stabilisable model that its weights make detectable, or "none"'
         raise InputError("ControlProblem", "terminal", f"riccati: {reason}", allowed)
     return np.asarray(S, dtype=np.float64)
 

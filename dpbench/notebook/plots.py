@@ -235,7 +235,7 @@ def _import_matplotlib_charts() -> ModuleType:
         from dpbench.report.charts import printed
     except ModuleNotFoundError as error:
         found = f"matplotlib, without {error.name}"
-        allowed = "pip install 'dpbench[matplotlib]', or altair"
+        allowed = "altair; or matplotlib after pip install 'dpbench[matplotlib]'"
         raise InputError("plot", "backend", found, allowed) from error
     return printed
 

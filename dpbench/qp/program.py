@@ -160,11 +160,11 @@ class QuadraticProgram:
         require_shapes_and_make_contiguous(self, shapes)
         object.__setattr__(self, "P", require_or_make_symmetric(self.P, "QuadraticProgram"))
         if not has_equal_blocks(n, m, self.block):
-            allowed = f"0, or a divisor of n={n} into moves that share m={m} rows alike"
-            raise ShapeError.from_shapes("QuadraticProgram", "block", (self.block,), allowed)
+            allowed = f"0, or a divisor of n = {n} whose number of moves divides m = {m}"
+            raise ShapeError("QuadraticProgram", "block", self.block, allowed)
         most = self.block or n
         if not 0 <= self.moves <= most:
-            raise ShapeError.from_shapes("QuadraticProgram", "moves", (self.moves,), f"0 to {most}")
+            raise ShapeError("QuadraticProgram", "moves", self.moves, f"0 to {most}")
 
     def _fill_missing_array(self, name: str, shape: tuple[int, ...], value: float) -> None:
         """Set an array that was left out, such as a bound, to one value throughout."""

@@ -47,7 +47,7 @@ class RandomMPC:
         n = self.inputs * self.horizon
         if min(self.states, self.inputs) < 1 or not 2 <= self.horizon < REFERENCE_STEPS:
             found = f"{self.states} states, {self.inputs} inputs, horizon {self.horizon}"
-            allowed = f"1 state and input or more, horizons of 2 to {REFERENCE_STEPS - 1}"
+            allowed = f"1 or more states and inputs, and a horizon of 2 to {REFERENCE_STEPS - 1}"
             raise InputError("random MPC", "size", found, allowed)
         if max(n, self.states) > MOST_VARIABLES:
             found = f"{n} variables, {self.states} states"

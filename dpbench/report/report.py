@@ -237,7 +237,7 @@ def read_table(path: Path) -> pd.DataFrame:
         table = pd.read_csv(path, dtype=dict.fromkeys(_TEXT_COLUMNS, "str"))
     except (OSError, ValueError) as error:
         found = f"a damaged file ({str(error)[:80]})"
-        raise ResultsError(str(path), "", found, "a table of a report") from error
+        raise ResultsError(str(path), "", found, "a table that `dpbench report` writes") from error
     for name, dtype in table.dtypes.items():
         if not (is_numeric_dtype(dtype) or is_bool_dtype(dtype)):
             table[name] = table[name].fillna("").str.replace(_ARMED, "", regex=True)

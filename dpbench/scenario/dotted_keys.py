@@ -79,7 +79,7 @@ def _find_key_or_list_index(table: Any, part: str, where: str) -> Any:
         if part in table:
             return part
         raise InputError(
-            where, "", f"no key {part!r} there", format_allowed_names(part, sorted(table))
+            where, "", f"an unknown key {part!r}", format_allowed_names(part, sorted(table))
         )
     if isinstance(table, list):
         if part.isdecimal() and int(part) < len(table):

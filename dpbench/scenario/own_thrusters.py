@@ -109,7 +109,10 @@ def _join_sector_columns(keys: dict[str, Any], where: str) -> None:
         for column in columns:
             if column not in keys:
                 raise InputError(
-                    where, column, "nothing", f"a number beside {' and '.join(columns)}"
+                    where,
+                    column,
+                    "nothing",
+                    f"a number, as {' and '.join(columns)} belong together",
                 )
         keys[key] = [keys.pop(column) for column in columns]
 

@@ -160,10 +160,14 @@ def read_toml_as_dict(path: Path) -> dict[str, Any]:
     except InputError:
         raise
     except RecursionError as error:
-        raise InputError(where, "", "nested too deep", f"{MOST_DEPTH} levels") from error
+        raise InputError(
+            where, "", "tables nested too deep", f"at most {MOST_DEPTH} levels"
+        ) from error
     # Besides TOMLDecodeError a plain ValueError: an integer of thousands of digits.
     except ValueError as error:
-        raise InputError(where, "", f"no TOML ({error})", "a TOML document in UTF-8") from error
+        raise InputError(
+            where, "", f"invalid TOML ({error})", "a TOML document in UTF-8"
+        ) from error
     return document
 
 
@@ -188,7 +192,7 @@ def validate_settings_as_model(document: dict[str, Any], model: type[_Model], wh
         key = ".".join(keys)
         if first["type"] == "extra_forbidden":
             if new := getattr(model, "refused_keys", {}).get(key):
-                raise InputError(where, key, "an old name", f"{new}, its name now") from None
+                raise InputError(where, key, "an old name", f"{new}, its new name") from None
             allowed = format_allowed_names(
                 keys[-1], _list_allowed_keys_of_nested_table(model, keys[:-1])
             )

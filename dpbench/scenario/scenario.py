@@ -336,7 +336,9 @@ def _check_and_identify_fmu(spec: ScenarioFile, table: FmuTable, path: Path) -> 
     read_fmu_interface(file, table, str(path))
     own = hash_fmu(file)
     if table.sha256 not in ("", own):
-        raise InputError(str(path), "plant.fmu.sha256", repr(table.sha256), f"{own}, of {file}")
+        raise InputError(
+            str(path), "plant.fmu.sha256", repr(table.sha256), f"{own}, the hash of {file}"
+        )
     found = table.model_copy(update={"file": str(file), "sha256": own})
     return spec.model_copy(update={"plant": spec.plant.model_copy(update={"fmu": found})})
 

@@ -194,12 +194,12 @@ class Environment:
         if self.wind is not None:
             if vessel.windage is None:
                 allowed = "wind areas and coefficients, because the weather has wind"
-                raise InputError(vessel.where, "windage", "none", allowed)
+                raise InputError(vessel.where, "windage", "nothing", allowed)
             coefficients[WIND_U:DRIFT_U] = vessel.windage.wind_force_coefficients(vessel.length_m)
         if self.drift is not None:
             if vessel.reflection is None:
                 allowed = "a breadth and wave reflection, because the weather has wave drift"
-                raise InputError(vessel.where, "reflection", "none", allowed)
+                raise InputError(vessel.where, "reflection", "nothing", allowed)
             coefficients[DRIFT_U:] = vessel.reflection.wave_drift_coefficients(
                 vessel.length_m, self.drift.sea
             )

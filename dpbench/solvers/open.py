@@ -111,4 +111,4 @@ def _require_route_and_policy(row: SolverRecord, route: Route, policy: Policy) -
         )
     reason = row.state_why_policy_is_unavailable(route, policy)
     if reason:
-        raise PolicyError(where, f"route {route}: policy", repr(policy), f"{runs} ({reason})")
+        raise PolicyError(where, f"route {route}: policy", f"{policy!r} ({reason})", runs)

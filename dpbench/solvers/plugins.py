@@ -135,7 +135,7 @@ def try_plugin_file_in_child(path: str | Path) -> None:
         output, _ = process.communicate(timeout=TRIAL_S)
         code = process.returncode
         how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-        found = "" if output.endswith(_RAN) else f"an end of its process, {how}"
+        found = "" if output.endswith(_RAN) else f"a process that ended, {how}"
     except subprocess.TimeoutExpired:
         found = f"an import that takes more than {TRIAL_S:g} s"
     finally:
@@ -167,7 +167,7 @@ def _import_plugin_file(where: str, file: Path) -> ModuleType:
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(f"dpbench_plugin_{digest}", file)
     if spec is None or spec.loader is None:
-        raise InputError(where, "", "no Python file", "a file that ends in .py")
+        raise InputError(where, "", "a file that is not Python", "a file name that ends in .py")
     module = importlib.util.module_from_spec(spec)
     # Dataclasses and pickling look a class up in its module.
     sys.modules[spec.name] = module
@@ -232,13 +232,13 @@ def _check_and_register_plugin(
     if not callable(opener):
         raise InputError(where, "open", repr(opener), "a function of (policy, options)")
     if not is_plain_file_name(record.name):
-        raise InputError(where, "RECORD.name", repr(record.name), "a name without a folder")
+        raise InputError(where, "RECORD.name", repr(record.name), "a name without a path")
     other = _LOADED.get(record.name)
     if record.name in taken or (other is not None and other.origin != origin):
         owner = "dpbench's own table" if other is None else other.origin
         raise InputError(where, "RECORD.name", repr(record.name), f"a name not in {owner}")
     if set(record.routes) != {"native"}:
-        raise InputError(where, "RECORD.routes", sorted(record.routes), "route native alone")
+        raise InputError(where, "RECORD.routes", sorted(record.routes), "route native only")
     if record.family not in get_args(Family):
         raise InputError(where, "RECORD.family", repr(record.family), " | ".join(get_args(Family)))
     row = replace(

@@ -124,7 +124,7 @@ def _is_solver_of_qpsolvers(name: str) -> bool:
 
 def _make_generic_qpsolvers_adapter(name: str) -> QpsolversAdapter:
     """Return how to call a solver that only qpsolvers has; its settings go unchecked."""
-    refused: dict[Policy, str] = {"warm": "whether it takes a start is not known"}
+    refused: dict[Policy, str] = {"warm": "whether it accepts a start is not known"}
     can = RouteRecord(("fresh",), detects_infeasibility=False, refused=refused)
     record = SolverRecord(
         name=name,

@@ -92,7 +92,7 @@ def load_tuned_problem(name: str, steps: int = 0) -> TunedProblem:
         scenario = load_scenario(name)
     except UnknownNameError as error:
         known = [*list_shipped_problem_names("scenarios"), *list_shipped_problem_names(SEQUENCES)]
-        allowed = f"{error.allowed}; or one of {len(known)} of `list_sequences()`"
+        allowed = f"{error.allowed}; or one of {len(known)} from `list_sequences()`"
         raise UnknownNameError("tune-solver", "", error.found, allowed) from error
     origin = str(Path(name).resolve()) if name.endswith(".toml") else name
     table = {
@@ -117,8 +117,8 @@ def refuse_training_qps_in_test(
                 why = "QPs of the same loop" if same_loop else "the same QPs"
                 raise SituationError(
                     "--test",
-                    f"{other.name} has {why} as {mine.name} of the training; name sequences of "
-                    "other scenarios",
+                    f"{other.name} has {why} as {mine.name} in the training set; name "
+                    "sequences of other scenarios",
                 )
 
 

@@ -128,7 +128,7 @@ def make_request(
         solver, route, policy, Requirements(error_move=error_move), solver_module
     )
     if has_preset_or_tolerance(solver, name) or not re.fullmatch(r"[\w-]{1,80}", name, re.ASCII):
-        allowed = f"letters, digits, _ and -; no preset of {solver}"
+        allowed = f"1 to 80 letters, digits, _ and -, and no preset of {solver}"
         raise InputError("--name", "", repr(name)[:90], allowed)
     space = make_space(solver, ranges, widened, given)
     start = space.convert_to_range_types(given) if given else None
@@ -162,7 +162,7 @@ def _parse_start(choice: str) -> tuple[str, Options]:
     solver, _ = split_into_solver_and_options_text(choice)
     points = expand_option_grid(parse_options_of_choice(choice), f"solver {solver}")
     if len(points) != 1:
-        allowed = "one value an option; --range or --widen 'OPTION=[LEAST,LARGEST]' for a range"
+        allowed = "one value per option; --range or --widen 'OPTION=[LEAST,LARGEST]' for a range"
         raise InputError("tune-solver", "", choice[:90], allowed)
     return solver, points[0]
 
@@ -207,7 +207,7 @@ def _choose_call_mode(
         raise PolicyError(f"solver {solver}", "route", repr(chosen), " | ".join(row.routes))
     if reason := row.state_why_policy_is_unavailable(chosen, policy):
         runs = " | ".join(row.get_route_record(chosen).policies)
-        raise PolicyError(f"solver {solver}", "policy", repr(policy), f"{runs} ({reason})")
+        raise PolicyError(f"solver {solver}", "policy", f"{policy!r} ({reason})", runs)
     return TunedSolver(solver, chosen, policy, requirements, solver_module)
 
 

@@ -162,7 +162,7 @@ def make_space(
         usual = stated.get(solver) or stated.get(record.module)
         if usual is None and not widened:
             allowed = f"one of {', '.join(sorted(stated))}; or --range 'OPTION=[LEAST,LARGEST]'"
-            raise InputError("tune-solver", "", f"{solver}, which has no stated range", allowed)
+            raise InputError("tune-solver", "", f"{solver}, which has no usual range", allowed)
         found = {name: OptionRange(name, *ends) for name, ends in (usual or {}).items()}
     for option, texts in (("--range", ranges), ("--widen", widened)):
         for text in texts:
@@ -179,7 +179,7 @@ def _parse_range(option: str, name: str, ends: object) -> OptionRange:
     numbers = ends if isinstance(ends, list) else []
     known = all(isinstance(x, int | float) and not isinstance(x, bool) for x in numbers)
     if len(numbers) != 2 or not known or not -math.inf < numbers[0] < numbers[1] < math.inf:
-        raise InputError(option, name, repr(ends), "two numbers that grow, such as [1e-3,10]")
+        raise InputError(option, name, repr(ends), "two increasing numbers, such as [1e-3,10]")
     return OptionRange(name, *numbers)
 
 

@@ -285,7 +285,7 @@ class _KeptTrials:
         whole = text[: text.rfind("\n") + 1]
         first, *lines = whole.splitlines() or [""]
         if first != head:
-            found = f"{path} is of another search; name another folder (--out)"
+            found = f"{path} belongs to another search; name another folder"
             raise SituationError("--out", found)
         for number, line in enumerate(lines, 2):
             try:
@@ -402,7 +402,7 @@ def _parse_seas(text: str) -> list[int]:
     """Return the DP numbers in a text such as "4,5"; InputError for another text."""
     words = [word.strip() for word in text.split(",")] if text else []
     if len(set(words)) < len(words) or any(word not in map(str, DP_NUMBERS) for word in words):
-        allowed = f"DP numbers from 1 to {max(DP_NUMBERS)}, each once, as 4,5"
+        allowed = f"DP numbers from 1 to {max(DP_NUMBERS)}, each once, such as 4,5"
         raise InputError("--seas", "", repr(text)[:80], allowed)
     return [int(word) for word in words]
 

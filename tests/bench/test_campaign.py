@@ -151,7 +151,7 @@ def test_unknown_names_are_refused_before_anything_runs(tmp_path: Path) -> None:
 def test_damaged_results_are_said_in_one_line(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ResultsError, match="no such folder"):
         load_results(tmp_path / "nowhere")
-    with pytest.raises(ResultsError, match=r"runs\.parquet: found no such file"):
+    with pytest.raises(ResultsError, match=r"runs\.parquet: no such file"):
         load_results(tmp_path)
     for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
@@ -160,7 +160,7 @@ def test_damaged_results_are_said_in_one_line(folder: Path, tmp_path: Path) -> N
         load_results(tmp_path)
     (tmp_path / "steps.parquet").write_bytes((folder / "steps.parquet").read_bytes())
     (tmp_path / "machine.json").write_text("{", encoding="utf-8")
-    with pytest.raises(ResultsError, match=r"machine\.json: found no JSON"):
+    with pytest.raises(ResultsError, match=r"machine\.json: found invalid JSON"):
         load_results(tmp_path)
 
 

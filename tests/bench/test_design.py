@@ -216,7 +216,7 @@ def _edited(edit: Callable[[dict[str, Any]], object]) -> Callable[[str], str]:
 
 
 DAMAGE = {
-    "cut": (lambda text: text[: len(text) // 2], "no JSON"),
+    "cut": (lambda text: text[: len(text) // 2], "invalid JSON"),
     "a list": (lambda text: f"[{text}]", "list"),
     "a newer one": (_edited(lambda d: d.update(schema=3)), "schema: found schema 3"),
     "no records": (_edited(lambda d: d.pop("records")), "records: missing"),

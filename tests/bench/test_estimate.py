@@ -197,7 +197,7 @@ def test_load_and_waits_are_named(
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     first, *others = describe_what_is_not_forecast(2)
-    assert first.startswith("not in it: waits for other campaigns")
+    assert first.startswith("not included: waits for other campaigns")
     assert [line.endswith(factor) for line in others] == [True] * bool(factor)
     other = json.dumps({"work": "dpbench run seas", "since": 0.0, "pid": os.getppid()})
     (find_safe_lock_folder() / "machine").write_text(f"{other}\n")
@@ -224,7 +224,7 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     assert cells == "83 cells to run and 1 refused: 1 089 recorded steps"
     assert "s on this machine" in cost and "MB of tables" in cost
     assert rates.startswith("by stated rates") and "for a p99" in remark
-    assert others[0].startswith("not in it: waits")
+    assert others[0].startswith("not included: waits")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tiny.toml"]
     assert main(["run", "tiny.toml", "--quiet", "--solver", "daqp", "--out", "mine"]) == 0
     assert main(["run", "tiny.toml", "--dry-run", "--out", "mine"]) == 0

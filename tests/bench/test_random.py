@@ -128,7 +128,7 @@ def test_a_choice_of_scenarios_leaves_random_problems_out() -> None:
     both = suite(random=random, replay=[ReplayTable(scenario="paper", steps=20)])
     assert len(plan_suite(both)) == 4
     assert {planned.cell.sequence for planned in plan_suite(both, scenarios=["paper"])} == {"paper"}
-    with pytest.raises(InputError, match="none, the suite has no scenario"):
+    with pytest.raises(InputError, match="none, as the suite has no scenario"):
         plan_suite(suite(random=random), scenarios=["paper"])
 
 

@@ -130,10 +130,13 @@ def test_solvers_are_asked_at_the_edge_and_judged(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["supply_mss"], "thrusters: found none; allowed: [[thrusters]] of the vessel"),
+        (["supply_mss"], "thrusters: missing; required: a [[thrusters]] table for each thruster"),
         (["nowhere"], "vessel name: found 'nowhere'; allowed: "),
-        (["osv", "--sides", "5"], "sides: found 5; allowed: an even number from 4 on"),
-        (["osv", "--figure", "rose.jpg"], "--figure: found rose.jpg; allowed: a file that ends"),
+        (["osv", "--sides", "5"], "--sides: found 5; allowed: an even number, 4 or more"),
+        (
+            ["osv", "--figure", "rose.jpg"],
+            "--figure: found rose.jpg; allowed: a file name that ends",
+        ),
         (["osv", "--sides", "8", "--solver", "nobody"], "'nobody'"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -160,7 +163,11 @@ def test_a_solver_that_is_not_installed_is_named(
         ("draught_m = 5.0", "draught_m = -5.0", "capability.draught_m: found -5.0"),
         ("[capability]", "[capability]\nbow_angle_deg = 95.0", "capability.bow_angle_deg"),
         ("[windage]\nfrontal_m2 = 344.0\nlateral_m2 = 830.0\n", "", "windage with capability"),
-        ("thrust_kN = 420.0", "thrust_kN = 420.0\nheight_m = 1.0", "height_m belongs to power_kW"),
+        (
+            "thrust_kN = 420.0",
+            "thrust_kN = 420.0\nheight_m = 1.0",
+            "height_m only together with power_kW",
+        ),
     ],
     ids=lambda text: text.splitlines()[0] if text else "nothing",
 )

@@ -56,7 +56,9 @@ def test_quick_simulates_nothing_and_names_what_is_left_out(
     for name, lines in whole.items():
         *same, last = check_file(name, quick=True).splitlines()
         assert same == [line for line in lines if not line.startswith("tuning ")]
-        assert last == "left out by --quick: the sideways offsets that each tuning recovers from"
+        assert (
+            last == "not simulated (--quick): the sideways offsets from which each tuning recovers"
+        )
 
 
 @pytest.mark.parametrize("name", list_shipped_problem_names("scenarios"))
@@ -82,7 +84,7 @@ def test_the_numbers_of_the_papers_ship(monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.parametrize(
     ("offset_m", "said"),
     [
-        (0.0, "does not hold calm water: 0.25 m sideways is too much"),
+        (0.0, "does not hold calm water: 0.25 m sideways is too far"),
         (100.0, "holds calm water, from 64 m sideways and all below"),
     ],
 )

@@ -33,7 +33,7 @@ def changed(text: str, key: str, line: str) -> str:
         ),
         (SCENARIO, ["x.toml: found a scenario", "a suite", "--scenario"]),
         (VESSEL, ["x.toml: found a vessel", "a suite"]),
-        (HEAD + "[[replay]]\nscenario = ", ["x.toml: found no TOML", "end of document"]),
+        (HEAD + "[[replay]]\nscenario = ", ["x.toml: found invalid TOML", "end of document"]),
     ],
     ids=["nothing to run", "unknown scenario", "settings", "scenario", "vessel", "cut"],
 )

@@ -24,7 +24,7 @@ TEXT = 'solver = "mine"\nlicence = "MIT"\norigin = "here"\nstart = "none"\ntuned
             f'{TEXT}[package]\nname = "x"\nversion = "1"\nsha256 = "0"\n',
             r"recipe.toml: package.sha256: found '0'; allowed: String should match",
         ),
-        (TEXT, r"shim.c: found no such file"),
+        (TEXT, r"shim.c: no such file"),
     ],
 )
 def test_a_bad_recipe(tmp_path: Path, text: str, message: str) -> None:
@@ -57,7 +57,7 @@ def test_a_recipe_whose_sources_are_in_a_folder_of_the_user(tmp_path: Path) -> N
     (tmp_path / "recipe.toml").write_text(f'{TEXT}folder = "the sources"\nsources = ["x*.c"]\n')
     (tmp_path / "shim.c").write_text("")
     (recipe,) = select_recipes(["mine"], [tmp_path])
-    assert recipe.missing == "name a folder with the sources: --source mine=DIR"
+    assert recipe.missing == "add --source mine=DIR, a folder with the sources"
     (given,) = select_recipes(["mine"], [tmp_path], {"mine": tmp_path / "own"})
     assert (given.missing, given.source) == ("", tmp_path / "own")
     with pytest.raises(UnknownNameError, match=r"--source: found other; allowed: "):

@@ -95,7 +95,7 @@ def test_a_list_that_others_wrote_removes_nothing_elsewhere(tmp_path: Path, name
 )
 def test_what_is_no_name_of_a_file(tmp_path: Path, name: str) -> None:
     assert not is_plain_file_name(name)
-    with pytest.raises(InputError, match="a name without a folder"):
+    with pytest.raises(InputError, match="a name without a path"):
         write_file_set_into_folder(tmp_path / "out", {"a": lambda: b"", name: lambda: b""})
     assert not (tmp_path / "out").exists()
 

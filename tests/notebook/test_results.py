@@ -193,7 +193,7 @@ def test_a_folder_without_steps_has_the_tables_of_its_report(
 @pytest.mark.slow
 def test_the_reference_results_can_be_loaded() -> None:
     reference = load_results(Path(__file__).parents[2] / "results" / "reference")
-    with pytest.raises(ResultsError, match=r"steps\.parquet: found no such file"):
+    with pytest.raises(ResultsError, match=r"steps\.parquet: no such file"):
         reference.recorded.read_run(reference.runs["run_id"].iloc[0])
     verdict = reference.verdict()
     assert set(verdict["verdict"]) <= {*STATES}

@@ -163,7 +163,7 @@ def test_a_reader_that_is_killed_or_does_not_end_is_one_line(
     child = tmp_path / "mat_child.py"
     monkeypatch.setattr(mat, "__file__", str(tmp_path / "mat.py"))
     child.write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "utf-8")
-    with pytest.raises(InputError, match=r"a file that SciPy dies of \(SIGSEGV\)"):
+    with pytest.raises(InputError, match=r"a file that crashes SciPy \(SIGSEGV\)"):
         read_hull_from_mss_file(path)
     child.write_text("import time; time.sleep(60)", "utf-8")
     monkeypatch.setattr(mat, "WAIT_S", 0.2)

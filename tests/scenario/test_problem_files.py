@@ -77,8 +77,8 @@ def test_a_path_without_a_file_is_refused(tmp_path: Path, content: str) -> None:
     path = tmp_path / "ship.toml"
     if content == "folder":
         path.mkdir()
-    found = "a folder" if content == "folder" else "no such file"
-    with pytest.raises(InputError, match=f"{path}: found {found}; .* vessel file in TOML"):
+    found = "found a folder" if content == "folder" else "no such file"
+    with pytest.raises(InputError, match=f"{path}: {found}; .* vessel file in TOML"):
         find_problem_path("vessels", path)
 
 
@@ -186,7 +186,7 @@ def test_a_sequence_is_a_stored_name_or_a_path(
         ("x = {a" + ".'a'" * 50_000 + " = 1}", "line 1: found a key"),
         ("a = " + "[" * 100_000, "nested too deep"),
         ("a = " + "[" * 50 + "]" * 50, "more than 32 nested levels"),
-        ("a = " + "9" * 5000, "no TOML"),
+        ("a = " + "9" * 5000, "invalid TOML"),
         ("[[a]]\nb = [0x" + "f" * 5000 + "]", "an integer of more than 300 digits"),
         ("a = 1\n" * 300_000, "1800000 bytes; allowed: at most 1048576"),
     ],

@@ -87,7 +87,7 @@ BAD_SCENARIOS = [
     ("sample_s = 0.3", "sample_s = -0.3", "sample_s", "-0.3", "greater than or equal to 0.0001"),
     ("duration_s = 300.0", "duration_s = 0.1", "duration_s", "0.1", "samples of 0.3 s"),
     ("[150.0, 120.0", "[150.0, 0.0", "environment.period_s.1", "0.0", "greater than 0"),
-    ("= 5", "= 31", "controller.control_horizon", "31", "up to prediction_horizon (30)"),
+    ("= 5", "= 31", "controller.control_horizon", "31", "1 to prediction_horizon (30)"),
     ("[1.0, 1.0, 100.0]", "[1.0, -1.0, 1.0]", "controller.output_weight.1", "-1.0", "equal to 0"),
     ("[1e-10, 1e-10", "[1e-10, 0.0", "controller.move_weight.1", "0.0", "greater than 0"),
     (

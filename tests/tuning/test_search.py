@@ -123,12 +123,12 @@ def test_ranges_of_ones_own_take_the_place_of_the_stated_ones() -> None:
 
 @pytest.mark.parametrize("text", ["rho=1", "rho=[1]", "rho=[2,1]", "rho=[1,inf]", 'rho=["a","b"]'])
 def test_what_is_no_range_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match=r"--range: rho: found .*allowed: two numbers that grow"):
+    with pytest.raises(InputError, match=r"--range: rho: found .*allowed: two increasing numbers"):
         make_space("osqp", [text])
 
 
 def test_a_solver_without_stated_ranges_needs_some() -> None:
-    with pytest.raises(InputError, match=r"quadprog, which has no stated range; .*--range"):
+    with pytest.raises(InputError, match=r"quadprog, which has no usual range; .*--range"):
         make_space("quadprog")
 
 

@@ -15,8 +15,8 @@ from dpbench.tuning.campaigns import load_tuned_problem, refuse_training_qps_in_
     [
         ("paper-60-10", "paper-60-10", "QPs of the same loop as paper-60-10"),
         ("paper-60-10", "paper-30-5", "QPs of the same loop as paper-60-10"),
-        ("paper", "paper-30-5", "QPs of the same loop as paper of"),
-        ("paper", "paper", "QPs of the same loop as paper of"),
+        ("paper", "paper-30-5", "QPs of the same loop as paper in"),
+        ("paper", "paper", "QPs of the same loop as paper in"),
     ],
 )
 def test_what_overlaps_is_refused(training: str, test: str, why: str) -> None:

@@ -38,7 +38,7 @@ from dpbench.tuning.tune import tune_solver
         ("clarabel", {"policy": "warm"}, "policy: found 'warm'; allowed: .*no interface"),
         ("nobody", {}, "found 'nobody'"),
         ("osqp[rhoo=1]", {}, "settings of osqp: rhoo: found an unknown key"),
-        ("osqp[rho=[1,2]]", {}, r"found osqp\[rho=\[1,2\]\]; allowed: one value an option"),
+        ("osqp[rho=[1,2]]", {}, r"found osqp\[rho=\[1,2\]\]; allowed: one value per option"),
     ],
 )
 def test_a_mistake_is_found_before_anything_runs(
@@ -226,7 +226,7 @@ def test_a_dry_run_forecasts_and_writes_nothing(
     assert first == "11 settings of osqp in batches on calm-30-5[:300:4]: 2 batches"
     assert given == "the first batch has 4 more: yours and the presets"
     assert then == "then default, high, yours, best on these and move-30-5[:300:4]"
-    assert time.startswith("about ") and waits.startswith("not in it: waits")
+    assert time.startswith("about ") and waits.startswith("not included: waits")
     assert list(tmp_path.iterdir()) == []
 
 

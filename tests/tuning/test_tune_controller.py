@@ -120,7 +120,7 @@ def test_the_trials_of_another_search_are_refused(
 ) -> None:
     (tmp_path / "trials.jsonl").write_text('{"search": "another"}\n')
     assert main(["tune", "weather", *SMALL, "--out", str(tmp_path)]) == 2
-    assert "is of another search; name another folder (--out)" in capsys.readouterr().err
+    assert "belongs to another search; name another folder" in capsys.readouterr().err
 
 
 @pytest.mark.slow

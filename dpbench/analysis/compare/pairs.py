@@ -101,8 +101,8 @@ def pair_runs_of_folders(a: Records, b: Records, names: tuple[str, str]) -> Pair
         elif outcomes != ("refused", "refused"):
             pairs.append(pair)
     if not pairs and not lost:
-        missing = "no cell that the first folder has too, of the same problem"
-        raise ResultsError(names[1], "", missing, f"results of the suite of {names[0]}")
+        missing = "no cell on the same problem as a cell of the first folder"
+        raise ResultsError(names[1], "", missing, f"results of the same suite as {names[0]}")
     only_a = [_describe_run(run) for key, run in cells_a.items() if key not in partners]
     found = set(partners.values())
     only_b = [_describe_run(run) for key, run in cells_b.items() if key not in found]

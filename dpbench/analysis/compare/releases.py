@@ -126,7 +126,7 @@ def compare_releases(folders: Mapping[str, Records], reference: str | None = Non
     common = {key: runs for key, runs in cells.items() if len(runs) > 1}
     if not common:
         allowed = "folders of the same suite"
-        raise InputError("--releases", "", "no cell that two of the folders have", allowed)
+        raise InputError("--releases", "", "no cell that two of the folders share", allowed)
     units = {
         name: _map_reference_times_by_problem(records, solver) for name, records in folders.items()
     }

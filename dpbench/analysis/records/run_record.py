@@ -382,7 +382,7 @@ def _make_description_error(key: str, error: ValueError) -> ResultsError:
         return ResultsError("runs.parquet", f"cell.{error.key}", error.found, error.allowed)
     first = error.errors()[0] if isinstance(error, ValidationError) else None
     key = ".".join([key, *map(str, first["loc"])]) if first else key
-    found = first["msg"] if first else f"no JSON ({str(error)[:80]})"
+    found = first["msg"] if first else f"invalid JSON ({str(error)[:80]})"
     return ResultsError("runs.parquet", key, found, "the description of a cell")
 
 

@@ -166,7 +166,7 @@ def load_capability_plots(folder: Path) -> pd.DataFrame | None:
         raise
     except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
         found = f"a damaged file ({str(error)[:80]})"
-        raise ResultsError(str(path), "", found, "a parquet table; run again") from error
+        raise ResultsError(str(path), "", found, "a Parquet table; run the suite again") from error
     _refuse_bad_plots(plots, path)
     return plots
 
@@ -177,8 +177,13 @@ def _refuse_bad_plots(plots: pd.DataFrame, path: Path) -> None:
         finite = np.isfinite(plots[name].to_numpy())
         if not finite.all():
             found = plots.loc[~finite, name].iloc[0]
-            raise ResultsError(str(path), name, found, "a finite number; run again")
+            raise ResultsError(str(path), name, found, "a finite number; run the suite again")
     whole = set(plots.loc[plots["case"] == INTACT, "sequence"])
     for sequence in set(plots["sequence"]) - whole:
         found = f"no row {INTACT!r} of {sequence!r}"
-        raise ResultsError(str(path), "case", found, "some of the intact ship; run again")
+        raise ResultsError(
+            str(path),
+            "case",
+            found,
+            "a row of the intact ship for each sequence; run the suite again",
+        )

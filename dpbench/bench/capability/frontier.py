@@ -74,12 +74,14 @@ class CapabilityPlot:
 
     def __init__(self, vessel: Vessel, sides: int | None = None) -> None:
         if vessel.thrusters is None:
-            raise InputError(vessel.where, "thrusters", "none", "[[thrusters]] of the vessel")
+            raise InputError(
+                vessel.where, "thrusters", "nothing", "a [[thrusters]] table for each thruster"
+            )
         if vessel.capability is None:
             allowed = "this table, with at least breadth_m and draught_m, and [windage]"
             raise InputError(vessel.where, "capability", "nothing", allowed)
         if sides is not None and (sides < 4 or sides % 2):
-            raise InputError("sides", "", sides, "an even number from 4 on")
+            raise InputError("`sides`", "", sides, "an even number, 4 or more")
         self.vessel, self.thrusters, self.hull = vessel, vessel.thrusters, vessel.capability
         self.sides = sides
         self._utilisation = Utilisation(self.thrusters, sides)

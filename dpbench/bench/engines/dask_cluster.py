@@ -84,7 +84,7 @@ def connect_client(address: str, tls: TlsFiles | None = None) -> Iterator[Client
                 pass
         except (OSError, ValueError) as error:
             found = f"{address}, where no scheduler answers ({type(error).__name__})"
-            allowed = "the address of a Dask scheduler that runs, as tcp://HOST:8786"
+            allowed = "the address of a running Dask scheduler, such as tcp://HOST:8786"
             raise InputError(WHERE, "", found, allowed) from error
         try:
             # In a thread: a notebook has a loop of its own in this one.
@@ -111,7 +111,7 @@ def _build_security(address: str, tls: TlsFiles) -> Security:
     """Return a Dask client's TLS set-up; InputError for wrong certificate or key files."""
     if not address.startswith("tls://"):
         found = f"files with {WHERE} {address}"
-        raise InputError(TLS, "", found, f"{WHERE} tls://HOST:8786, where the scheduler has TLS")
+        raise InputError(TLS, "", found, f"{WHERE} tls://HOST:8786, if the scheduler uses TLS")
     ca, cert, key = (str(file) for file in tls)
     for name, file in (("CA", ca), ("CERT", cert), ("KEY", key)):
         if not Path(file).is_file():
@@ -125,7 +125,7 @@ def _build_security(address: str, tls: TlsFiles) -> Security:
         # Without a password OpenSSL would ask for the one of an encrypted key.
         context.load_cert_chain(cert, key, password="-")
     except OSError as error:
-        allowed = "files of a certificate and of its key, not encrypted, in PEM format"
+        allowed = "files of a certificate and of its unencrypted key, in PEM format"
         raise InputError(TLS, "CERT and KEY", f"{cert} and {key}", allowed) from error
     files = {"tls_ca_file": ca, "tls_client_cert": cert, "tls_client_key": key}
     return Security(require_encryption=True, **files)
@@ -217,7 +217,7 @@ class Cluster:
             offers[worker["host"]] += worker["resources"].get(EXCLUSIVE, 0)
         if many := [host for host, times in offers.items() if times > 1]:
             found = f"resource {EXCLUSIVE} {offers[many[0]]:g} times on {many[0]}"
-            raise InputError(WHERE, "", found, f"one worker of a machine with {EXCLUSIVE}=1")
+            raise InputError(WHERE, "", found, f"{EXCLUSIVE}=1 on one worker of each machine")
         self.exclusive = bool(exclusive)
         self.machine = self._infos[(exclusive or [*workers])[0]].machine
         self.kinds = len({info.machine["id"] for info in self._infos.values()})
@@ -272,12 +272,14 @@ def _parse_worker_info(address: str, answer: object) -> WorkerInfo:
     """Return a Dask worker's checked description of itself; InputError if it cannot take runs."""
     if not isinstance(answer, WorkerInfo):
         found = f"worker {address} without dpbench {HARNESS_VERSION} ({answer!r})"
-        raise InputError(WHERE, "", found, "workers in the environment of the campaign")
+        raise InputError(
+            WHERE, "", found, "workers with the same Python environment as the campaign"
+        )
     if answer.harness_version != HARNESS_VERSION:
         found = f"worker {address} with dpbench {answer.harness_version}"
         raise InputError(WHERE, "", found, f"dpbench {HARNESS_VERSION}, as here")
     if not answer.may_start:
-        found = f"worker {address}, a daemon, which may start no processes"
+        found = f"worker {address}, a daemon, which cannot start processes"
         allowed = "workers started with DASK_DISTRIBUTED__WORKER__DAEMON=False"
         raise InputError(WHERE, "", found, allowed)
     return answer

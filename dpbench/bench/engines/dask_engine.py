@@ -103,7 +103,9 @@ class DaskEngine(ExitStack):
             self._cluster = Cluster(client, is_own=True)
         self._cluster.client.subscribe_topic(steps.topic, self._show_step)
         if (kinds := self._cluster.kinds) > 1:
-            progress.remark(f"workers on {kinds} kinds of machines: replays of one kind are ranked")
+            progress.remark(
+                f"workers on {kinds} kinds of machines: only replays of one kind are ranked"
+            )
         if not self._cluster.exclusive and any(job.cell.is_timed for job in jobs):
             progress.remark(NOT_ALONE)
         self._refreshed_s = time.monotonic()

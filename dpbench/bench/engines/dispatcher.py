@@ -41,7 +41,7 @@ SOURCE_S, SOURCE_STEP_S = 0.005, 0.0001
 """Rates measured for `docs/guide/scale.md`: a source, and a step of it."""
 MOST_ATTEMPTS = 3
 """Number of times that a batch is handed over before it is suspected of ending its workers."""
-DIED = "every worker that it was given to died"
+DIED = "every worker that ran it died"
 
 
 class Dispatcher:

@@ -95,7 +95,10 @@ def open_engine(
     if tls is not None and scheduler is None:
         raise InputError("`tls`", "", "files without `scheduler`", "`scheduler` tls://HOST:8786")
     if scheduler is not None and jobs is not None:
-        found, allowed = f"{jobs} with `scheduler`", "one of the two: its workers are there"
+        found, allowed = (
+            f"{jobs} with `scheduler`",
+            "one of the two, as a scheduler has its own workers",
+        )
         raise InputError("`jobs`", "", found, allowed)
     slots = count_slots(jobs)
     # Before anything is written: a folder that cannot be trusted refuses.
@@ -103,12 +106,17 @@ def open_engine(
     if name == "local":
         return LocalEngine(slots, patience)
     if patience != WaitLimit():
-        raise InputError("`wait_s`", "", f"a limit with engine {name}", "engine local")
+        raise InputError(
+            "`wait_s`", "", f"a limit with engine {name}", "`engine` local, or no limit"
+        )
     try:
         # What an extra installs is imported only where it is asked for.
         from dpbench.bench.engines.dask_engine import open_dask_engine
     except ModuleNotFoundError as error:
-        found, allowed = f"dask, without {error.name}", "pip install 'dpbench[cluster]', or local"
+        found, allowed = (
+            f"dask, without {error.name}",
+            "local; or dask after pip install 'dpbench[cluster]'",
+        )
         raise InputError("`engine`", "", found, allowed) from error
     return open_dask_engine(scheduler, slots, tls)
 
@@ -117,5 +125,5 @@ def count_slots(jobs: int | None) -> int:
     """Return how many runs to do at a time: `jobs`, or all cores for None; InputError if more."""
     cores = len(os.sched_getaffinity(0))
     if jobs is not None and not 1 <= jobs <= cores:
-        raise InputError("`jobs`", "", jobs, f"a number from 1 to {cores}, the cores available")
+        raise InputError("`jobs`", "", jobs, f"1 to {cores}, the number of available cores")
     return jobs or cores

@@ -45,7 +45,7 @@ class Shard:
 
     def __post_init__(self) -> None:
         if not 1 <= self.index <= self.count <= MOST_SHARDS:
-            allowed = f"i/n, as 1/4, with i from 1 to n and n up to {MOST_SHARDS}"
+            allowed = f"I/N, such as 1/4, with I from 1 to N and N up to {MOST_SHARDS}"
             raise InputError("`shard`", "", repr(str(self)), allowed)
 
     def __str__(self) -> str:
@@ -58,7 +58,7 @@ class Shard:
             return WHOLE
         parts = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
         if parts is None:
-            raise InputError("`shard`", "", repr(text)[:80], "i/n, as 1/4, with i from 1 to n")
+            raise InputError("`shard`", "", repr(text)[:80], "I/N, such as 1/4, with I from 1 to N")
         return cls(*map(int, parts.groups()))
 
     def select_jobs(self, jobs: list[CellJob]) -> list[CellJob]:
@@ -127,7 +127,7 @@ class ShardRecord:
         """Read `shard.json` of a result folder; InputError where it is missing or damaged."""
         path = folder / SHARD_FILE
         if not path.exists():
-            found, allowed = f"{folder} without a shard", "a folder of `dpbench cells`"
+            found, allowed = f"{folder} without a shard", "a folder written by `dpbench cells`"
             raise InputError("gather", "", found, allowed)
         read = check_document_as_type(read_json(path), _ShardFile, path)
         return cls(**{name: getattr(read, name) for name in _ShardFile.model_fields})

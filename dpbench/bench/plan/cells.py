@@ -162,7 +162,7 @@ def plan_recorded_replays(
         sha256, sequence = hash_sequence_files(path), read_sequence(path).sequence
         known = digests.setdefault(sequence.name, sha256)
         if known != sha256 or sequence.name in taken:
-            allowed = "sequences and scenarios of different names, which tell their results apart"
+            allowed = "different names for all sequences and scenarios, as results are kept by name"
             raise InputError(str(path), "name", f"another called {sequence.name!r}", allowed)
         source = RecordedSource(sequence.name, origin, sha256)
         planned = plan_replay_per_configuration(

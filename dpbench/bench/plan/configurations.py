@@ -183,7 +183,7 @@ def refuse_invalid_own_settings(suite: SuiteFile, choices: Iterable[str], where:
                 raise type(error)(where, error.key, error.found, error.allowed) from None
             if has_preset:
                 where = f"suite: settings.{name}"
-                raise InputError(where, "", "the name of a preset", "a name of its own")
+                raise InputError(where, "", "the name of a preset", "another name")
 
 
 def _refuse_unavailable_call_mode(solver: str, table: SettingsTable) -> None:

@@ -65,10 +65,10 @@ def plan_suite(
     known = suite.scenario_names
     for name in scenarios or ():
         if name not in known:
-            allowed = (
-                format_allowed_names(name, known) if known else "none, the suite has no scenario"
-            )
-            raise InputError("`scenarios`", "", repr(name), f"a scenario of the suite: {allowed}")
+            allowed = "none, as the suite has no scenario"
+            if known:
+                allowed = f"a scenario of the suite: {format_allowed_names(name, known)}"
+            raise InputError("`scenarios`", "", repr(name), allowed)
     loaded = {name: load_scenario(name, beside=beside) for name in known}
     swept = _load_horizon_variants(suite, loaded)
     stems = _list_unique_names([*loaded.values(), *swept.values()])
@@ -102,7 +102,7 @@ def _list_unique_names(scenarios: Sequence[Scenario]) -> list[str]:
     stems = [scenario.name for scenario in scenarios]
     for stem in stems:
         if stems.count(stem) > 1:
-            allowed = "files of different names, which tell their results apart"
+            allowed = "files with different names, as results are kept by name"
             raise InputError("suite", "scenarios", f"two scenarios called {stem!r}", allowed)
     return stems
 
@@ -159,7 +159,7 @@ def _plan_closed_loops(
     steps = min(table.steps or scenario.steps, scenario.steps)
     if table.deadline_s > scenario.sample_s:
         where, allowed = f"suite: closed loop of {scenario.name}", f"at most {scenario.sample_s:g}"
-        raise InputError(where, "deadline_s", table.deadline_s, f"{allowed}, its sample")
+        raise InputError(where, "deadline_s", table.deadline_s, f"{allowed}, its sample time")
     backup, missing = find_backup_and_refusal(table.backup)
     # The baseline law does not look at units or settings: it runs where the default configurations
     # do.
@@ -204,7 +204,7 @@ def _plan_scenario_replays(
         _refuse_impossible_window(table, scenario)
     if "margin" in table.model_fields_set and not table.consequence:
         where = f"suite: replay of {scenario.name}"
-        raise InputError(where, "margin", table.margin, "nothing without consequence = true")
+        raise InputError(where, "margin", table.margin, "margin only with consequence = true")
     if table.consequence:
         return _plan_consequence_replays(suite, table, scenario, solvers, steps)
     source: QPSource = CONTROLLER
@@ -230,11 +230,11 @@ def _refuse_impossible_window(table: ReplayTable, scenario: Scenario) -> None:
     """Raise InputError where a suite table has an impossible window of hardest steps."""
     allowed = ""
     if table.steps and table.hardest > table.steps:
-        allowed = f"at most {table.steps}, the steps it is chosen from"
+        allowed = f"at most {table.steps}, the number of steps to choose from"
     elif table.consequence:
-        allowed = "0 with consequence: hardness is that of the controller's QPs"
+        allowed = "0 with consequence = true, as hardness is that of the controller's QPs"
     elif table.horizons:
-        allowed = "0 with horizons: each pair has other hardest steps, and they are compared"
+        allowed = "0 with horizons, as the hardest steps of each pair differ"
     if allowed:
         where = f"suite: replay of {scenario.name}"
         raise InputError(where, "hardest", table.hardest, allowed)
@@ -257,7 +257,7 @@ def _plan_consequence_replays(
     thrusters, _ = select_thruster_rows(scenario)
     if table.units != ["scaled"]:
         where = f"suite: consequence analysis of {scenario.name}"
-        raise InputError(where, "units", ", ".join(table.units), "scaled, its only units")
+        raise InputError(where, "units", ", ".join(table.units), "scaled only")
     own = [name for name in solvers if name not in CALIBRATION]
     sequence = _name_replay(table, scenario, steps)
     return [
@@ -283,7 +283,7 @@ def plan_study_loops(
     titles = [table.title for table in suite.study]
     for table in suite.study:
         if titles.count(table.title) > 1:
-            allowed = "a name of its own for each study of a suite"
+            allowed = "a different name for each study"
             raise InputError("suite", "study.name", f"two studies called {table.title!r}", allowed)
         cells += _plan_loops_of_study(suite, table, f"suite: study {table.title}", solvers, beside)
         if len(cells) > MOST_CELLS:
@@ -398,7 +398,7 @@ class _ScenarioCache:
             found = f"a seed where the weather of {self._base.name} draws nothing at random"
             allowed = (
                 "a scenario with [environment.waves] (hs_m, tp_s), gusts in [environment.wind] or "
-                "[environment.noise]; `dpbench list scenarios` names those that draw at random"
+                "[environment.noise]; `dpbench list scenarios` shows which draw at random"
             )
         raise InputError(self._where, key, found, allowed)
 

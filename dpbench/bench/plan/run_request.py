@@ -32,13 +32,13 @@ from dpbench.solvers.own_settings import (
 )
 from dpbench.solvers.table import find_solver_record, load_plugin_solver_from_file
 
-NO_P99 = "no replay has steps enough for a p99"
+NO_P99 = "no replay has enough steps for a p99"
 """Beginning of a remark on a plan, of which a search that ranks by other percentiles has no use."""
 MOST_NAMED = 3
 """Runs that a remark names; of the others their number is."""
 WITHOUT_SAMPLE = (
-    "no sample time is known of these QPs, so no step time is judged; a suite with [[recorded]] "
-    "and [requirements] sets limits"
+    "these QPs have no known sample time, so no step time is judged; set limits in a suite with "
+    "[[recorded]] and [requirements]"
 )
 """Remark on a sequence without a deadline of its own."""
 
@@ -139,8 +139,8 @@ class RunRequest:
             name = f"sequence-{Path(self.sequence).resolve().stem}"
             return name, Path("suite"), build_sequence_suite(self.sequence, meta)
         both = f"suite {self.suite} and sequence {self.sequence}"
-        found = "neither" if self.suite is None else both
-        raise InputError("run", "", found, "a suite or a sequence")
+        found = "no suite and no sequence" if self.suite is None else both
+        raise InputError("run", "", found, "either a suite or a sequence")
 
 
 def reduce_suite(
@@ -208,7 +208,7 @@ def list_tables_left_out(suite: SuiteFile) -> list[str]:
     """Return a remark on the suite's tables of no scenario, which a choice of these leaves out."""
     of_none = ("study", "recorded", "random", "capability")
     tables = [f"[[{name}]]" for name in of_none if getattr(suite, name)]
-    return [f"left out by the choice of scenarios: {', '.join(tables)}"] if tables else []
+    return [f"not run, because scenarios are selected: {', '.join(tables)}"] if tables else []
 
 
 def list_runs_of_other_length(planned: Sequence[PlannedCell], steps: int) -> list[str]:
@@ -219,8 +219,8 @@ def list_runs_of_other_length(planned: Sequence[PlannedCell], steps: int) -> lis
     fewer = [f"{name} ({n})" for name, n in lengths.items() if n < steps]
     whole = [f"{name} ({n})" for name, n in lengths.items() if n > steps]
     heads = {
-        f"fewer than the {steps} requested steps, all there are": fewer,
-        f"not shortened to {steps} steps, as only loops and replays along them are": whole,
+        f"fewer than the {steps} requested steps": fewer,
+        f"not shortened to {steps} steps, as only closed loops and their replays are": whole,
     }
     return [f"{head}: {_name_a_few(names)}" for head, names in heads.items() if names]
 
@@ -241,10 +241,10 @@ def _list_remarks(
     texts = Counter(
         text for one in choices if "[" in one for text in expand_choice_over_option_grid(one)
     )
-    remarks = [f"{text} is given {n} times: one row" for text, n in texts.items() if n > 1]
+    remarks = [f"{text} is given {n} times and is run once" for text, n in texts.items() if n > 1]
     remarks += dict.fromkeys(
-        f"{p.cell.solver}: settings {', '.join(p.merged_settings)} are the same options as "
-        f"{p.cell.settings}: one row, {p.cell.settings}"
+        f"{p.cell.solver}: settings {', '.join(p.merged_settings)} have the same options as "
+        f"{p.cell.settings} and share its row"
         for p in planned
         if p.merged_settings
     )

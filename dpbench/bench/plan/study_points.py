@@ -71,10 +71,10 @@ class DesignOfPointsTable(FileModel):
     def _refuse_bad_size_or_range(self) -> "DesignOfPointsTable":
         """Raise ValueError for a Sobol size that is no power of two, or a range without growth."""
         if self.kind == "sobol" and self.points & (self.points - 1):
-            raise ValueError("a power of two points for sobol: 64, 128, 256, ...")
+            raise ValueError("a power of two for sobol: 64, 128, 256, ...")
         for key, (least, largest) in self.ranges.items():
             if not least < largest:
-                raise ValueError(f"a range that grows for {key!r}, as [5.0, 18.0]")
+                raise ValueError(f"an increasing range for {key!r}, such as [5.0, 18.0]")
         return self
 
     def draw_points(self) -> Matrix:
@@ -124,11 +124,11 @@ class StudyTable(RunsTable):
         """Raise ValueError for parameters that appear twice, or paired lists of unequal length."""
         lengths = {len(values) for values in self.zip.values()}
         if len(lengths) > 1:
-            raise ValueError("as many values of each key in zip")
+            raise ValueError("the same number of values for each key in zip")
         keys = self.keys
         twice = [key for key in keys if keys.count(key) > 1]
         if twice:
-            raise ValueError(f"each key once, {twice[0]!r} is there twice")
+            raise ValueError(f"each key once; {twice[0]!r} is given twice")
         if self.replicates.count > 1 and self.replicates.key in keys:
             raise ValueError(f"{self.replicates.key!r} in replicates or among the points, not both")
         return self

@@ -37,7 +37,7 @@ Option = bool | int | float | str
 def _require_table_of_solver(value: object) -> object:
     """Return the options of a solver unchanged; ValueError for an option without its solver."""
     if not isinstance(value, dict):
-        raise ValueError("route, policy, or a table of a solver, as osqp = { rho = 1.6 }")
+        raise ValueError("route, policy, or the table of a solver, such as osqp = { rho = 1.6 }")
     return value
 
 
@@ -386,7 +386,7 @@ def load_path_and_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     kind = next((kind for key, kind in _OTHER_FILES.items() if key in document), None)
     if kind is not None:
         own = "`run_campaign(SUITE, scenarios=[FILE])` or `dpbench run SUITE --scenario FILE`"
-        allowed = f"a suite; a custom scenario by {own}"
+        allowed = f"a suite; run a scenario by {own}"
         raise InputError(str(path), "", kind, allowed)
     return path, validate_settings_as_model(document, SuiteFile, str(path))
 

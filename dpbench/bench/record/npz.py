@@ -111,7 +111,7 @@ def open_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
         raise
     except (*DAMAGE, OSError) as error:
         words = f"a damaged file ({type(error).__name__}: {str(error)[:120]})"
-        allowed = "what the campaign wrote there; run again"
+        allowed = "the file that the campaign wrote; run the suite again"
         raise ResultsError(str(path), "", words, allowed) from error
 
 
@@ -227,7 +227,7 @@ def read_stored_text(arrays: Arrays, where: str, name: str) -> str:
     array = arrays.get(name)
     if array is None:
         others = ", ".join(list(arrays)[:8]) or "none"
-        raise InputError(where, name, f"nothing (arrays: {others})", "this text is required")
+        raise InputError(where, name, f"no such array among {others}", "a text")
     if array.dtype.kind != "U" or array.shape:
         raise InputError(where, name, f"type {array.dtype}, shape {array.shape}", "one text")
     return str(array)

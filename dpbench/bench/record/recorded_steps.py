@@ -198,20 +198,25 @@ def convert_table_errors(path: Path) -> Iterator[None]:
         if isinstance(error, ResultsError):
             raise
         raise ResultsError(
-            str(path), "", f"a damaged file ({str(error)[:120]})", "a parquet table; run again"
+            str(path),
+            "",
+            f"a damaged file ({str(error)[:120]})",
+            "a Parquet table; run the suite again",
         ) from error
 
 
 def make_missing_columns_error(path: Path, columns: Sequence[str]) -> ResultsError:
     """Return the `ResultsError` for a table that lacks columns."""
     named = ", ".join(columns[:3]) + (", …" if len(columns) > 3 else "")
-    return ResultsError(str(path), named, "no such columns", "the columns of schema.py")
+    return ResultsError(
+        str(path), named, "no such columns", "the columns that `dpbench run` writes"
+    )
 
 
 def make_wrong_type_error(path: Path, which: str) -> ResultsError:
     """Return the `ResultsError` for a table with a column of another type."""
     return ResultsError(
-        str(path), "", f"a column of another type ({which})", "the types of schema.py"
+        str(path), "", f"a column of another type ({which})", "the types that `dpbench run` writes"
     )
 
 

@@ -151,7 +151,7 @@ def check_document_as_type(document: dict[str, Any], kind: type[_Kind], path: Pa
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"])
         value = "nothing" if first["type"] == "missing" else repr(first["input"])[:80]
-        allowed = f"what `dpbench run` writes ({first['msg']}); run again"
+        allowed = f"what `dpbench run` writes ({first['msg']}); run the suite again"
         raise ResultsError(str(path), key, value, allowed) from error
 
 
@@ -175,7 +175,9 @@ def refuse_impossible_runs(runs: pd.DataFrame, path: Path) -> None:
             row = int(is_bad.to_numpy().argmax())
             value = runs[column].iloc[row]
             found = "nothing" if pd.isna(value) else str(value)[:80]
-            raise ResultsError(str(path), f"{column}[{row}]", found, f"{allowed}; run again")
+            raise ResultsError(
+                str(path), f"{column}[{row}]", found, f"{allowed}; run the suite again"
+            )
 
 
 def _yield_columns_and_invalid_masks(
@@ -245,7 +247,9 @@ def lock_result_folder(
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             found = f"{folder} in use by a campaign: {describe_lock_holders(lock)}"
-            raise InputError(where, "", found, "to wait for it, or another folder") from error
+            raise InputError(
+                where, "", found, "another folder; or wait for that campaign"
+            ) from error
         with lock_for_writing(folder, patience):
             yield
 
@@ -302,8 +306,13 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
     for name, rows in {"run_rows": len(runs), "step_rows": steps.rows}.items():
         promised = results.suite.get(name)
         if promised != rows and not (no_steps and name == "step_rows"):
-            found = f"{promised} where the table has {rows} rows"
-            raise ResultsError(str(folder / "suite.json"), name, found, "the same; run again")
+            found = f"{promised}, but the table has {rows} rows"
+            raise ResultsError(
+                str(folder / "suite.json"),
+                name,
+                found,
+                "the number of rows of the table; run the suite again",
+            )
     return results
 
 
@@ -331,7 +340,7 @@ def _read_checked_runs(folder: Path) -> pd.DataFrame:
     others = sorted(set(table["schema"].unique().to_pylist()) - {SCHEMA_VERSION}, key=str)
     if others:
         # Before its columns are read: another schema has others.
-        found, allowed = f"schema {others}", f"schema {SCHEMA_VERSION}; run again"
+        found, allowed = f"schema {others}", f"schema {SCHEMA_VERSION}; run the suite again"
         raise ResultsError(str(path), "schema", found, allowed)
     try:
         runs = runs_to_frame(add_missing_run_columns(table)).reset_index(drop=True)
@@ -343,7 +352,7 @@ def _read_checked_runs(folder: Path) -> pd.DataFrame:
     # `report --for` writes files named after solvers.
     for name in runs["solver"].unique():
         if not is_plain_file_name(str(name)):
-            raise ResultsError(str(path), "solver", repr(name)[:80], "a name without a folder")
+            raise ResultsError(str(path), "solver", repr(name)[:80], "a name without a path")
     return runs
 
 

@@ -103,7 +103,7 @@ class QPBuilder:
         return self.emit_allocation(k, demand[k], self._commanded.get_force_before_step(thrust, k))
 
 
-NO_MODEL = "the QPs of a scenario; recorded and random ones bring no model whose states to keep"
+NO_MODEL = "the QPs of a scenario; recorded and random QPs have no model with states to keep"
 
 
 class BoxFormulation:

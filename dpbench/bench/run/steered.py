@@ -190,7 +190,9 @@ def build_steered_system(
     """
     if isinstance(case, LinearMPC):
         if make is None:
-            raise InputError(case.name, "plant", "none", "a plant: a LinearMPC brings no simulator")
+            raise InputError(
+                case.name, "plant", "nothing", "a plant, as a LinearMPC has no simulator"
+            )
         own = ObservedPlant(make, case.model.n_x)
         return SteeredPlant(case, own), own
     if make is None and case.fmu is not None:

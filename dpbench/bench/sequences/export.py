@@ -107,7 +107,12 @@ def export_sequence(
     if (suffix := FILES.get(format)) and target.suffix != suffix:
         raise InputError("`out`", "", repr(target.name), f"a file name that ends in {suffix}")
     if at is not None and (steps is not None or every != 1):
-        raise InputError("`at`", "", f"{at} with `steps` or `every`", "one step, or several")
+        raise InputError(
+            "`at`",
+            "",
+            f"{at} with `steps` or `every`",
+            "one step by `at`, or several by `steps` and `every`",
+        )
     if part not in get_args(Part):
         raise InputError("`part`", "", repr(part), " | ".join(get_args(Part)))
     recorded = _record_requested(what, _parse_horizons(horizons), steps, every, at, part)
@@ -121,7 +126,7 @@ def export_sequence(
         written = " and ".join(map(str, save_qpbenchmark(target, recorded)))
     left_out = len(recorded.optima or []) - len(list_steps_with_optimum(recorded))
     some = left_out and format == "qpbenchmark"
-    without = f"; {left_out} without an optimum left out" if some else ""
+    without = f"; {left_out} left out, as they have no optimum" if some else ""
     about = source.describe_sequence(recorded.sequence, recorded.optima or [])
     return f"{written}: {about}{without}"
 
@@ -130,13 +135,16 @@ def check_export_options(options: dict[str, Any]) -> None:
     """Raise InputError unless `dpbench export` has --all alone, or what to export with --out."""
     if not options["all"]:
         if options["what"] is None or options["out"] is None:
-            raise SituationError("export", "name WHAT and its file by --out, or give --all")
+            raise SituationError(
+                "export", "give WHAT to write and its file by --out, or give --all"
+            )
         return
     defaults = {"every": 1, "format": "npz", "part": "controller"}
     for key in ("what", "horizons", "steps", "every", "format", "at", "part"):
         if options[key] != defaults.get(key):
-            found = f"{key} {options[key]} with --all"
-            raise InputError("export", "", found, "--all, which follows its manifest, and --out")
+            option = key.upper() if key == "what" else f"--{key}"
+            found = f"{option} {options[key]} with --all"
+            raise InputError("export", "", found, "--all alone or with --out")
 
 
 def _record_requested(
@@ -157,11 +165,13 @@ def _record_requested(
         upto = at + 1 if 0 <= at < scenario.steps else None
         return _record_step(record(scenario, steps=upto), at)
     if part != "controller":
-        allowed = "a scenario: a sequence holds the QPs it holds"
+        allowed = "a scenario, as the QPs of a recorded sequence are fixed"
         raise InputError("`part`", "", f"{part} for a recorded sequence", allowed)
     if horizons is not None:
         found = f"{horizons[0]}/{horizons[1]} for a recorded sequence"
-        raise InputError("`horizons`", "", found, "a scenario: a sequence has the horizons it has")
+        raise InputError(
+            "`horizons`", "", found, "a scenario, as the horizons of a recorded sequence are fixed"
+        )
     stored = _load_recorded(what)
     if at is not None:
         return _record_step(stored, at)
@@ -215,7 +225,7 @@ def save_qpbenchmark(out: str | Path, recorded: Recorded) -> tuple[Path, Path]:
     path = Path(out)
     stem = path.stem
     if not stem.isidentifier() or stem in _TAKEN or path.suffix not in ("", ".py", ".parquet"):
-        allowed = "a Python name no library has, as qpbenchmark imports it, e.g. dp_paper.py"
+        allowed = "a Python module name that no library has, such as dp_paper.py"
         raise InputError("`out`", "", repr(path.name), allowed)
     sequence = recorded.sequence
     steps = list_steps_with_optimum(recorded)

@@ -90,7 +90,10 @@ def _group_arrays_by_stage(document: dict[str, object], where: str) -> list[Arra
         by_stage.setdefault(int(match[2]), {})[field] = shaped
     if sorted(by_stage) != list(range(len(by_stage))) or not by_stage:
         raise InputError(
-            where, "", f"{len(by_stage)} stages with gaps", f"stages 0 to N of {ACADOS}"
+            where,
+            "",
+            f"{len(by_stage)} stages with gaps between them",
+            f"stages 0 to N of {ACADOS}",
         )
     return [by_stage[k] for k in range(len(by_stage))]
 
@@ -139,7 +142,7 @@ class _Stages:
         known = np.isin(entries, np.arange(nu + nx)).all()
         if not known or len(np.unique(entries)) != len(entries):
             allowed = f"different numbers from 0 to {nu + nx - 1}"
-            raise InputError(f"{self._where}, stage {k}", "idxb", "other entries", allowed)
+            raise InputError(f"{self._where}, stage {k}", "idxb", "invalid entries", allowed)
         return entries.astype(np.intp)
 
 
@@ -153,7 +156,7 @@ def read_maros_meszaros_problem(path: Path) -> QuadraticProgram:
     m = arrays["l"].size - n if "l" in arrays else 0
     if not 1 <= n <= MOST_VARIABLES or m < 0:
         found, allowed = f"{n} variables and {m + n} limits", f"1 to {MOST_VARIABLES} variables"
-        raise InputError(where, "q, l", found, f"{allowed}, and a limit of each row and variable")
+        raise InputError(where, "q, l", found, f"{allowed}, and one limit per row and variable")
     arrays |= {name: np.atleast_2d(arrays[name]) for name in ("P", "A") if name in arrays}
     P, A = read_float_array(arrays, where, "P", (n, n)), _read_rows_and_bounds(arrays, where, m, n)
     q = read_float_array(arrays, where, "q", (n,))

@@ -182,7 +182,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
     if units == "scaled":
         return recorded.sequence
     if recorded.sequence.units is None:
-        found = "1 for all: units of its own"
+        found = "1 everywhere: units of its own"
         raise InputError(str(path), "unit_z, unit_row", found, "units in SI, or units='scaled'")
     return convert_sequence_to_units(recorded.sequence, recorded.sequence.units)
 
@@ -210,7 +210,9 @@ def load_recorded(path: str | Path) -> Recorded:
     if texts["format"] != FORMAT:
         raise InputError(where, "format", repr(texts["format"]), repr(FORMAT))
     if (version := read_stored_count(arrays, where, "version")) != FORMAT_VERSION:
-        raise InputError(where, "version", version, f"{FORMAT_VERSION}; or a newer dpbench")
+        raise InputError(
+            where, "version", version, f"{FORMAT_VERSION}; update dpbench to read a newer version"
+        )
     q, A = _read_matrix(arrays, where, "q"), _read_matrix(arrays, where, "A")
     sizes = q.shape[0], q.shape[1], A.shape[0]
     sequence = _read_sequence(arrays, where, sizes, texts["name"], _read_meta(where, texts))
@@ -263,7 +265,9 @@ def _read_optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> lis
             allowed = ", ".join(get_args(Kind))
             raise InputError(where, f"certificate[{k}]", repr(kind), allowed)
         if np.isfinite(bound[k]) and not all(np.isfinite(c[k]).all() for c in columns):
-            raise InputError(where, f"z, y, y_box[{k}]", "NaN with a finite bound", "numbers")
+            raise InputError(
+                where, f"z, y, y_box[{k}]", "NaN with a finite bound", "finite numbers"
+            )
     rows = zip(*columns, bound.tolist(), kinds, strict=True)
     return [Optimum(*row) for row in rows]
 
@@ -284,7 +288,7 @@ def _read_document(where: str, name: str, texts: dict[str, str]) -> dict[str, An
     try:
         document = parse_json(texts[name])
     except ValueError as error:
-        raise InputError(where, name, f"no JSON ({error})", "a JSON object") from error
+        raise InputError(where, name, f"invalid JSON ({error})", "a JSON object") from error
     if not isinstance(document, dict):
         raise InputError(where, name, type(document).__name__, "a JSON object")
     return document
@@ -312,7 +316,7 @@ def list_problem_files(folder: Path) -> list[Path]:
     files = next(filter(None, by_format), [])
     if not files:
         found = f"no {', '.join(_READERS)} file"
-        raise InputError(str(folder), "", found, "a folder of files of one QP each")
+        raise InputError(str(folder), "", found, "a folder of files with one QP each")
     return sorted(files, key=lambda path: (_natural_sort_key(path.stem), path.name))
 
 
@@ -342,9 +346,7 @@ def read_problems(place: Path) -> QPSequence:
     for path, qp in zip(files, problems, strict=True):
         if (qp.n, qp.m) != (base.n, base.m):
             found = f"{qp.n} variables and {qp.m} rows"
-            allowed = (
-                f"{base.n} variables and {base.m} rows, as in {files[0].name}: one size a folder"
-            )
+            allowed = f"{base.n} variables and {base.m} rows, as in {files[0].name}"
             raise InputError(str(path), "", found, allowed)
     vectors: dict[str, Any] = {
         name: np.array([getattr(qp, name) for qp in problems]) for name in ("q", "l", "u")
@@ -397,7 +399,7 @@ def _read_rows(
         return np.zeros((0, n)), np.zeros(0)
     if len(present) == 1:
         missing = vector if present == [matrix] else matrix
-        raise InputError(where, missing, "nothing", f"{matrix} and {vector}, or none of the two")
+        raise InputError(where, missing, "nothing", f"both {matrix} and {vector}, or neither")
     # qpsolvers takes a single row as a vector.
     shaped = arrays | {matrix: np.atleast_2d(arrays[matrix]), vector: arrays[vector].reshape(-1)}
     m = shaped[matrix].shape[0]

@@ -71,7 +71,7 @@ from dpbench.scenario.problem_files import resolve_sequence_path
 from dpbench.scenario.scenario import Scenario, build_or_reuse_scenario, build_vessel_from_documents
 from dpbench.ship.layout import AXES
 
-_FILES = "a sequence by `dpbench export` (.npz), or a QP or folder of them of others"
+_FILES = "a sequence written by `dpbench export` (.npz), or a file or folder of other QPs"
 
 
 def record_scenario(
@@ -94,7 +94,9 @@ def record_scenario(
         scenario = scenario.with_horizons(*horizons)
     if steps is not None:
         if not 1 <= steps <= scenario.steps:
-            raise InputError("`steps`", "", steps, f"1 to {scenario.steps} of {scenario.name}")
+            raise InputError(
+                "`steps`", "", steps, f"1 to {scenario.steps}, the steps of {scenario.name}"
+            )
         scenario = scenario.truncate(steps)
     exact = solve_loop_exactly(scenario)
     exact.require_certificates(scenario.name)
@@ -105,7 +107,9 @@ def record_scenario(
 def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QPSequence:
     """Return each `every`-th of the first `steps` QPs of a sequence (None: of all)."""
     if steps is not None and not 1 <= steps <= len(sequence):
-        raise InputError("`steps`", "", steps, f"1 to {len(sequence)} of {sequence.name}")
+        raise InputError(
+            "`steps`", "", steps, f"1 to {len(sequence)}, the steps of {sequence.name}"
+        )
     if every < 1:
         raise InputError("`every`", "", every, "1 or more")
     if every == 1 and steps in (None, len(sequence)):
@@ -118,7 +122,7 @@ def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QP
 def select_step(sequence: QPSequence, k: int) -> QPSequence:
     """Return step k of a sequence of QPs as a sequence of one QP."""
     if not 0 <= k < len(sequence):
-        raise InputError("`at`", "", k, f"0 to {len(sequence) - 1} of {sequence.name}")
+        raise InputError("`at`", "", k, f"0 to {len(sequence) - 1}, the steps of {sequence.name}")
     first = int(sequence.meta.get("first", 0)) + k * int(sequence.meta.get("every", 1))
     return _select_steps(sequence, slice(k, k + 1), f"{sequence.name}[{k}]", {"first": first})
 
@@ -262,7 +266,7 @@ class _LoopFile:
         """Raise ResultsError where a loop's file, read whole, is damaged or has too few steps."""
         stored, needed = len(ExactLoop.load(path).theta), self.cell.steps_needed_in_file
         if stored < needed:
-            raise ResultsError(str(path), "theta", f"{stored} steps", f"{needed} of them")
+            raise ResultsError(str(path), "theta", f"{stored} steps", f"{needed} steps")
 
     def read_n_and_m(self, stored: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
         """Return n and m of the run's QPs from the arrays of the file."""
@@ -355,7 +359,7 @@ class _RecordedFile(_SequenceFile):
         origin = resolve_sequence_path(self.source.path)
         actual, planned = hash_sequence_files(origin), self.source.sha256
         if actual != planned:
-            allowed = f"the file the cell was planned with, SHA-256 {planned[:12]}…"
+            allowed = f"the file that the cell was planned with, SHA-256 {planned[:12]}…"
             raise InputError(str(origin), "", f"SHA-256 {actual[:12]}…", allowed)
         recorded = read_sequence(origin)
         save_sequence(path, recorded.sequence)
@@ -441,7 +445,7 @@ def _check_step(where: str, k: int, sequence: QPSequence, claim: Optimum, optimu
         return
     if without:
         if not is_farkas_vector_proof(sequence.problem(k), claim.y, claim.y_box):
-            allowed = "a Farkas vector: the step is infeasible"
+            allowed = "a Farkas vector, as the step is infeasible"
             raise InputError(where, f"y, y_box[{k}]", "no proof of infeasibility", allowed)
         return
     if not np.isfinite(claim.bound):

@@ -163,7 +163,7 @@ class CellRun:
             judged = []
         except DAMAGE as error:
             if len(judged) == len(cells):
-                detail = f"its record went away before it was kept: {error}"
+                detail = f"its record was removed before it was stored: {error}"
                 lost, judged = {cell.name: detail for cell in cells}, []
         self.outcomes |= {name: Outcome("lost", detail) for name, detail in lost.items()}
         return judged

@@ -50,12 +50,12 @@ longer than the limit."""
 LEAST_WAIT_S = 0.05
 """Least time between two looks at how long a process waited for its core [s]."""
 STOPPED_S = 10.0  # A process that somebody stopped (SIGSTOP) is killed after this time
-_BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
+_BY_MEMORY = "killed by SIGKILL, probably by the out-of-memory killer"
 FORKSERVER_DIED = Outcome(
-    "lost", "the template of its process was killed, as by the out-of-memory killer"
+    "lost", "its fork server was killed, probably by the out-of-memory killer"
 )
 KILLED_FORKSERVER = Outcome(
-    "crashed", "the process that starts the workers was killed twice while it ran, then alone"
+    "crashed", "the fork server was killed while it ran, and again while it ran alone"
 )
 PLANT_FAULT = "the plant failed (its FMU), not the solver"
 _UNHEARD = 255  # The exit code that `multiprocessing` gives a process whose template died
@@ -265,13 +265,13 @@ class Child:
             and self.raw_path.exists()
             and not is_log_full_size_and_writable(self.raw_path)
         ):
-            return Outcome("lost", "killed by SIGBUS: its log lost its room on the file system")
+            return Outcome("lost", "killed by SIGBUS: its log lost its space on the file system")
         if by_solver:
             return Outcome("crashed", self._describe_end(code))
         if self.notice.phase is Phase.PLANT:
             return Outcome("invalid", f"{PLANT_FAULT}: {self._describe_end(code)}")
         if not self.folder.exists():
-            return Outcome("lost", f"its scratch folder {self.folder} went away")
+            return Outcome("lost", f"its scratch folder {self.folder} was removed")
         return Outcome("lost", self._describe_end(code))
 
     def _memory_ran_out(self) -> bool:
@@ -298,7 +298,7 @@ class Child:
         try:
             return Outcome(**json.loads(path.read_text(encoding="utf-8")))
         except (OSError, ValueError) as error:
-            return Outcome("lost", f"its verdict cannot be read: {error}")
+            return Outcome("lost", f"its outcome cannot be read: {error}")
 
 
 class ServingChild(Child):

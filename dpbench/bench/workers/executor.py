@@ -356,7 +356,7 @@ class CellExecutor(ExitStack):
         became, without_steps = dict(outcomes), {}
         for job, outcome in outcomes.items():
             if outcome.outcome in ("finished", "timed_out") and job.run_id not in kept:
-                detail = "its record cannot be kept: the steps it made went away"
+                detail = "its record cannot be stored: its steps were removed"
                 became[job] = Outcome("lost", detail)
             elif outcome.outcome != "lost" and job.run_id not in kept:
                 about = job.run_id, job.cell, outcome, job.library, self._machine_id, None, None

@@ -63,8 +63,9 @@ class ParameterBox:
             unit, force = units[axis]
             words.append(
                 f"{('surge', 'sway', 'yaw')[axis]}: offset up to {self.offsets[k]:.3g} {unit}, "
-                f"{self.steps[k]:.3g} {unit} a sample, speed change up to {self.increments[k]:.3g} "
-                f"{unit}/s a sample, applied force from {low[k]:.3g} to {high[k]:.3g} {force}"
+                f"{self.steps[k]:.3g} {unit} per sample, speed change up to "
+                f"{self.increments[k]:.3g} {unit}/s per sample, "
+                f"applied force from {low[k]:.3g} to {high[k]:.3g} {force}"
             )
         return "; ".join(words)
 
@@ -99,7 +100,7 @@ def make_parametric_qp(builder: CondensedQP, box: ParameterBox) -> ParametricQP:
     others = np.setdiff1d(np.arange(builder.n), own)
     if np.abs(builder.P[np.ix_(own, others)]).max() > 0.0:
         allowed = "a scenario whose P does not couple them with other axes"
-        raise InputError("iteration-bound", "axes", box.axes, allowed)
+        raise InputError("iteration-bound", "AXES", box.axes, allowed)
     at, k = builder.control.model.theta, len(axes)
     # [x; y_ref; u_prev; 1] of the parameters: Δν, Δη, and η from a setpoint of 0, then u_prev.
     theta = np.zeros((at.size, 4 * k + 1))
@@ -191,8 +192,8 @@ class IterationBound:
             f"box       {self.box}",
             f"regions   by iterations {spread}",
             f"effort    {self.tests} tests of emptiness, {self.duration_s:.0f} s",
-            f"library   other iterations at {self.differing} of {self.compared} points: one in "
-            f"each region, and {SAMPLE} random ones",
+            f"library   other iteration counts at {self.differing} of {self.compared} points: one "
+            f"in each region, and {SAMPLE} random ones",
             f"search    {self.searched} iterations at most in {SEARCHED} points of a search",
             f"excluded  parameters within {WIDTH:g} half widths of the box of the edge of a region",
         ]
@@ -219,7 +220,7 @@ def prove_iteration_bound(
     InputError : for other axes, a factor or limit not above 0, or a QP that is not the paper's.
     """
     if axes not in AXES:
-        raise InputError("iteration-bound", "axes", repr(axes), " or ".join(AXES))
+        raise InputError("iteration-bound", "AXES", repr(axes), " or ".join(AXES))
     for name, value in {"--box": factor, "--limit": limit_s}.items():
         if not 0.0 < value < np.inf:
             raise InputError(name, "", value, "a number above 0")

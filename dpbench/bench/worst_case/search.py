@@ -151,7 +151,7 @@ class SearchedSolver:
         if ready is not True:
             outcome = self._child.determine_outcome()
             where, detail = f"solver {self._cell.solver}", f"{outcome.outcome}: {outcome.detail}"
-            raise InputError(where, "", detail, "a solver that starts in a process of its own")
+            raise InputError(where, "", detail, "a solver that starts in its own process")
 
     def answer(self, sequence: QPSequence, limit_s: float) -> tuple[Outcome, EvaluatedCell | None]:
         """Replay a sequence of QPs within `limit_s` [s]; return outcome and evaluated steps."""
@@ -239,7 +239,7 @@ class Search:
         self.baseline = None if evaluated is None else find_worst_step(evaluated, self._goal)
         if self._goal == "iterations" and outcome.outcome == "finished" and self.baseline is None:
             allowed = "a solver that counts its iterations on this route, or --goal error"
-            raise InputError("--goal", "", "iterations, of which the solver gives none", allowed)
+            raise InputError("--goal", "", "iterations, which the solver does not report", allowed)
 
     def _evolve(self, rng: np.random.Generator) -> None:
         """Search scenario variants for the worst step by differential evolution, until stopped."""

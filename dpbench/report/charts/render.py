@@ -14,7 +14,7 @@ import altair as alt
 import psutil
 import vl_convert as vlc
 
-from dpbench.errors import InputError
+from dpbench.errors import SituationError
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe
 from dpbench.report.charts.style import FONT, NAMES
 
@@ -76,7 +76,7 @@ _svg_of = lru_cache(maxsize=64)(vlc.vega_to_svg)
 def _compile_chart(chart: _ChartKey) -> str:
     """Return an Altair chart as Vega JSON, with labels that avoid each other."""
     if not can_draw():
-        raise InputError("figures", "", NOT_DRAWN, "no limit, or 80 GB")
+        raise SituationError("figures", f"{NOT_DRAWN}; remove the limit or set it to 80 GB")
     # The tests validate every figure against the grammar, which takes longer than drawing it.
     with alt.data_transformers.enable("default", max_rows=None):
         plain = chart.chart.to_dict(validate=False)

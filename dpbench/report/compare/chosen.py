@@ -72,7 +72,7 @@ def compare_configurations_of_folder(
     pairs = compare_chosen(records, choices)
     if not pairs:
         found = "no step that two of the chosen configurations replayed"
-        raise ResultsError(str(folder), "", found, "configurations of one replay")
+        raise ResultsError(str(folder), "", found, "configurations that ran the same replay")
     verdicts = judge_solvers(records, Requirements.from_suite(results.suite))
     states = {v.configuration.label: v.state for v in verdicts.all_verdicts}
     lines = [summarise_ships(find_ship_results(records)).warning, describe_turns(records)]

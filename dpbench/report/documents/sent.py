@@ -72,7 +72,7 @@ def refuse_active_page(page: str, where: str) -> None:
     """
     for at, found in _find_active_parts(page):
         line = page.count("\n", 0, at) + 1
-        allowed = "a page without scripts: `dpbench report DIR --send FOLDER`"
+        allowed = "a page without scripts, written by `dpbench report DIR --send FOLDER`"
         raise ResultsError(where, f"line {line}", found[:120], allowed)
 
 
@@ -145,12 +145,12 @@ def prepare_sent_folder(folder: Path, target: Path) -> None:
 
     Raises InputError when `target` is the result folder itself or holds other things.
     """
-    allowed = "a folder of its own, as results/community/2026-11-22-name"
+    allowed = "a folder of its own, such as results/community/2026-11-22-name"
     if target.resolve() == folder.resolve():
         raise InputError("--send", "", str(target), allowed)
     strangers = _list_unknown_files(target) if target.is_dir() else []
     if strangers:
-        raise InputError("--send", "", f"{target} with {strangers[0]}", allowed)
+        raise InputError("--send", "", f"{target}, which contains {strangers[0]}", allowed)
     target.mkdir(parents=True, exist_ok=True)
     for name in WHERE_THERE:
         (target / name).unlink(missing_ok=True)
@@ -214,7 +214,9 @@ def _check_runs(folder: Path, results: Results) -> None:
         raise ResultsError(path, "machine_id", repr(machines[0]), allowed)
     lost = int((runs["outcome"] == "lost").sum())
     if lost:
-        raise ResultsError(path, "outcome", f"{lost} lost", "none; run the same command again")
+        raise ResultsError(
+            path, "outcome", f"{lost} lost", "none; give the same `dpbench run` again"
+        )
 
 
 def _check_page(folder: Path) -> None:
@@ -224,6 +226,6 @@ def _check_page(folder: Path) -> None:
     page = data.decode("utf-8", errors="replace")
     for name, sha in hash_files(folder, _list_files_to_send(folder)).items():
         if sha not in page:
-            allowed = "the page of these files: `dpbench report DIR --send FOLDER`"
+            allowed = "the page of these files, written by `dpbench report DIR --send FOLDER`"
             raise ResultsError(str(path), "", f"a page of another {name}", allowed)
     refuse_active_page(page, str(path))

@@ -130,7 +130,7 @@ def build_recommendation(
         own = [c for c in known if c.solver == baseline]
         if not own:
             solvers = format_allowed_names(baseline, list(dict.fromkeys(c.solver for c in known)))
-            raise InputError("`baseline`", "", repr(baseline), f"a solver that was run, {solvers}")
+            raise InputError("`baseline`", "", repr(baseline), f"a solver that was run: {solvers}")
         fastest = find_fastest_configuration(data.verdicts, baseline)
         second = fastest.configuration if fastest else own[0]
     ship = summarise_ships(data.ships)

@@ -113,11 +113,11 @@ def _read_description(path: Path, where: str) -> Any:
         from fmpy.model_description import read_model_description
     except ModuleNotFoundError:
         allowed = "pip install 'dpbench[fmi]'"
-        raise InputError(where, key, "no FMPy to run an FMU", allowed) from None
+        raise InputError(where, key, "an FMU, but no FMPy to run it", allowed) from None
     try:
         described, systems = read_model_description(str(path)), fmpy.supported_platforms(str(path))
     except Exception as error:  # FMPy's are bare; zipfile and lxml raise their own
-        raise InputError(where, key, f"{path.name}, no FMU ({error})", _WHAT) from error
+        raise InputError(where, key, f"{path.name}, an invalid FMU ({error})", _WHAT) from error
     version = str(described.fmiVersion)
     if version not in _VERSIONS:
         raise InputError(where, key, f"FMI {version} in {path.name}", _WHAT)

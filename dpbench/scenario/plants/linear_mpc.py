@@ -97,7 +97,7 @@ class LinearMPC:
 
     def __post_init__(self) -> None:
         if not is_plain_file_name(self.name):
-            raise InputError("LinearMPC", "name", repr(self.name), "a name without a folder")
+            raise InputError("LinearMPC", "name", repr(self.name), "a name without a path")
         require_integer_at_least(f"{self.name}: steps", self.steps, 1)
         if not (np.isfinite(self.sample_s) and self.sample_s > 0.0):
             raise InputError(self.name, "sample_s", self.sample_s, "a number above 0")

@@ -37,7 +37,7 @@ def parse_horizons(text: str) -> Horizons:
     match = re.fullmatch(r"([0-9]{1,4})/([0-9]{1,4})", text)
     N_p, N_c = (int(match[1]), int(match[2])) if match else (0, 0)
     if not 1 <= N_c <= N_p:
-        raise ValueError("N_p/N_c with N_c from 1 to N_p, e.g. 30/5")
+        raise ValueError("N_p/N_c with N_c from 1 to N_p, such as 30/5")
     return N_p, N_c
 
 
@@ -47,6 +47,6 @@ def require_distinct_horizon_texts(texts: list[str]) -> list[str]:
     for text in texts:
         pair = parse_horizons(text)
         if pair in seen:
-            raise ValueError(f"each pair of horizons once, {text} is there twice")
+            raise ValueError(f"each pair of horizons once; {text} is given twice")
         seen.add(pair)
     return texts

@@ -250,9 +250,11 @@ class ControllerTable(FileModel):
                 else "exactly one of move_weight and move_weight_relative"
             )
         if plans_thrusters and self.limits != "box":
-            raise ValueError('limits = "box" where thrusters are steered: they have their own')
+            raise ValueError(
+                'limits = "box" with kind = "thrusters", as thrusters have limits of their own'
+            )
         if plans_thrusters and self.terminal != "none":
-            raise ValueError('terminal = "none" where thrusters are steered')
+            raise ValueError('terminal = "none" with kind = "thrusters"')
         if self.thrusters is not None:
             self._refuse_unfit_allocation_keys(self.thrusters)
         return self
@@ -273,7 +275,7 @@ class ControllerTable(FileModel):
         """Return the control horizon; ValueError where it exceeds the prediction horizon."""
         N_p = info.data.get("prediction_horizon", N_c)
         if N_c > N_p:
-            raise ValueError(f"1 up to prediction_horizon ({N_p})")
+            raise ValueError(f"1 to prediction_horizon ({N_p})")
         return N_c
 
 

@@ -126,7 +126,7 @@ class ThrusterTable(FileModel):
         if (self.thrust_kN is None) != all(given) or (any(given) and not all(given)):
             raise ValueError("either thrust_kN, or power_kW, diameter_m and propeller")
         if self.height_m is not None and self.thrust_kN is not None:
-            raise ValueError("height_m belongs to power_kW, diameter_m and propeller")
+            raise ValueError("height_m only together with power_kW, diameter_m and propeller")
         return self
 
     def build_thruster(self) -> Thruster:
@@ -260,9 +260,9 @@ class VesselFile(FileModel):
         if self.limits is None and not self.thrusters:
             raise ValueError("limits, or thrusters to derive them from")
         if self.capability is not None and self.windage is None:
-            raise ValueError("windage with capability, which has the same areas")
+            raise ValueError("windage together with capability, which uses its areas")
         if self.drag == "cross_flow" and self.capability is None:
-            raise ValueError('capability beside drag = "cross_flow", for the hull of it')
+            raise ValueError('capability, whose hull drag = "cross_flow" needs')
         return self
 
     def build_vessel(self, name: str, where: str) -> Vessel:

@@ -91,4 +91,6 @@ def test_the_command_prints_ratios_with_verdicts(
     (row,) = compare_configurations_of_folder(out, ["osqp", "daqp"]).ratios.to_dict("records")
     assert (row["ratio"], row["first_us"]) == (pytest.approx(0.25), pytest.approx(40.0))
     assert main(["compare", str(out), str(out), *words]) == 2
-    assert capsys.readouterr().err.startswith("dpbench: compare: found --solver with other words")
+    assert capsys.readouterr().err.startswith(
+        "dpbench: compare: found --solver with other arguments"
+    )

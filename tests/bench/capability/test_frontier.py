@@ -93,7 +93,7 @@ def test_a_ship_that_can_push_sideways_only_holds_nothing() -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    with pytest.raises(InputError, match="thrusters: found none"):
+    with pytest.raises(InputError, match="thrusters: missing"):
         CapabilityPlot(load_vessel("supply_fs99"))
     with pytest.raises(InputError, match="capability: missing"):
         CapabilityPlot(replace(load_vessel("osv"), capability=None))

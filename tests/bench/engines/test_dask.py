@@ -151,7 +151,7 @@ def test_a_killed_worker_costs_only_its_killer(suite: Path, tmp_path: Path) -> N
     assert runs["run_id"].is_unique
     runs = runs.set_index(["solver", "settings"])
     others = runs.loc[runs["outcome"] != "finished", ["outcome", "outcome_detail"]]
-    died = ["lost", "every worker that it was given to died"]
+    died = ["lost", "every worker that ran it died"]
     assert others.T.to_dict("list") == {("admm", "high"): died}
 
 

@@ -58,7 +58,7 @@ def test_missing_shards(copies: list[Path], suite: Path, undisturbed: Path, tmp_
     results = load_results(out)
     assert (results.runs["outcome"] == "finished").sum() == there
     assert set(results.runs["outcome"]) == {"finished", "lost"}
-    assert "shards that are not among them: 3/3" in results.suite["remarks"]
+    assert "missing shards: 3/3" in results.suite["remarks"]
     run_campaign(suite, out)
     assert_same(out, undisturbed)
 
@@ -91,7 +91,7 @@ def test_foreign_shards_are_refused(copies: list[Path], suite: Path, tmp_path: P
         harness_version=json.loads((copies[1] / SHARD_FILE).read_text())["harness_version"],
     )
     changed(copies[0], digest="0" * 16)
-    with pytest.raises(InputError, match="another choice of it"):
+    with pytest.raises(InputError, match="with other options"):
         join_result_folders(copies, out)
     with pytest.raises(InputError, match="changed since"):
         join_result_folders(copies[:1], out)
@@ -198,5 +198,5 @@ def test_a_damaged_description_of_a_shard_is_one_line(
 
 @pytest.mark.parametrize("text", ["0/3", "4/3", "1/1000000000", "1", "a/b", "1/" + "9" * 5000])
 def test_what_is_no_shard_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match=r"`shard`: found .*1/4, with i from 1 to n"):
+    with pytest.raises(InputError, match=r"`shard`: found .*1/4, with I from 1 to N"):
         Shard.from_text(text)

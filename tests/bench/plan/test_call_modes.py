@@ -59,7 +59,7 @@ def test_a_remark_says_what_is_judged_in_place_of_a_p99(
     replays = f"steps = {steps}\nhardest = {hardest}\npolicies"
     Path(suite).write_text(SUITE.replace("steps = 5\npolicies", replays))
     (remark,) = RunRequest(suite).make_plan().remarks
-    assert remark.startswith("no replay has steps enough for a p99 ") and judged in remark
+    assert remark.startswith("no replay has enough steps for a p99 ") and judged in remark
 
 
 def test_runs_of_other_than_the_requested_steps_are_named(suite: str) -> None:
@@ -67,8 +67,8 @@ def test_runs_of_other_than_the_requested_steps_are_named(suite: str) -> None:
     recorded = '[[recorded]]\nsequence = "calm-30-5"\n'
     Path(suite).write_text(f"{SUITE}\n{recorded}", encoding="utf-8")
     few, whole, _ = RunRequest(suite, steps=9).make_plan().remarks
-    assert few == "fewer than the 9 requested steps, all there are: paper (5)"
-    assert whole.startswith("not shortened to 9 steps, as only loops")
+    assert few == "fewer than the 9 requested steps: paper (5)"
+    assert whole.startswith("not shortened to 9 steps, as only closed loops")
     assert whole.endswith(": calm-30-5[:300:4] (75)")
     (only,) = RunRequest(suite, scenarios=["paper"], steps=5).make_plan().remarks[1:]
     assert only.startswith("no replay has")
@@ -105,6 +105,6 @@ def test_a_call_mode_that_does_not_exist_is_refused(
 
 def test_a_choice_of_scenarios_names_what_it_leaves_out() -> None:
     chosen = RunRequest("thrusters", solvers=["daqp"], scenarios=["thrusters_move"]).make_plan()
-    assert "left out by the choice of scenarios: [[capability]]" in chosen.remarks
+    assert "not run, because scenarios are selected: [[capability]]" in chosen.remarks
     everything = RunRequest("thrusters", solvers=["daqp"]).make_plan()
     assert not [remark for remark in everything.remarks if "left out" in remark]

@@ -118,7 +118,7 @@ def test_settings_with_the_same_options_are_one_cell(suite: str) -> None:
     own = [(p.cell.scenario_name, p.cell.settings) for p in plan.cells if p.cell.options]
     assert own == [("paper", "mine"), ("calm", "mine")]
     assert plan.remarks[0] == (
-        "osqp: settings eps_abs=1e-5,rho=1.6, twin are the same options as mine: one row, mine"
+        "osqp: settings eps_abs=1e-5,rho=1.6, twin have the same options as mine and share its row"
     )
 
 
@@ -127,8 +127,8 @@ def test_a_whole_number_equals_a_decimal_one(suite: str) -> None:
     plan = RunRequest(suite, solvers=solvers).make_plan()
     assert [p.cell.settings for p in plan.cells] == ["rho=1", "rho=2"]
     assert list(plan.remarks[:2]) == [
-        "osqp[rho=2] is given 2 times: one row",
-        "osqp: settings rho=1.0 are the same options as rho=1: one row, rho=1",
+        "osqp[rho=2] is given 2 times and is run once",
+        "osqp: settings rho=1.0 have the same options as rho=1 and share its row",
     ]
 
 
@@ -165,7 +165,7 @@ def test_the_tables_of_a_suite_may_name_a_choice_or_its_solver(suite: str) -> No
         ("settings.mine", 'settings."1e-4"', InputError, r"settings\.1e-4: found the name of a p"),
         ("osqp = { rho = 1.6", "osqq = { rho = 1.6", UnknownNameError, r"mine\.osqq: .*osqp"),
         (OSQP, "osqp = {}", InputError, r"mine\.osqp"),
-        (OSQP, "rho = 1.6", InputError, r"mine\.rho: found 1\.6; allowed: route, policy, or a t"),
+        (OSQP, "rho = 1.6", InputError, r"mine\.rho: found 1\.6; allowed: route, policy, or the t"),
         (OSQP, f'policy = "hot"\n{OSQP}', InputError, r"settings\.mine\.policy: found 'hot'"),
         (OSQP, 'policy = "warm"\nclarabel = { tol_feas = 1 }', PolicyError, r"mine\.clarabel: pol"),
         (OSQP, 'route = "qpsolvers"\nhpipm_ocp = { mu0 = 1.0 }', PolicyError, r"hpipm_ocp: rou"),

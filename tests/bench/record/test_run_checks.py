@@ -61,14 +61,14 @@ def test_what_a_campaign_writes_is_read(copy: Path) -> None:
 @pytest.mark.parametrize(
     ("cell", "found"),
     [
-        ("{", "cell: found no JSON"),
+        ("{", "cell: found invalid JSON"),
         ('{"scenario": 5}', "cell.scenario: found"),
         ('{"scenario": {"scenario": 1}}', "cell.scenario.scenario: found"),
         ('{"scenario": {"scenario": {"controller": []}}}', "cell.scenario.scenario.controller"),
         ('{"source": []}', "cell.source: found"),
         ('{"source": {"kind": "random", "recipe": 1}}', "cell.source.recipe: found"),
         ('{"study": {"x": 1}}', "cell.study.x: found"),
-        ('{"a":' * 5000, "cell: found no JSON (nested too deep)"),
+        ('{"a":' * 5000, "cell: found invalid JSON (nested too deep)"),
     ],
 )
 def test_a_damaged_description_of_a_cell_is_one_line(

@@ -161,7 +161,7 @@ def test_a_dynamic_margin_multiplies_what_is_required() -> None:
 def test_a_margin_belongs_to_a_consequence_analysis() -> None:
     table = ReplayTable(scenario="thrusters", margin=1.1)
     suite = SuiteFile(title="", solvers=["daqp"], cell_limit_s=1.0, replay=[table])
-    with pytest.raises(InputError, match=r"margin: found 1\.1; allowed: nothing without conseq"):
+    with pytest.raises(InputError, match=r"margin: found 1\.1; allowed: margin only with conseq"):
         plan_suite(suite)
 
 

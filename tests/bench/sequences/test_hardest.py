@@ -103,7 +103,7 @@ def test_a_window_is_a_timed_replay_of_its_scenario() -> None:
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        ({"steps": 40, "hardest": 50}, "at most 40, the steps it is chosen from"),
+        ({"steps": 40, "hardest": 50}, "at most 40, the number of steps to choose from"),
         ({"hardest": 50, "horizons": ["30/5"]}, "0 with horizons"),
         ({"scenario": "thrusters", "hardest": 50, "consequence": True}, "0 with consequence"),
     ],

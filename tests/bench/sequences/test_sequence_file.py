@@ -162,7 +162,7 @@ def renamed(a: Arrays) -> Arrays:
         (put("format", "spam"), ["format", "'spam'", "dpbench-sequence"]),
         (put("version", 2), ["version", "2", "newer"]),
         (put("version", "1"), ["version", "whole number"]),
-        (put("meta", "{"), ["meta", "no JSON"]),
+        (put("meta", "{"), ["meta", "invalid JSON"]),
         (put("meta", '{"every": "two"}'), ["meta.every", "'two'"]),
         (put("documents", "[]"), ["documents", "list"]),
         (put("block", 4), ["block", "divisor"]),

@@ -18,7 +18,7 @@ oom_kill_disable 9
 oom_kill {kills}
 drop_pagecache 4
 """
-BY_MEMORY = "killed by SIGKILL, as by the out-of-memory killer"
+BY_MEMORY = "killed by SIGKILL, probably by the out-of-memory killer"
 
 
 class Ended:

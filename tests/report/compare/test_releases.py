@@ -118,7 +118,7 @@ def test_one_folder_is_none_to_compare(make: Make, capsys: Any, count: int) -> N
 
 def test_folders_of_other_problems_have_no_releases(make: Make) -> None:
     folders = [make("a", OLD, {"piqp": 1.0}), make("b", NEW, {"piqp": 1.0}, scenario="rough")]
-    with pytest.raises(InputError, match="no cell that two of the folders have"):
+    with pytest.raises(InputError, match="no cell that two of the folders share"):
         releases(folders)
 
 

@@ -129,7 +129,7 @@ def _gone(name: str) -> Callable[[Path], None]:
     [
         *((_gone(name), (name, "o such file")) for name in SENT),
         (_written("runs.parquet", "PAR1"), ("runs.parquet", "a damaged file")),
-        (_written("suite.json", "{"), ("suite.json", "no JSON")),
+        (_written("suite.json", "{"), ("suite.json", "invalid JSON")),
         (_written("report.html", " " * MOST_BYTES), (f"at most {MOST_BYTES} in all",)),
         (_written("notes.txt", ""), ("notes.txt", "a file", "only report.html")),
         (_written(SENDER, ""), (SENDER, "who", "missing")),

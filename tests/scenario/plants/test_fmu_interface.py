@@ -56,13 +56,13 @@ def test_no_fmu_at_all_is_one_line_of_the_command_line(
     fmu.write_text("no zip file")
     assert main(["check", str(write_scenario(tmp_path, "text.fmu"))]) == 2
     error = capsys.readouterr().err
-    assert "plant.fmu.file: found text.fmu, no FMU" in error.replace("\n", " ")
+    assert "plant.fmu.file: found text.fmu, an invalid FMU" in error.replace("\n", " ")
 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('fmiVersion="2.0"', 'fmiVersion="1.0"', "no FMU|FMI 1.0"),
+        ('fmiVersion="2.0"', 'fmiVersion="1.0"', "invalid FMU|FMI 1.0"),
         ("CoSimulation modelIdentifier", "ModelExchange modelIdentifier", "no co-simulation"),
         ('unit="N"', 'unit="lbf"', r"found 'Fx' in 'lbf', which ship2\.fmu does not define"),
     ],

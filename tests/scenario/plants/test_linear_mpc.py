@@ -160,7 +160,7 @@ def test_a_reference_over_time_keeps_its_last_row() -> None:
         ({"inputs": "force_N"}, r"found 'force_N'; .*sequence of names, such as \('force_N',\)"),
         ({"sample_s": 0.0}, "cart: sample_s: found 0.0"),
         ({"inputs": ("a", "b")}, "cart: inputs: .*1 different names"),
-        ({"name": "../cart"}, "a name without a folder"),
+        ({"name": "../cart"}, "a name without a path"),
     ],
 )
 def test_what_cannot_be_is_refused_when_it_is_made(changed: dict[str, Any], words: str) -> None:
@@ -170,7 +170,7 @@ def test_what_cannot_be_is_refused_when_it_is_made(changed: dict[str, Any], word
 
 def test_a_plant_that_does_not_fit_is_named() -> None:
     mpc = LinearMPC(**GIVEN)
-    with pytest.raises(InputError, match="a LinearMPC brings no simulator"):
+    with pytest.raises(InputError, match="a LinearMPC has no simulator"):
         run_closed_loop(mpc, "daqp")
 
     class Short(Cart):

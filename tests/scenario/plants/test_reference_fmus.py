@@ -86,5 +86,5 @@ def test_what_no_ship_can_be_is_said_as_it_is_read(tmp_path: Path) -> None:
         assert path.name in message and "\n" not in message
         assert any(
             text in message
-            for text in ("FMI 1.0", "no co-simulation", "'Fx', which", "no FMU", "for linux64")
+            for text in ("FMI 1.0", "no co-simulation", "'Fx', which", "invalid FMU", "for linux64")
         ), message
