@@ -255,10 +255,10 @@ def _describe_lost_runs(causes: Sequence[str], of: str, beside: str = "") -> str
     if not causes:
         return ""
     (cause, count), *others = Counter(causes).most_common()
-    rest = f" ({len(causes) - count} by something else)" if others else ""
+    rest = f" ({len(causes) - count} for other reasons)" if others else ""
     return (
-        f"{len(causes)} of {of} were lost by the benchmark{beside}: {cause}{rest}; when that is "
-        "mended, the same command runs them again"
+        f"{len(causes)} of {of} were lost by dpbench{beside}: {cause}{rest}; once that is fixed, "
+        "the same command runs them again"
     )
 
 

@@ -1,6 +1,7 @@
 """The command line: commands by group, their help with examples, completion in a shell."""
 
 import argparse
+import re
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from importlib.metadata import version
 from typing import Any, NoReturn
 
 from dpbench.cli import options
+from dpbench.errors import format_allowed_names
 
 HOW_TO_END = ("open", "json", "quiet", "strict")  # Arguments of what comes after a run or report
 _LISTED = ("vessels", "scenarios", "suites", "sequences", "solvers")
@@ -48,13 +50,34 @@ class CommandHelp:
         return "\n".join(["examples:", *lines, "", "exit codes:", *codes])
 
 
+_PARSER_ERRORS = {
+    r"argument (.+): invalid int value: (.+)": r"\1: found \2; allowed: a whole number",
+    r"argument (.+): invalid float value: (.+)": r"\1: found \2; allowed: a number",
+    r"argument (.+): expected one argument": r"\1: missing; required: a value",
+    r"argument (.+): expected (\d+) arguments": r"\1: missing; required: \2 values",
+    r"argument (.+): not allowed with argument (.+)": r"\1: found with \2; allowed: one of the two",
+    r"argument (.+): ignored explicit argument (.+)": r"\1: found \2; allowed: no value",
+    r"the following arguments are required: (.+)": r"\1: missing",
+    r"unrecognized arguments: (.+)": r"found unknown arguments: \1",
+}
+"""Messages of argparse as patterns, with those that are printed in their place."""
+
+
 class _TerseParser(argparse.ArgumentParser):
-    """An argument parser that prints an error on one line."""
+    """An argument parser that prints an error on one line, in the form of an `InputError`."""
 
     def error(self, message: str) -> NoReturn:
         """Print an error in the command line on one line; exit with code 2."""
+        for pattern, text in _PARSER_ERRORS.items():
+            message = re.sub(f"^{pattern}$", text, message)
         print(f"dpbench: {message} (see {self.prog} --help)", file=sys.stderr)
         raise SystemExit(2)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse a value that is not among an argument's choices, of which it names the nearest."""
+        if action.choices is not None and value not in action.choices:
+            allowed = format_allowed_names(str(value), [str(name) for name in action.choices])
+            self.error(f"{action.metavar}: found {str(value)!r}; allowed: {allowed}")
 
 
 class _HelpFormatter(argparse.HelpFormatter):

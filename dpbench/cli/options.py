@@ -384,4 +384,5 @@ def add_doctor_options(doctor: Command) -> None:
 
 def add_completion_options(completion: Command) -> None:
     """Add the arguments of `dpbench completion` to its parser."""
-    completion.add_argument("shell", choices=("bash", "zsh", "fish"), help="your shell")
+    shell = "your shell: bash, zsh or fish"
+    completion.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help=shell)

@@ -126,7 +126,7 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
             *list_cautions(ship),
         ]
         if ship.thrusters is not None:
-            remarks.append(f"assumed of the thrusters: {' '.join(ship.thrusters.assumed)}")
+            remarks.append(f"assumed for the thrusters: {' '.join(ship.thrusters.assumed)}")
             thrusters = ship.thrusters.thrusters
             remarks += [*thrusters.sector_descriptions, *ship.thrusters.half_turns]
             remarks += list_thruster_cautions(thrusters)
@@ -318,7 +318,9 @@ def _list_files_and_commands(
     if share > 1.0:
         forces = "--sway-thrust and --yaw-moment" if vessel.thrusters is None else "--thrusters"
         smaller = ", or a smaller sea (--sea)" if number > 1 else ""
-        lines.append(f"This ship cannot hold there: it needs more force ({forces}){smaller}.")
+        lines.append(
+            f"This ship cannot hold station there: it needs more force ({forces}){smaller}."
+        )
     return [*lines, f"next: dpbench check {paths[0]}", f"      dpbench run {paths[-1]}"]
 
 

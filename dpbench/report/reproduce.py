@@ -100,7 +100,7 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     places = (
         f"figures 4-7: {folder / 'figure*.pdf'}, .svg and .csv",
         f"claims: {folder / 'claims.md'} and .csv",
-        f"runs: {folder / RUNS}; `dpbench report` makes their page",
+        f"runs: {folder / RUNS}; `dpbench report` writes their report",
     )
     wording = (
         f"{describe_count_reproduced(judged)}.",

@@ -241,7 +241,8 @@ class ThrusterSet:
                 return ""
             when = f"After the loss of {' or of '.join(lost)}, aft"
         return (
-            f"{when} of midships main propellers alone push: rudders and power limits not counted."
+            f"{when} of midships only main propellers push: rudders and power limits are not "
+            "counted."
         )
 
     def _has_mains_alone_aft(self, lost: Collection[int]) -> bool:

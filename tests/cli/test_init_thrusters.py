@@ -153,7 +153,7 @@ def test_rudders_are_said_not_to_count_where_mains_alone_push_aft(
     capsys: pytest.CaptureFixture[str], kind: str
 ) -> None:
     """By `init` and `capability`; where a tunnel pushes aft, too, only after its board is lost."""
-    said = "of midships main propellers alone push: rudders and power limits not counted."
+    said = "of midships only main propellers push: rudders and power limits are not counted."
     when = "Aft" if kind == "azimuth" else "After the loss of board B, aft"
     place = "20" if kind == "azimuth" else "-30"
     assert init(TABLE.replace("azimuth,-30", f"{kind},{place}")) == 0
@@ -234,7 +234,8 @@ def test_a_force_that_the_thrusters_cannot_make_is_no_share_of_the_limits(
     assert share is not None
     assert int(share[1]) > 100 * compute_limit_share_of_dp_number(load_vessel(FILES[0]), 5)
     assert (
-        "cannot hold there: it needs more force (--thrusters), or a smaller sea (--sea)" in said
+        "cannot hold station there: it needs more force (--thrusters), or a smaller sea (--sea)"
+        in said
     ) == (int(share[1]) > 100)
 
 

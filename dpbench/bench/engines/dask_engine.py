@@ -45,8 +45,8 @@ RETRIES = 2
 REFRESH_S = 5.0
 """Interval between looks at the workers, which come and go [s]."""
 NOT_ALONE = (
-    f"no worker offers the resource {EXCLUSIVE!r}: replays run in parallel with others, and their "
-    "times enter no ranking"
+    f"no worker offers the resource {EXCLUSIVE!r}: replays run in parallel with others, so their "
+    "times are not ranked"
 )
 
 

@@ -296,9 +296,11 @@ def check_call_modes(suite: SuiteFile, solvers: Sequence[str], has_routes: bool)
     missing = {name: reason for name, reason in lacking.items() if reason}
     if lacking and len(missing) == len(lacking):
         name, (found, allowed) = next(iter(missing.items()))
-        others = f" (none of {len(missing)} solvers has it)" if len(missing) > 1 else ""
         argument = "`routes`" if has_routes else "`policies`"
-        raise PolicyError(argument, "", f"{found}{others}", f"{allowed} of {name}")
+        if len(missing) > 1:
+            found = f"{found}, which none of {len(missing)} solvers has"
+            raise PolicyError(argument, "", found, f"{allowed} for {name}")
+        raise PolicyError(argument, "", f"{found}, which {name} does not have", allowed)
     return [f"{name} does not run: it has no {found}" for name, (found, _) in missing.items()]
 
 

@@ -194,8 +194,8 @@ class IterationBound:
             f"effort    {self.tests} tests of emptiness, {self.duration_s:.0f} s",
             f"library   other iteration counts at {self.differing} of {self.compared} points: one "
             f"in each region, and {SAMPLE} random ones",
-            f"search    {self.searched} iterations at most in {SEARCHED} points of a search",
-            f"excluded  parameters within {WIDTH:g} half widths of the box of the edge of a region",
+            f"search    at most {self.searched} iterations at {SEARCHED} points of a search",
+            f"excluded  parameters within {WIDTH:g} half box widths of the edge of a region",
         ]
 
 

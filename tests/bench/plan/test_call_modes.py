@@ -88,11 +88,11 @@ def test_a_policy_alone_keeps_the_routes_of_the_suite(suite: str) -> None:
         ({"policies": ["hot"]}, "`policies`: found 'hot'; allowed: fresh | reuse | warm"),
         (
             {"routes": ["native"], "policies": ["warm"], "solvers": ["quadprog"]},
-            "`routes`: found native warm; allowed: native fresh .* of quadprog",
+            "`routes`: found native warm, which quadprog does not have; allowed: native fresh",
         ),
         (
             {"policies": ["warm"], "solvers": ["quadprog", "ecos"]},
-            r"`policies`: found qpsolvers warm \(none of 2 solvers has it\)",
+            "`policies`: found qpsolvers warm, which none of 2 solvers has",
         ),
     ],
 )
