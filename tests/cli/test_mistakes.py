@@ -125,3 +125,28 @@ def test_an_unknown_word_is_named_as_it_was_typed(
         main(words)
     (line,) = capsys.readouterr().err.splitlines()
     assert f"'{words[-1]}'" in line
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["list", "ship"], "KIND: found 'ship'; allowed: one of vessels, scenarios, "),
+        (["run", "smoke", "--jobs", "x"], "--jobs: found 'x'; allowed: a whole number "),
+        (["compare", "a", "b", "--margin", "x"], "--margin: found 'x'; allowed: a number "),
+        (["run", "smoke", "--wait"], "--wait: missing; required: a value "),
+        (["run", "smoke", "--tls", "a", "b"], "--tls: missing; required: 3 values "),
+        (["run", "smoke", "--wait", "3", "--no-wait"], "--no-wait: found with --wait; allowed: "),
+        (["run", "smoke", "--quiet=1"], "--quiet: found '1'; allowed: no value "),
+        (["check"], "FILE: missing "),
+        (["list", "vessels", "--all"], "found unknown arguments: --all "),
+    ],
+    ids=lambda given: given[0] if isinstance(given, list) else "",
+)
+def test_a_mistake_in_the_words_has_the_form_of_others(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As one in a file: the option, what was found, what is allowed."""
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"dpbench: {said}") and line.endswith(" --help)")

@@ -237,7 +237,12 @@ def choose_solvers(suite: SuiteFile, only: Sequence[str] | None) -> list[str]:
     if baseline is not None and baseline not in solvers:
         allowed = f"a solver of the suite: {format_allowed_names(baseline, solvers)}"
         raise InputError("suite", "report.baseline", repr(baseline), allowed)
-    chosen = _expand_solver_choices(only) if only else named
+    chosen = named
+    if only:
+        try:
+            chosen = _expand_solver_choices(only)
+        except UnknownNameError as error:
+            raise UnknownNameError("`solvers`", "", error.found, error.allowed) from None
     if not only and suite.baseline_law:
         chosen.append(BASELINE_LAW)
     if not only and suite.calibration:

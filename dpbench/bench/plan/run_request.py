@@ -92,7 +92,7 @@ class RunRequest:
         chosen = {"settings": self.settings, "routes": self.routes, "policies": self.policies}
         keys = {key: list(names) for key, names in chosen.items() if names}
         document = reduce_suite(document, scenarios=self.scenarios, steps=self.steps, **keys)
-        with name_file_in_errors(path, chosen=bool(self.settings)):
+        with name_file_in_errors(path, chosen=bool(self.settings), scenarios=self.scenarios):
             remarks: list[str] = []
             choices = self.solvers or document.solvers
             if self.routes or self.policies:
@@ -138,9 +138,10 @@ class RunRequest:
             meta = read_sequence(resolve_sequence_path(self.sequence)).sequence.meta
             name = f"sequence-{Path(self.sequence).resolve().stem}"
             return name, Path("suite"), build_sequence_suite(self.sequence, meta)
-        both = f"suite {self.suite} and sequence {self.sequence}"
-        found = "no suite and no sequence" if self.suite is None else both
-        raise InputError("run", "", found, "either a suite or a sequence")
+        if self.suite is None:
+            raise InputError("run", "", "nothing", "a suite or a sequence")
+        found = f"suite {self.suite} and sequence {self.sequence}"
+        raise InputError("run", "", found, "one of the two")
 
 
 def reduce_suite(

@@ -355,10 +355,12 @@ class SuiteFile(FileModel):
 
 
 @contextmanager
-def name_file_in_errors(path: Path, *, chosen: bool = False) -> Iterator[None]:
+def name_file_in_errors(
+    path: Path, *, chosen: bool = False, scenarios: Collection[str] | None = None
+) -> Iterator[None]:
     """Replace "the suite" by its path in input errors raised within the block.
 
-    Settings that were `chosen` by an argument are not the file's.
+    Settings that were `chosen` by an argument, and its `scenarios`, are not the file's.
     """
     places = {
         "suite": str(path),
@@ -371,6 +373,8 @@ def name_file_in_errors(path: Path, *, chosen: bool = False) -> Iterator[None]:
         place, colon, key = error.where.partition(":")
         if place not in places:
             raise
+        if place == "scenario name" and error.found in map(repr, scenarios or ()):
+            raise type(error)("`scenarios`", error.key, error.found, error.allowed) from None
         where = f"{places[place]}{colon}{key}"
         raise type(error)(where, error.key, error.found, error.allowed) from None
 
