@@ -162,7 +162,7 @@ def make_space(
         usual = stated.get(solver) or stated.get(record.module)
         if usual is None and not widened:
             allowed = f"one of {', '.join(sorted(stated))}; or --range 'OPTION=[LEAST,LARGEST]'"
-            raise InputError("tune-solver", "", f"{solver}, which has no usual range", allowed)
+            raise InputError("tune-solver", "", f"{solver}, which has no predefined range", allowed)
         found = {name: OptionRange(name, *ends) for name, ends in (usual or {}).items()}
     for option, texts in (("--range", ranges), ("--widen", widened)):
         for text in texts:

@@ -172,5 +172,5 @@ def test_a_vessel_with_drag_has_it_in_every_scenario(write: Callable[..., Path])
 def test_drag_without_a_hull_is_refused(write: Callable[..., Path]) -> None:
     """In the line of any other mistake."""
     path = write("vessels", "supply_fs99", "length_m =", 'drag = "cross_flow"\nlength_m =')
-    with pytest.raises(InputError, match="capability beside drag"):
+    with pytest.raises(InputError, match="capability, whose hull drag"):
         load_vessel(path)

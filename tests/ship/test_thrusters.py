@@ -118,5 +118,5 @@ def test_mains_alone_aft_after_a_loss_caution_that_rudders_do_not_count() -> Non
     lost = "After the loss of board A, aft of midships only main propellers push: "
     assert ThrusterSet((*mains, tunnel)).caution_on_rudders.startswith(lost)
     second = Thruster("second", "tunnel", 25.0, 0.0, 8e4, 8.0)
-    assert ThrusterSet((*mains, second)).caution_on_rudders.startswith("Aft of midships main")
+    assert ThrusterSet((*mains, second)).caution_on_rudders.startswith("Aft of midships only main")
     assert ThrusterSet((*mains, tunnel, azimuth(-30.0, 0.0))).caution_on_rudders == ""

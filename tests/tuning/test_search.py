@@ -128,7 +128,7 @@ def test_what_is_no_range_is_refused(text: str) -> None:
 
 
 def test_a_solver_without_stated_ranges_needs_some() -> None:
-    with pytest.raises(InputError, match=r"quadprog, which has no usual range; .*--range"):
+    with pytest.raises(InputError, match=r"quadprog, which has no predefined range; .*--range"):
         make_space("quadprog")
 
 

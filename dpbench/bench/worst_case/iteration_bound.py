@@ -228,7 +228,7 @@ def prove_iteration_bound(
     builder = loaded.controller.make_condensed_qp_builder()
     if not builder.control.model.n_u == builder.block == 3 or builder.m != builder.n:
         allowed = "a scenario with the QP of the paper: three forces, hard limits"
-        raise InputError("iteration-bound", "--scenario", repr(loaded), allowed)
+        raise InputError("--scenario", "", loaded.name, allowed)
     box = choose_parameter_box(loaded, axes, factor)
     qp = make_parametric_qp(builder, box)
     result = IterationBound(box, loaded.name, len(qp.P))

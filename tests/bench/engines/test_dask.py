@@ -160,7 +160,7 @@ def test_shared_replays_are_not_ranked(suite: Path, tmp_path: Path, scheduler: C
     given = {"engine": "dask", "scheduler": scheduler[0], "solvers": ["daqp"]}
     out = run_campaign(suite, tmp_path / "out", progress=watching, **given)
     (line,) = [text for text in watching.said if "exclusive" in text]
-    assert "no ranking" in line
+    assert "not ranked" in line
     results = load_results(out)
     records = Records(results)
     replays = records.select_runs(mode="replay")

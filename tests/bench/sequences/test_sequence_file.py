@@ -155,7 +155,7 @@ def renamed(a: Arrays) -> Arrays:
 @pytest.mark.parametrize(
     ("change", "parts"),
     [
-        (without("format"), ["format", "nothing"]),
+        (without("format"), ["format", "no such array"]),
         (without("q"), ["q", "missing"]),
         (without("bound"), ["bound", "missing"]),
         (without("certificate"), ["certificate"]),
