@@ -13,7 +13,8 @@ from dpbench.scenario.stability import describe_unstable_loop
 
 LOST = "The controller does not hold this ship"
 BANNER = f"{LOST} in this weather"
-NOT_RUN = "Ship: not run. No reference loop shows whether the controller holds it."
+NOT_RUN = "The ship was not run: no reference loop shows whether the controller holds it."
+AT_END = "at the end"
 NEAR_SHARE = 0.8
 """Share of its station from which on a ship that stays is said to come near the limits."""
 MOST_NAMED = 3
@@ -190,11 +191,11 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     from_deg = find_weather_direction(ship.run for ship in known)
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     return (
-        f"Solved exactly, the controller holds the ship on station "
-        f"({_format_station_limits(farthest)}){weather} {where}; "
-        f"largest offset {significant(run.exact_offset_max_m)} m{there} at "
-        f"{significant(run.exact_offset_max_s)} s, {significant(run.exact_offset_end_m)} m at the "
-        "end."
+        f"With exactly solved QPs, the controller holds the ship on station "
+        f"({_format_station_limits(farthest)}){weather} {where}. The largest offset is "
+        f"{significant(run.exact_offset_max_m)} m{there} at "
+        f"{significant(run.exact_offset_max_s)} s; the offset at the end is "
+        f"{significant(run.exact_offset_end_m)} m."
     )
 
 
@@ -223,12 +224,13 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
     for ship in after[:MOST_NAMED]:
         run = ship.run
         losses = [f"{join_with_and(names)} at {at_s:g} s" for at_s, names in list_losses(run)]
-        what = join_with_and(losses) or "some of the force"
-        unsettled = f", not settled {_format_time_since_loss(run)}"
+        what = join_with_and(losses) or "part of the force"
+        since = _format_time_since_loss(run)
+        unsettled = ", not yet settled" if since == AT_END else f", not settled {since}"
         yield (
-            f"After the loss of {what} (`{ship.name}`): largest offset "
-            f"{significant(run.exact_loss_offset_max_m)} m, largest heading error "
-            f"{significant(run.exact_loss_heading_max_deg)}°; at the end "
+            f"After the loss of {what} in `{ship.name}`, the largest offset is "
+            f"{significant(run.exact_loss_offset_max_m)} m and the largest heading error "
+            f"{significant(run.exact_loss_heading_max_deg)}°. At the end they are "
             f"{significant(run.exact_offset_end_m)} m and "
             f"{significant(run.exact_heading_end_deg)}°"
             f"{unsettled if ship.is_unsettled_after_loss else ''}."
@@ -283,7 +285,7 @@ def _format_time_since_loss(run: RunRecord) -> str:
     """Return as text how long after the last loss of thrusters a run ends."""
     end_s = run.exact_steps * run.sample_s
     lost_s = [at_s for at_s, _ in list_losses(run) if at_s < end_s]
-    return f"{significant(end_s - max(lost_s))} s after the loss" if lost_s else "at the end"
+    return f"{significant(end_s - max(lost_s))} s after the loss" if lost_s else AT_END
 
 
 def _describe_rest(ships: Sequence[ShipResult]) -> list[str]:
@@ -294,11 +296,13 @@ def _describe_rest(ships: Sequence[ShipResult]) -> list[str]:
     if away:
         far = max(away, key=lambda ship: ship.run.exact_offset_end_m)
         sentences.append(
-            f"Not at its setpoint at the end of the run: {_name_ships(away)} (up to "
-            f"{significant(far.run.exact_offset_end_m)} m off)."
+            f"The ship is not at its setpoint at the end of {_name_ships(away)} (offset up to "
+            f"{significant(far.run.exact_offset_end_m)} m)."
         )
     if absent:
-        sentences.append(f"Ship not run: no reference loop of {_name_ships(absent)}.")
+        sentences.append(
+            f"The ship was not run in {_name_ships(absent)}: there is no reference loop."
+        )
     return sentences
 
 
@@ -308,7 +312,7 @@ def _describe_limits(known: Sequence[ShipResult]) -> list[str]:
     least, most = by_share[0], by_share[-1]
     low, high = (format_share(ship.run.exact_active_share) for ship in (least, most))
     if high == "0 %":
-        return ["No limit is ever active: the QPs were never hard."]
+        return ["No limit is ever active, so no QP is hard."]
     if low == high:
         return [f"Limits are active in {low} of the steps."]
     by_name = group_by_key(known, lambda ship: ship.run.study or ship.name)
@@ -317,7 +321,7 @@ def _describe_limits(known: Sequence[ShipResult]) -> list[str]:
     return [
         f"Limits are active in {low} ({_locate_ship(least)}) to {high} ({_locate_ship(most)}) of "
         "the steps.",
-        *([f"In {_name_ships(never)} none ever is: these QPs were never hard."] if never else []),
+        *([f"In {_name_ships(never)} no limit is ever active."] if never else []),
     ]
 
 

@@ -68,7 +68,7 @@ def test_a_lost_ship_is_a_banner_with_when_and_how_far(records: Any) -> None:
         f"{BANNER}, whatever the solver: in `extreme` it leaves its station (5 m, 5°) at 9.00 s; "
         "largest offset 37.0 m at 30.0 s, last offset 36.0 m."
     )
-    assert "in 1 of 2 scenarios; largest offset 1.77 m in `rough` at 0.300 s" in told.text
+    assert "in 1 of 2 scenarios. The largest offset is 1.77 m in `rough` at 0.300 s" in told.text
 
 
 @pytest.mark.parametrize(
@@ -194,10 +194,12 @@ def test_a_ship_on_its_way_and_one_without_a_loop_are_said_to_be(records: Any) -
     records.replay("daqp", "paper")
     told = _summary(records)
     assert told.warning == ""
-    assert "Not at its setpoint at the end of the run: `move` (up to 12.0 m off)." in told.text
-    assert "Ship not run: no reference loop of `paper`." in told.text
+    assert (
+        "The ship is not at its setpoint at the end of `move` (offset up to 12.0 m)." in told.text
+    )
+    assert "The ship was not run in `paper`: there is no reference loop." in told.text
     records.loop("daqp", "paper")
-    assert "Ship not run" not in _summary(records).text
+    assert "not run" not in _summary(records).text
 
 
 def test_without_any_loop_the_ship_is_not_run(records: Any) -> None:
@@ -207,11 +209,11 @@ def test_without_any_loop_the_ship_is_not_run(records: Any) -> None:
 
 def test_a_qp_that_never_meets_a_limit_was_never_hard(records: Any) -> None:
     records.loop("daqp", "calm", exact_active_share=0.0)
-    assert _summary(records).text.endswith("No limit is ever active: the QPs were never hard.")
+    assert _summary(records).text.endswith("No limit is ever active, so no QP is hard.")
     records.loop("daqp", "rough", exact_active_share=0.2)
     assert _summary(records).text.endswith(
-        "Limits are active in 0 % (`calm`) to 20.0 % (`rough`) of the steps. In `calm` none ever "
-        "is: these QPs were never hard."
+        "Limits are active in 0 % (`calm`) to 20.0 % (`rough`) of the steps. In `calm` no limit "
+        "is ever active."
     )
 
 
@@ -316,8 +318,10 @@ def test_a_ship_on_station_has_no_banner_anywhere(tmp_path: Path, capsys: Any) -
     assert "warning" not in kept.json and BANNER not in kept.errors
     for surface in (kept.terminal, kept.page, kept.markdown):
         assert BANNER not in surface and ADVICE.search(surface)
-        assert "Solved exactly, the controller holds the ship on station (5 m, 5°)" in surface
-        assert "No limit is ever active: the QPs were never hard." in surface
+        assert (
+            "With exactly solved QPs, the controller holds the ship on station (5 m, 5°)" in surface
+        )
+        assert "No limit is ever active, so no QP is hard." in surface
     ships = load_results(kept.out).ships()
     assert list(ships["ship"]) == ["on station"]
     assert math.isnan(ships["exact_left_s"][0])
@@ -347,7 +351,7 @@ def test_the_largest_offset_in_a_study_has_its_point(records: Any) -> None:
     for point, sea, offset_m in ((0, 1, 1.5), (3, 2, 2.5), (4, 1, 2.0)):
         records.sea("daqp", point, sea, {"N_p": 20.0}, exact_offset_max_m=offset_m)
     text = summarise_ships(find_ship_results(records.view())).text
-    assert "largest offset 2.50 m at point 3, sea 2 of `seas` at 0.300 s, " in text
+    assert "largest offset is 2.50 m at point 3, sea 2 of `seas` at 0.300 s; " in text
 
 
 def test_a_study_with_one_point_of_active_limits_was_hard(records: Any) -> None:
@@ -368,16 +372,16 @@ def test_the_largest_and_the_last_offset_after_a_loss_are_stated(records: Any) -
     records.loop("daqp", "paper")
     assert _summary(records).text.count("After the loss") == 1
     assert (
-        "After the loss of board A at 90 s (`thrusters_loss`): largest offset 2.50 m, largest "
-        "heading error 1.25°; at the end 0.0400 m and 0.0100°."
+        "After the loss of board A at 90 s in `thrusters_loss`, the largest offset is 2.50 m and "
+        "the largest heading error 1.25°. At the end they are 0.0400 m and 0.0100°."
     ) in _summary(records).text
 
 
 def test_weather_from_one_direction_is_named_with_it(records: Any) -> None:
     """Wind and waves of `weather` come from 40°, its current goes to 220°; `paper` has none."""
     records.loop("daqp", "weather")
-    assert "(5 m, 5°) in weather from 40° in `weather`; largest" in _summary(records).text
+    assert "(5 m, 5°) in weather from 40° in `weather`. The largest" in _summary(records).text
     records.loop("daqp", "thrusters")
-    assert "(5 m, 5°) in weather from 40° in 2 of 2 scenarios; " in _summary(records).text
+    assert "(5 m, 5°) in weather from 40° in 2 of 2 scenarios. " in _summary(records).text
     records.loop("daqp", "paper")
     assert "weather from" not in _summary(records).text
