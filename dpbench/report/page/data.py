@@ -257,15 +257,43 @@ GROUPS: dict[str, str] = {
     "run": "options solver_version build units formulation n m steps_done run_id",
 }
 """Columns of the page, a group at a time."""
-TIMES = {
+LABELS = {
+    "where": "scenario or replay",
     "algo_p50_ns": "p50",
     "algo_p99_ns": "p99",
     "algo_max_ns": "hardest step",
     "raw_p50_ns": "p50 of timings",
     "raw_p99_ns": "p99 of timings",
     "raw_max_ns": "largest timing",
+    "raw_samples": "timings",
+    "error_move_max": "error of first move",
+    "error_plan_max": "error of plan",
+    "claimed_not_true": "false claims",
+    "true_share": "verified share",
+    "iterations_p50": "median iterations",
+    "iterations_max": "most iterations",
+    "r_rms_m": "radial error, RMS [m]",
+    "r_max_m": "radial error, largest [m]",
+    "settle_s": "settling time [s]",
+    "dev_position_max_m": "deviation, largest [m]",
+    "exact_cost": "cost of reference loop",
+    "longest_miss_streak": "longest row of misses",
+    "latency_p50_ns": "median latency",
+    "latency_max_ns": "largest latency",
+    "recover_steps_max": "steps to recover",
+    "backup_acted": "steps by backup",
+    "backup_max_ns": "longest backup",
+    "peak_rss_bytes": "peak memory [bytes]",
+    "python_peak_bytes_per_step": "Python peak per step [bytes]",
+    "heap_growth_bytes_per_step": "heap growth per step [bytes]",
+    "os_threads": "threads",
+    "energy_J_per_step": "energy per step [J]",
+    "bit_identical_share": "bit-identical share",
+    "n": "variables",
+    "m": "rows",
+    "run_id": "run_id",
 }
-"""Labels of the columns of times."""
+"""Labels of columns on the page; others are their names with spaces."""
 MOST_TILES = 1000
 """Each tile is two nodes of the browser."""
 MOST_ROWS = 3000
@@ -293,7 +321,8 @@ def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
         ],
     }
     columns: list[dict[str, Any]] = [
-        {"name": n, "label": n, "meaning": "", "group": "", "text": True} for n in always
+        {"name": n, "label": LABELS.get(n, n), "meaning": "", "group": "", "text": True}
+        for n in always
     ]
     values: list[list[Any]] = [list(map(str, column)) for column in always.values()]
     for group, names in GROUPS.items():
@@ -307,9 +336,9 @@ def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
             )
             if all(x in ("", None) for x in cells):
                 continue
-            label: dict[str, Any] = {"label": name}
+            short = LABELS.get(name, name.replace("_", " "))
+            label: dict[str, Any] = {"label": short}
             if name.endswith("_ns"):
-                short = TIMES.get(name, name.removesuffix("_ns"))
                 label = {"label": f"{short} [µs]", "scale": 1e-3}
             described = {"name": name, "meaning": meaning, "group": group, "text": text}
             columns.append(described | label)
