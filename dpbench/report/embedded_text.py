@@ -10,6 +10,7 @@ from dpbench.bench.record.result_folder import UncountedSolver
 from dpbench.embedded.toolchain import TARGETS
 from dpbench.report.formats import (
     MISSING,
+    describe_range_of_steps,
     format_count,
     format_sample_share,
     format_time,
@@ -20,7 +21,7 @@ CYCLES = 1.0
 """Cycles per instruction where the reader gives none: an assumption."""
 CLOCK_MHZ = 100.0
 CAVEAT = (
-    "The counts do not include effects of caches, pipeline and bus, and are no bound of the "
+    "The counts do not include effects of caches, pipeline and bus, and do not bound the "
     "worst-case execution time."
 )
 MOST_PAIRS = 2
@@ -34,10 +35,10 @@ def name_core_and_precision(target: str, *, single: bool) -> str:
 
 
 NOTE = (
-    "k (step), iterations and active rows are those of the worst step. code: with constants; "
-    "static: with heap [bytes]. error: largest of the first move, in maximum increments. desk: "
-    "this machine, native call at default settings, warm start where supported; p99 of the same "
-    "steps."
+    "Median, p99 and maximum: instructions per step. Iterations and active limits are those of the "
+    "worst step. Code includes the constants, and static data the heap. Error: largest error of "
+    "the first move, in maximum increments. On this machine: the same steps through the native "
+    "interface at default settings, with a warm start where supported."
 )
 """Meaning of the columns of the table of counts."""
 
@@ -50,8 +51,9 @@ def name_sequence_and_core(sequence: CountedSequence) -> str:
 
 
 def _mark_sequence_and_core(sequence: CountedSequence) -> str:
-    """Return the text "`SEQUENCE` on CORE", with the sequence marked as code."""
-    return f"`{sequence.sequence}`{name_sequence_and_core(sequence)[len(sequence.sequence) :]}"
+    """Return the text "`SEQUENCE` on CORE", the sequence as code, a range of steps in words."""
+    core = name_core_and_precision(sequence.target, single=sequence.single)
+    return f"{describe_range_of_steps(sequence.sequence)} on {core}"
 
 
 def convert_instructions_to_ns(instructions: int) -> float:
@@ -115,11 +117,11 @@ def list_embedded_cost_sentences(
     share = format_sample_share(worst_ns / requirements.deadline_ns)
     of_deadline = f", {share} of the {describe_deadline(requirements)}"
     return [
-        f"On a {core} its worst step of `{sequence.sequence}` executes "
+        f"On a {core}, its worst step of {describe_range_of_steps(sequence.sequence)} executes "
         f"{format_count(one.worst)} instructions, which take {format_time(worst_ns)} at "
-        f"{CLOCK_MHZ:g} MHz and 1 instruction per cycle (an assumption)"
+        f"{CLOCK_MHZ:g} MHz and an assumed 1 instruction per cycle"
         f"{of_deadline * requirements.judges_step_times}.",
-        f"At p99 it executes {format_count(one.p99)}.",
+        f"Its p99 is {format_count(one.p99)} instructions.",
         CAVEAT,
     ]
 
@@ -129,16 +131,15 @@ def describe_cheapest_solver(sequence: CountedSequence, requirements: Requiremen
     right = [one for one in sequence.solvers if one.error_move <= requirements.error_move]
     where = _mark_sequence_and_core(sequence)
     if not right:
-        return f"No solver counted along {where} stays within the required error."
+        return f"No counted solver stays within the required error in {where}."
     first, *others = right
     following = ""
     if others:
         p99, worst = format_count(others[0].p99), format_count(others[0].worst)
-        following = f" Next: `{others[0].solver}`, {p99} and {worst}."
+        following = f" Next is `{others[0].solver}`, with {p99} and {worst}."
     return (
-        f"`{first.solver}` executes the fewest instructions in {where}: "
-        f"{format_count(first.p99)} per step at p99, {format_count(first.worst)} at most."
-        f"{following}"
+        f"`{first.solver}` executes the fewest instructions in {where}: its p99 is "
+        f"{format_count(first.p99)} per step, its maximum {format_count(first.worst)}.{following}"
     )
 
 
@@ -146,7 +147,7 @@ def yield_ranking_sentences(
     sequences: Sequence[CountedSequence], requirements: Requirements
 ) -> Iterator[str]:
     """Yield sentences: where instructions and desk times rank solvers alike, where otherwise."""
-    apart = f"where both p99 differ by more than {100 * (APART - 1):.0f} %"
+    apart = f"for pairs whose p99 values differ by more than {100 * (APART - 1):.0f} % in both"
     alike = []
     for sequence in sequences:
         if len(sequence.desk_rank_by_solver) < 2:
@@ -166,12 +167,12 @@ def yield_ranking_sentences(
         more = f", and {len(pairs) - MOST_PAIRS} more" if len(pairs) > MOST_PAIRS else ""
         where = _mark_sequence_and_core(sequence)
         yield (
-            f"Counts and times on this machine rank solvers differently in {where}: "
-            f"{join_with_and(named)}{more}, {apart}."
+            f"Instruction counts and times on this machine give different rankings in {where}, "
+            f"{apart}: {join_with_and(named)}{more}."
         )
     if alike:
         yield (
-            "Counts and times on this machine rank the solvers alike in "
+            "Instruction counts and times on this machine give the same ranking in "
             f"{join_with_and(alike)}, {apart}."
         )
 
@@ -180,9 +181,10 @@ def yield_uncounted_sentences(missing: Sequence[UncountedSolver]) -> Iterator[st
     """Yield a line for each reason why solvers were not counted."""
     for reason in dict.fromkeys(one["reason"] for one in missing):
         own = [one for one in missing if one["reason"] == reason]
-        solvers = join_with_and(list(dict.fromkeys(one["solver"] for one in own)))
+        solvers = join_with_and(list(dict.fromkeys(f"`{one['solver']}`" for one in own)))
         where = [
-            f"{one['sequence']} on {name_core_and_precision(one['target'], single=False)}"
+            f"{describe_range_of_steps(one['sequence'])} on "
+            f"{name_core_and_precision(one['target'], single=False)}"
             for one in own
         ]
-        yield f"Not counted: {solvers}, {join_with_and(list(dict.fromkeys(where)))}: {reason}."
+        yield f"Not counted: {solvers} in {join_with_and(list(dict.fromkeys(where)))}: {reason}."

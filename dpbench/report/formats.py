@@ -7,7 +7,7 @@ import math
 import re
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import ROUND_DOWN, ROUND_UP, Decimal
 from typing import Any, Self
 
@@ -148,6 +148,24 @@ def join_with_and(words: list[str]) -> str:
     return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
+_RANGE = re.compile(r"(.*)\[(\d+):(\d+)\]")
+
+
+def describe_range_of_steps(sequence: str) -> str:
+    """Return a sequence's name as code, that of a range of steps in words.
+
+    Examples
+    --------
+    >>> describe_range_of_steps("rough[900:1400]")
+    'steps 900 to 1399 of `rough`'
+    """
+    found = _RANGE.fullmatch(sequence)
+    if found is None:
+        return f"`{sequence}`"
+    name, first, end = found.groups()
+    return f"steps {first} to {int(end) - 1} of `{name}`"
+
+
 def join_with_counts(counts: Iterable[tuple[str, int]]) -> str:
     """Return names with their counts as text, `a (3) and b (1)`, the largest count first."""
     ordered = sorted(counts, key=lambda item: -item[1])
@@ -201,6 +219,7 @@ class Table:
 
     heads : with units; text_columns : so many leading ones are left-aligned.
     shown : rows on the page, by default all, with 0 no table; folded : opens there with a click.
+    labels : text of a head on the page and in Markdown, where the name in the file is shorter.
     """
 
     heads: tuple[str, ...]
@@ -210,11 +229,17 @@ class Table:
     text_columns: int = 1
     shown: int | None = None
     folded: bool = False
+    labels: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def from_rows(cls, rows: Sequence[Mapping[str, str]], title: str = "", **more: Any) -> Self:
         """Return a table of rows that map column heads to text cells."""
         return cls(tuple(rows[0]), tuple(tuple(row.values()) for row in rows), title, **more)
+
+    @property
+    def printed_heads(self) -> list[str]:
+        """Heads of the table on the page and in Markdown."""
+        return [self.labels.get(head, head) for head in self.heads]
 
     @property
     def page_rows(self) -> list[list[str]]:
@@ -252,4 +277,4 @@ def make_markdown_document(title: str, lines: Sequence[str], tables: Sequence[Ta
 
 def format_table_as_html(table: Table) -> str:
     """Return the table as plain HTML, which a notebook displays."""
-    return make_html_table(table.heads, table.rows, title=table.title, note=table.note)
+    return make_html_table(table.printed_heads, table.rows, title=table.title, note=table.note)

@@ -1,4 +1,4 @@
-"""Instructions a step of solvers' C on embedded cores."""
+"""Instructions per step of solvers' C on embedded cores."""
 
 from typing import Any
 
@@ -19,8 +19,8 @@ def draw_instructions(table: pd.DataFrame) -> Any:
     """
     groups = list(dict.fromkeys(table["group"]))
     hues = [style.PALETTE[i % len(style.PALETTE)] for i in range(len(groups))]
-    titles = {"group": "sequence and core", "k": "step of the worst"}
-    numbers = (("p50", "median"), ("p99", "p99"), ("worst", "worst"))
+    titles = {"group": "sequence and core", "k": "index of the worst step"}
+    numbers = (("p50", "median"), ("p99", "p99"), ("worst", "worst step"))
     base = alt.Chart(table).encode(
         x=alt.X(
             "p50:Q",
@@ -44,6 +44,6 @@ def draw_instructions(table: pd.DataFrame) -> Any:
     )
     return style.set_style(
         alt.layer(*parts, width=560, height=alt.Step(style.ROW_STEP["wide"])),
-        "Instructions a step",
-        "Instructions of each solver's C in a step: median, p99 and worst.",
+        "Instructions per step",
+        "Instructions per step of each solver's C code: median, p99 and worst.",
     )

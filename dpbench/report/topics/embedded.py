@@ -1,6 +1,7 @@
 """Cost of solvers as C on the ship's computer: instructions, memory, and the desk's ranking."""
 
 from collections.abc import Iterator
+from typing import Any
 
 from dpbench.analysis.suites.embedded import CountedSequence, EmbeddedResults
 from dpbench.analysis.verdict.requirements import Requirements
@@ -15,9 +16,19 @@ from dpbench.report.embedded_text import (
 from dpbench.report.formats import MISSING, Table, format_count, format_error, format_time
 from dpbench.report.page.section import Topic
 
-WORST = "The worst step is the worst of its sequence."
+WORST = "The worst step is that of its sequence."
 TABLE = "Instructions per step, memory and error"
-TITLE = "On the ship's computer"
+LABELS = {
+    "k": "worst step",
+    "worst": "maximum",
+    "active": "active limits",
+    "code": "code [bytes]",
+    "static": "static [bytes]",
+    "stack": "stack [bytes]",
+    "desk p99": "p99 on this machine",
+    "desk rank": "rank on this machine",
+}
+TITLE = "Ship's computer"
 
 
 def build_embedded_topic(results: EmbeddedResults, requirements: Requirements) -> Topic | None:
@@ -32,7 +43,8 @@ def build_embedded_topic(results: EmbeddedResults, requirements: Requirements) -
     ]
     lines += yield_uncounted_sentences(results.not_counted)
     note = f"{NOTE} Compiled by {', '.join(compilers)} with -O2. {WORST} {CAVEAT}"
-    tables = (Table.from_rows(rows, TABLE, note=note, text_columns=3, folded=True),) if rows else ()
+    looks: dict[str, Any] = {"text_columns": 3, "folded": True, "labels": LABELS}
+    tables = (Table.from_rows(rows, TABLE, note=note, **looks),) if rows else ()
     return Topic("embedded", TITLE, tuple(lines), tables=tables)
 
 

@@ -7,7 +7,7 @@ async function drawCoreTimes() {
   $("cpi").value = figure(state.cpi);
   $("mhz").value = figure(state.mhz);
   const { deadline_ms } = facts.requirements, cycles = state.cpi === 1 ? "cycle" : "cycles";
-  $("core-said").textContent = `${figure(state.cpi)} ${cycles} per instruction (an assumption) and `
+  $("core-said").textContent = `Assumed: ${figure(state.cpi)} ${cycles} per instruction at `
     + `${figure(state.mhz)} MHz; ${deadline_ms === null ? "no deadline is known" : `deadline of ${deadline_ms} ms`}.`;
   const ns = (instructions) => 1e3 * instructions * state.cpi / state.mhz;
   facts.counts.forEach(({ p99, worst }, i) => {
