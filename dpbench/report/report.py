@@ -152,7 +152,7 @@ class Report:
             missing = yield_uncounted_sentences(self.data.counts.not_counted)
             rows += [("not counted", line.removeprefix("Not counted: ")) for line in missing]
         if verdicts.of:
-            rows.append(("solvers", f"{describe_which_solvers_pass(verdicts)}."))
+            rows.append(("solvers", describe_which_solvers_pass(verdicts)))
             rows += [("options", line) for line in describe_own_settings(verdicts)]
         records = self.data.records
         timed = select_timed_replays(records) or select_delayed_loops(records)

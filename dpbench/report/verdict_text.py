@@ -57,12 +57,12 @@ def describe_requirements(requirements: Requirements) -> str:
     failed = (
         "no failed step"
         if requirements.failed_steps == 0
-        else (f"at most {plural(requirements.failed_steps, 'failed step')} a run")
+        else (f"at most {plural(requirements.failed_steps, 'failed step')} per run")
     )
     limits = _describe_time_limits(requirements)
     return (
-        f"Requirements: on every step a first move within {requirements.error_move:g} times the "
-        f"maximum increment of the certified optimum, {failed}, {limits}."
+        f"Requirements: on every step, an error of the first move of at most "
+        f"{requirements.error_move:g} times the maximum increment; {failed}; {limits}."
     )
 
 
@@ -73,7 +73,7 @@ def _describe_time_limits(requirements: Requirements) -> str:
     share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
     return (
         f"a p99 of the algorithmic step time of at most {requirements.p99_ms:g} ms ({share} % of "
-        f"the deadline), and every step within the deadline of {requirements.deadline_ms:g} ms"
+        f"the deadline); and every step within the deadline of {requirements.deadline_ms:g} ms"
     )
 
 
@@ -82,38 +82,38 @@ _VERBS: dict[State, tuple[str, str]] = {
     "late": ("is late", "are late"),
     "fail": ("fails", "fail"),
     "inconclusive": ("is inconclusive", "are inconclusive"),
-    "not run": ("is not run", "are not run"),
+    "not run": ("was not run", "were not run"),
 }
 """Predicates of one solver and of several with a verdict, in the order they are named."""
 
 
 def describe_which_solvers_pass(verdicts: Verdicts) -> str:
-    """Return the names of solvers that pass, of others with the reason; three of each verdict."""
+    """Return sentences on the solvers of each verdict, three named, with the reason if not pass."""
     if not verdicts.verdicts_on_references:
         return NOBODY
     by_state = group_by_key(list_best_verdict_of_each_solver(verdicts), lambda v: v.state)
     good, run = by_state.get("pass", []), len(verdicts.of) - len(by_state.get("not run", []))
     passing = [verdict.configuration.solver for verdict in good]
-    named = [*passing[:MOST_NAMED], *_count_others(len(passing), "")]
-    wording = [f"{len(good)} of {run} {'passes' if run == 1 else 'pass'}"]
+    named = [*(f"`{solver}`" for solver in passing[:MOST_NAMED]), *_count_others(len(passing), "")]
+    wording = [f"{len(good)} of {plural(run, 'solver')} {'passes' if run == 1 else 'pass'}"]
     wording[0] += " (lateness not judged)" * (not verdicts.requirements.judges_step_times)
     wording[0] += f": {join_with_and(named)}" * bool(good)
     by_default = {
         v.configuration.solver for v in verdicts.verdicts_on_references if v.state == "pass"
     }
     if otherwise := [v.configuration for v in good if v.configuration.solver not in by_default]:
-        labels = ", ".join(configuration.label for configuration in otherwise)
-        wording.append(f"not in its default configuration: {labels}")
+        labels = join_with_and([configuration.marked_label for configuration in otherwise])
+        wording.append(f"Not in the default configuration of the solver: {labels}")
         solvers = [configuration.solver for configuration in otherwise]
         wording += _describe_defaults_that_do_not_pass(verdicts, solvers)
     for state, (verb, verbs) in _VERBS.items():
         alike = by_state.get(state, [])
         wording += [
-            f"{verdict.configuration.solver} {verb}: {describe_main_reason(verdict)}"
+            f"`{verdict.configuration.solver}` {verb}: {describe_main_reason(verdict)}"
             for verdict in alike[:MOST_NAMED]
         ]
         wording += _count_others(len(alike), f" {verbs}")
-    return "; ".join(wording)
+    return ". ".join(wording) + "."
 
 
 def _describe_defaults_that_do_not_pass(verdicts: Verdicts, solvers: Sequence[str]) -> list[str]:
@@ -121,10 +121,10 @@ def _describe_defaults_that_do_not_pass(verdicts: Verdicts, solvers: Sequence[st
     missed = {v.configuration.solver: v for v in verdicts.verdicts_on_references}
     of_each = [(solver, missed[solver]) for solver in solvers if solver in missed]
     clauses = [
-        f"in its default configuration {solver} {_VERBS[v.state][0]}: {describe_main_reason(v)}"
+        f"In its default configuration, `{solver}` {_VERBS[v.state][0]}: {describe_main_reason(v)}"
         for solver, v in of_each[:MOST_NAMED]
     ]
-    return [*clauses, *_count_others(len(of_each), " do not pass in theirs")]
+    return [*clauses, *_count_others(len(of_each), " do not pass in their default configuration")]
 
 
 def _count_others(count: int, verbs: str) -> list[str]:
@@ -141,7 +141,7 @@ def describe_main_reason(verdict: Verdict) -> str:
         return verdict.refusal
     findings = verdict.causes or verdict.findings_that_bar_pass
     of_kind = map_first_by_key(findings, lambda finding: finding.kind).values()
-    return describe_first_finding([replace(f, runs=f.runs[:1]) for f in of_kind])
+    return _describe_first([replace(f, runs=f.runs[:1]) for f in of_kind])
 
 
 def describe_kinds_of_reasons(verdict: Verdict) -> str:
@@ -155,20 +155,26 @@ def describe_kinds_of_reasons(verdict: Verdict) -> str:
 
 
 def describe_first_finding(findings: Sequence[Finding]) -> str:
+    """Return `_describe_first` as plain text."""
+    return strip_markdown(_describe_first(findings))
+
+
+def _describe_first(findings: Sequence[Finding]) -> str:
     """Return the first reason for a verdict, or all where a disturbed machine may be the first."""
     shown = findings if _describe_machine_state(findings[:1]) else findings[:1]
-    return strip_markdown(describe_findings(shown))
+    return describe_findings(shown)
 
 
 def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
     """Return a text on how many runs their time limit stopped, and of what; "" for none."""
     ran = [run for run in runs if run.outcome != "refused"]
-    stopped = [run.configuration.label for run in ran if run.outcome == "timed_out"]
+    stopped = [run.configuration.marked_label for run in ran if run.outcome == "timed_out"]
     if not stopped:
         return ""
+    have = "Its outcome is" if len(stopped) == 1 else "Their outcome is"
     return (
-        f"{len(stopped)} of {plural(len(ran), 'run')} stopped at the time limit (cell_limit_s): "
-        f"{name_counts(Counter(stopped).most_common())}; outcome timed_out in tables/runs.csv."
+        f"The time limit (`cell_limit_s`) stopped {len(stopped)} of {plural(len(ran), 'run')}: "
+        f"{name_counts(Counter(stopped).most_common())}. {have} `timed_out` in `tables/runs.csv`."
     )
 
 
@@ -177,7 +183,8 @@ def name_counts(counts: Sequence[tuple[str, int]]) -> str:
     ordered = sorted(counts, key=lambda named: -named[1])
     named = [f"{count} of {name}" for name, count in ordered[:MOST_NAMED]]
     more = len(ordered) - MOST_NAMED
-    rest = [f"{sum(n for _, n in ordered[MOST_NAMED:])} of {more} more"] if more > 0 else []
+    others = f"{sum(n for _, n in ordered[MOST_NAMED:])} of {plural(more, 'other configuration')}"
+    rest = [others] if more > 0 else []
     return join_with_and([*named, *rest])
 
 
@@ -190,14 +197,14 @@ def describe_selection(listed: Sequence[str], ran: Collection[str]) -> str:
     if not left_out:
         return ""
     count = f"{len(listed) - len(left_out)} of {plural(len(listed), 'solver')}"
-    return f"Selected {count} of the suite; not in it: {join_with_and(left_out)}."
+    return f"{count} of the suite were selected; left out: {join_with_and(left_out)}."
 
 
 def describe_deployment(solver: str) -> str:
     """Return a text on a solver's licence, its language, and whether it generates C code."""
     known = find_solver_record_or_none(solver)
     if known is None:
-        return "Its licence and language are not known here."
+        return "Its licence and language are unknown."
     project = known.project
     return (
         f"Licence: {project.licence.value}; language: {project.language.value}; C code: "
@@ -211,11 +218,12 @@ def explain_no_recommendation(
     """Return why no solver is recommended, as text: none deployable, none timed, none passes."""
     if recommendation.faster is not None:
         return (
-            "No solver that can be deployed passes; "
-            f"{recommendation.faster.configuration.label} does: {recommendation.because}."
+            "No solver that can be deployed passes. "
+            f"{recommendation.faster.configuration.marked_label} passes but cannot be deployed: "
+            f"{recommendation.because}."
         )
     if not any(row.has_steps for row in view.select_runs(mode="replay", units="scaled")):
-        return "Nothing is recommended, as no replay left a step, so nothing is timed."
+        return "Nothing is recommended, because no replay has a step and therefore no time."
     states = {verdict.state for verdict in verdicts.all_verdicts}
     if "inconclusive" in states:
         return "Nothing is recommended while the verdict on a solver is inconclusive."
@@ -230,7 +238,8 @@ def format_usual_time(verdict: Verdict) -> str:
     name = "largest" if 0 < searched < LEAST_STRETCH else "p99"
     time, note = format_time(verdict.p99_ns), describe_p99_interval(verdict)
     if searched:
-        return f"{name} {time} of {plural(searched, 'step')} of `{verdict.p99_run.scenario}`{note}"
+        steps = f"{plural(searched, 'step')} of `{verdict.p99_run.scenario}`"
+        return f"{name} {time} over {steps}{note}"
     return f"{name} {time}{note} in {name_experiment(verdict.p99_run)}"
 
 
@@ -240,7 +249,7 @@ def describe_p99_interval(verdict: Verdict) -> str:
         return ""
     if searched := verdict.p99_run.steps_searched_for_hardest:
         is_p99 = searched >= LEAST_STRETCH
-        return " (no interval, as only the hardest steps were timed)" if is_p99 else ""
+        return " (no interval: only the hardest steps were timed)" if is_p99 else ""
     return format_p99_interval(verdict.p99_interval)
 
 
@@ -263,20 +272,23 @@ def describe_paired_times(by_size: Sequence[PairedComparison], in_windows: int =
     if not by_size:
         return "no step was replayed by both"
     shown = (by_size[0], by_size[-1]) if len(by_size) > 1 else by_size
-    sizes = [f"at {one.variables:.0f} variables " * (len(by_size) > 1) for one in shown]
+    sizes = [f"at {one.variables:.0f} variables, " * (len(by_size) > 1) for one in shown]
     ratios = [size + _describe_time_ratio(one) for size, one in zip(sizes, shown, strict=True)]
-    return "; ".join([*ratios, *["windows of hardest steps not counted"] * (in_windows > 0)])
+    return "; ".join([*ratios, *["windows of hardest steps do not count"] * (in_windows > 0)])
 
 
 def _describe_time_ratio(compared: PairedComparison) -> str:
     """Return in words two configurations' step time ratio, its interval or why it has none."""
     if compared.separate:
-        times = f"{format_time(compared.second_ns)} a step against {format_time(compared.first_ns)}"
+        times = (
+            f"{format_time(compared.second_ns)} per step against {format_time(compared.first_ns)}"
+        )
         return f"{times} (geometric means over the same steps), {compared.separate}, so no ratio"
     typically = "typically " if compared.is_unstable else ""
     wording = f"{typically}{significant(compared.ratio.value)} times as long over the same steps"
     others = len(compared.sequences) - MOST_NAMED
-    names = [*compared.sequences[:MOST_NAMED], *[f"{others} more"] * (others > 0)]
+    marked = [f"`{name}`" for name in compared.sequences[:MOST_NAMED]]
+    names = [*marked, *[f"{others} more"] * (others > 0)]
     wording += f" of {join_with_and(names)}" * bool(names)
     if compared.is_of_one_run:
         return "the same run under another name: the settings make no difference"
@@ -285,7 +297,7 @@ def _describe_time_ratio(compared: PairedComparison) -> str:
         wording += f" (geometric mean of {plural(compared.steps, 'step')}, {few})"
     else:
         interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
-        wording += f" (geometric mean, {interval})"
+        wording += f" (geometric mean, 95 % interval {interval})"
         if compared.is_tied:
             return f"{wording}: no significant difference"
     if not compared.is_unstable:
@@ -334,13 +346,13 @@ def _describe_ending(status: str, run: RunRecord) -> str:
 
     Of inaccurate answers, the iterations.
     """
-    ending = _ENDINGS.get(status, f"status {status}")
+    ending = _ENDINGS.get(status, f"the solver reports status {status}")
     record = find_solver_record_or_none(run.configuration.solver)
     known = (
         {} if record is None else {key.name: text for key, text in record.known_failures.items()}
     )
     if status in known:
-        return f"{ending} (known of {run.configuration.solver}: {known[status]})"
+        return f"{ending} (known of `{run.configuration.solver}`: {known[status]})"
     if status == "INACCURATE" and not isnan(run.iterations_max):
         return f"{ending} after at most {format_count(run.iterations_max)} iterations"
     return ending
@@ -379,11 +391,13 @@ def describe_finding(finding: Finding) -> str:
         experiments=_name_experiments(finding.runs),
         detail=explain_outcome(first),
         number=format_count(finding.steps),
+        answers="answer" if finding.value == 1 else "answers",
+        fail="fails" if (finding.steps or finding.value) == 1 else "fail",
         ending=_describe_ending(finding.status, first),
         caching=describe_caching_sign(first.configuration.solver, first.caching_sign),
         outcome=first.outcome,
         planned=format_count(first.steps_planned),
-        done=plural(first.steps_done, "step"),
+        done=plural(_count_steps(first, finding), "step"),
         counted=plural(finding.value, "step"),
         error=format_error(finding.value),
         time=format_time(finding.value),
@@ -396,8 +410,16 @@ def describe_finding(finding: Finding) -> str:
         high=format_time(finding.value * finding.factor),
         also=f" (also in {also})" if also else "",
         some_also=f" (some also in {also})" if also else "",
-        also_over=f" (over the requirements also in {also})" if also else "",
+        also_over=f" (above the limit also in {also})" if also else "",
     )
+
+
+def _count_steps(run: RunRecord, finding: Finding) -> int:
+    """Return the steps of a run that ended early, but all planned ones where more of them failed.
+
+    A step that fails in the warm-up of a replay is not among those of the counted rounds.
+    """
+    return run.steps_done if run.steps_done >= finding.steps else run.steps_planned
 
 
 def describe_hardest_wait(records: Records, run: RunRecord | None) -> str:
@@ -448,16 +470,18 @@ def _name_experiments(rows: Sequence[RunRecord]) -> str:
     ]
     if replays:
         word = "replay" if len(replays) == 1 else "replays"
-        loops.append(f"the {word} of {' and '.join(replays)}")
+        loops.append(f"the {word} of {join_with_and(replays)}")
     if windows:
-        loops.append(f"the hardest steps of {' and '.join(windows)}")
+        loops.append(f"the hardest steps of {join_with_and(windows)}")
     return join_with_and(loops)
 
 
 def describe_judged_runs(verdict: Verdict) -> str:
     """Return a text on how many closed loops and replays a configuration was judged by."""
-    kinds = {"closed loop": verdict.loops, "replay": verdict.replays, "window": verdict.windows}
-    return join_with_and([plural(count, kind) for kind, count in kinds.items() if count])
+    kinds = {"closed loop": verdict.loops, "replay": verdict.replays}
+    wording = [plural(count, kind) for kind, count in kinds.items() if count]
+    windows = f"{plural(verdict.windows, 'window')} of hardest steps"
+    return join_with_and([*wording, *[windows] * (verdict.windows > 0)])
 
 
 def describe_disturbance(disturbance: Disturbance) -> str:
@@ -470,8 +494,8 @@ def describe_calibration(p50_ns: dict[str, float]) -> str:
     """Return words on how exactly the benchmark measured waits of known length."""
     missed = [name for name, p50 in p50_ns.items() if is_within_tolerance(name, p50) is False]
     wording = ", ".join(f"{name} {format_time(p50)}" for name, p50 in p50_ns.items())
-    verdict = f"missed by {join_with_and(missed)}" if missed else "within the bar"
-    return f"{verdict} ({wording})"
+    verdict = f"{join_with_and(missed)} not within tolerance" if missed else "within tolerance"
+    return f"{verdict} (p50: {wording})"
 
 
 def list_machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
@@ -488,8 +512,8 @@ def list_machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
         ("frequency governor", of("governor")),
         ("frequency at the start", of("frequency_MHz", "MHz")),
         ("throttle counters", of("throttle_counters")),
-        ("BLAS", ", ".join(machine.get("blas") or ["none seen"])),
-        ("reading the clock", of("clock_read_ns", "ns")),
+        ("BLAS", ", ".join(machine.get("blas") or ["none found"])),
+        ("time to read the clock", of("clock_read_ns", "ns")),
         ("resolution of the clock", of("timer_resolution_ns", "ns")),
     ]
 
@@ -500,8 +524,14 @@ def list_disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
     throttled, steal_share = format_count(disturbance.throttled), disturbance.steal_share
     stolen = "not visible" if isnan(steal_share) else format_share(steal_share)
     return [
-        ("disturbed rounds left", f"{disturbed}; {format_count(disturbance.rerun)} run again"),
-        ("involuntary context switches", f"{significant(disturbance.switches_per_s, 2)} a second"),
+        (
+            "remaining disturbed rounds",
+            f"{disturbed}; {format_count(disturbance.rerun)} repeated",
+        ),
+        (
+            "involuntary context switches",
+            f"{significant(disturbance.switches_per_s, 2)} per second",
+        ),
         ("time stolen by the host", stolen),
         ("throttle events", "not visible" if throttled == MISSING else throttled),
     ]
@@ -512,5 +542,7 @@ def list_switching_solvers(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
     own = find_largest_by_name(
         (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows
     )
-    wording = ", ".join(f"{name}: {significant(a_step, 2)} a step" for name, a_step in own.items())
-    return [("switches a configuration makes itself, not counted above", wording)] if own else []
+    wording = ", ".join(
+        f"{name}: {significant(a_step, 2)} per step" for name, a_step in own.items()
+    )
+    return [("further switches, caused by the solver itself", wording)] if own else []

@@ -377,6 +377,11 @@ class Configuration:
         """Solver and options as text, such as `osqp (native warm, high, si, sparse)`."""
         return self.make_label_with_name(self.solver)
 
+    @property
+    def marked_label(self) -> str:
+        """The label with the solver marked as code, such as "`osqp` (native warm)"."""
+        return self.make_label_with_name(f"`{self.solver}`")
+
     def make_label_with_name(self, solver: str) -> str:
         """Return the label with another name of the solver, such as one with its version."""
         units = "" if self.units == "scaled" else f", {self.units}"

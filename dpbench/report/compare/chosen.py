@@ -22,6 +22,7 @@ from dpbench.report.formats import (
     format_interval,
     format_microseconds,
     make_markdown_document,
+    strip_markdown,
 )
 from dpbench.report.ship_text import summarise_ships
 from dpbench.report.verdict_text import describe_paired_times
@@ -111,5 +112,5 @@ def _describe_pair(one: PairedComparison, states: Mapping[str, str]) -> str:
         if states.get(name, "pass") != "pass"
     ]
     verdicts = f" Verdict on {'; on '.join(lacking)}." if lacking else ""
-    ratio = f"{describe_paired_times([one])}.{verdicts}"
+    ratio = f"{strip_markdown(describe_paired_times([one]))}.{verdicts}"
     return f"{one.second} against {one.first} at {one.variables:.0f} variables: {ratio}"

@@ -38,7 +38,6 @@ from dpbench.report.formats import (
     join_with_and,
     make_markdown_table,
     one_line,
-    strip_markdown,
 )
 from dpbench.report.own_settings_text import describe_best_of_grids
 from dpbench.report.page.data import PageData
@@ -90,7 +89,7 @@ def make_report_markdown(report: Report) -> str:
         make_solver_table(data, listed := _list_verdicts(data.verdicts)),
         _unlisted_text(data.verdicts, len(listed)),
         escape_markdown_paragraph(
-            f"Solvers: {describe_which_solvers_pass(data.verdicts)}." if data.verdicts.of else ""
+            describe_which_solvers_pass(data.verdicts) if data.verdicts.of else ""
         ),
         *_make_counts_tables(topics),
         *map(
@@ -114,7 +113,7 @@ def _yield_verdicts_by_scenario(data: PageData, recommendation: Recommendation) 
         for units in ["" if badge.experiment is None else data.experiments[badge.experiment].units]
     ]
     if valid and recommendation.first is not None:
-        yield f"Verdicts on {recommendation.first.label} by scenario: {', '.join(valid)}."
+        yield f"Verdicts on {recommendation.first.marked_label} by scenario: {', '.join(valid)}."
 
 
 def _make_counts_tables(topics: Sequence[Topic]) -> list[str]:
@@ -122,8 +121,8 @@ def _make_counts_tables(topics: Sequence[Topic]) -> list[str]:
     return [
         "\n\n".join(
             [
-                f"{topic.title}: instructions per step, memory, error, rank on this machine.",
-                make_markdown_table(table.heads, table.rows, table.text_columns),
+                f"{topic.title}: instructions per step, memory, error, and p99 on this machine.",
+                make_markdown_table(table.printed_heads, table.rows, table.text_columns),
                 table.note,
             ]
         )
@@ -140,7 +139,7 @@ def _yield_study_tables(topics: Sequence[Topic]) -> Iterator[str]:
         if table.note:
             yield f"{escape_markdown(table.title)}:"
             rows = table.rows[:MOST_STUDY_ROWS]
-            yield make_markdown_table(table.heads, rows, table.text_columns)
+            yield make_markdown_table(table.printed_heads, rows, table.text_columns)
             more = len(table.rows) - len(rows)
             yield f"{more} more rows: `tables/study_*.csv`." if more else ""
             yield escape_markdown_paragraph(table.note)
@@ -167,7 +166,8 @@ def _count_configurations(verdicts: Verdicts) -> int:
 def _unlisted_text(verdicts: Verdicts, listed: int) -> str:
     """Return a note that names the file with the verdicts not listed; "" where all are listed."""
     more = _count_configurations(verdicts) - listed
-    return f"{more} more call modes and settings: `tables/verdicts.csv`." if more > 0 else ""
+    other = f"{more} more call modes and settings" if more > 1 else "one more call mode or settings"
+    return f"The verdicts on {other} are in `tables/verdicts.csv`." if more > 0 else ""
 
 
 def make_ship_lines(ship: ShipSummary) -> list[str]:
@@ -197,42 +197,47 @@ def make_solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
 def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
     """Yield remarks: the replay of each time where they differ, the user's settings' options."""
     timed = [verdict for verdict in verdicts if verdict.timed_on]
-    usual = {v.configuration.label: f"the replay of {v.timed_on}" for v in timed}
-    worst = {v.configuration.label: _where(v.p99_run) for v in timed if not math.isnan(v.p99_ns)}
-    hardest = {v.configuration.label: _where(v.max_run) for v in timed}
+    labels = [verdict.configuration.marked_label for verdict in timed]
+    usual = {label: f"the replay of `{v.timed_on}`" for label, v in zip(labels, timed, strict=True)}
+    worst = {
+        label: _where(v.p99_run)
+        for label, v in zip(labels, timed, strict=True)
+        if not math.isnan(v.p99_ns)
+    }
+    hardest = {label: _where(v.max_run) for label, v in zip(labels, timed, strict=True)}
     if len({*usual.values()}) > 1:
-        yield f"p50 and p99 are of {_most_and_others(usual)}."
+        yield f"p50 and p99 are {_most_and_others(usual, 'from')}."
     if any(v.p99_run is not None and v.p99_run.steps_searched_for_hardest for v in timed):
-        yield "A p99 of hardest steps has no interval, as the other steps were not timed."
+        yield "A p99 of hardest steps has no interval, because the other steps were not timed."
     for name, found in (("worst p99", worst), ("hardest step", hardest)):
         if any(found[label] != usual[label] for label in found):
-            yield f"The {name} is in {_most_and_others(found)}."
+            yield f"The {name} occurs {_most_and_others(found, 'in')}."
     own = {
-        f"{v.configuration.solver} {v.configuration.settings}: {v.configuration.options_text}"
+        f"`{v.configuration.solver}` {v.configuration.settings}: {v.configuration.options_text}"
         for v in verdicts
         if v.configuration.options_text
     }
     if own:
-        yield f"Settings of your own: {'; '.join(sorted(own))}."
+        yield f"Custom settings: {'; '.join(sorted(own))}."
 
 
 def _where(run: RunRecord | None) -> str:
-    """Return the name of the replay or window of a time in plain text; "" for none."""
-    return "" if run is None else strip_markdown(name_experiment(run))
+    """Return the name of the replay or window of a time; "" for none."""
+    return "" if run is None else name_experiment(run)
 
 
-def _most_and_others(names: Mapping[str, str]) -> str:
+def _most_and_others(names: Mapping[str, str], preposition: str) -> str:
     """Return the name that most labels have, and the others with their labels.
 
     Examples
     --------
-    >>> _most_and_others({"daqp": "turn", "osqp": "turn", "piqp": "rough"})
-    'turn, but for piqp (rough)'
+    >>> _most_and_others({"daqp": "turn", "osqp": "turn", "piqp": "rough"}, "in")
+    'in turn; for piqp, in rough'
     """
     of_name = group_by_key(names, lambda label: names[label])
     most, *others = sorted(of_name, key=lambda name: -len(of_name[name]))
-    texts = [f"{join_with_and(of_name[n])} ({n.removeprefix('the replay of ')})" for n in others]
-    return f"{most}, but for {join_with_and(texts)}" if texts else most
+    texts = [f"for {join_with_and(of_name[name])}, {preposition} {name}" for name in others]
+    return "; ".join([f"{preposition} {most}", *texts])
 
 
 def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:

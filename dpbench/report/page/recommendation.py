@@ -159,11 +159,11 @@ def build_recommendation(
 def _describe_lone_solver(known: Sequence[Configuration]) -> str:
     """Return a sentence where one solver alone was run; "" where there are others."""
     if len(known) == 1:
-        return f"Nothing was compared, as only {known[0].label} was run."
+        return f"Nothing was compared, as only {known[0].marked_label} was run."
     if len({configuration.solver for configuration in known}) != 1:
         return ""
     modes = f"{len(known)} configurations"
-    return f"Only {known[0].solver} was run, in {modes}: compared with no other solver."
+    return f"Only `{known[0].solver}` was run, in {modes}: no other solver is compared."
 
 
 def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> tuple[str, str]:
@@ -236,23 +236,28 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
     shortest_ns = find_shortest_wait_ns(data.records.calibration)
     if chosen.p50_ns < shortest_ns:
         p50, shortest = format_time(chosen.p50_ns), format_time(shortest_ns)
-        yield "checked", f"Its p50, {p50}, is below the shortest wait checked, {shortest}."
+        yield (
+            "checked",
+            f"Its p50 of {p50} is below {shortest}, the shortest time for which the timing was "
+            "checked.",
+        )
     if found.faster is not None:
-        label = found.faster.configuration.label
+        label = found.faster.configuration.marked_label
         compared = compare_paired_times(data.records, chosen, found.faster)
         apart = bool(compared) and all(one.separate for one in compared)
         lead = f"has a smaller p99, {compared[0].separate}" if apart else "is faster"
         if any(one.finding_text == MACHINE_DISTURBED for one in compared):
             lead = "has a smaller p99 on a disturbed machine"
-        yield "faster", f"{label} {lead}, and is not the answer: {found.because}."
+        yield "faster", f"{label} {lead} but is not recommended: {found.because}."
     yield from _yield_inconclusive_notes(data, found)
     if found.runner_up is not None:
         pair = data.records, chosen, found.runner_up
         beside = describe_paired_times(
             compare_paired_times(*pair), count_common_window_steps(*pair)
         )
-        label, time = found.runner_up.configuration.label, format_usual_time(found.runner_up)
-        yield "next", f"Next: {label}, {time}, {beside}."
+        label, time = found.runner_up.configuration.marked_label, format_usual_time(found.runner_up)
+        first = chosen.configuration.marked_label
+        yield "next", f"Next: {label}, {time}. Against {first}: {beside}."
     for verdict in filter(None, (chosen, found.runner_up)):
         if silent := describe_unanswered_qps(data.records, verdict.configuration.solver):
             yield "unanswered", f"{silent}."
@@ -280,7 +285,7 @@ def _yield_inconclusive_notes(data: PageData, found: SolverChoice) -> Iterator[t
         why = Recommendation.why(verdict) if verdict.loops else "not run in closed loop"
         yield (
             "inconclusive",
-            f"{verdict.configuration.label} is faster on average, and inconclusive: {why}.",
+            f"{verdict.configuration.marked_label} is faster on average, but inconclusive: {why}.",
         )
 
 
@@ -293,16 +298,16 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
     hardest = p99 = _describe_slow_step(margin.hardest, wait)
     if margin.p99.time_ns != margin.hardest.time_ns:
         p99 = _describe_slow_step(margin.p99)
-    time = "p99" if isfinite(chosen.p99_ns) else "largest step (in place of a p99)"
+    time = "p99" if isfinite(chosen.p99_ns) else "largest step time (in place of a p99)"
     is_of_own_plant = any(run.is_of_own_plant for run in data.records.runs)
     computer = "The computer" if is_of_own_plant else "The ship's computer"
     parts = [
         f"{computer} may be up to "
         f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this one.",
-        f"The {time} reaches {requirements.p99_ms:g} ms at × "
-        f"{format_rounded_down(margin.p99_limit)}: it is {p99}.",
-        f"The hardest step takes the deadline of {requirements.deadline_ms:g} ms at × "
-        f"{format_rounded_down(margin.deadline)}: it is {hardest}.",
+        f"Its {time} is {p99} and reaches the limit of {requirements.p99_ms:g} ms at × "
+        f"{format_rounded_down(margin.p99_limit)}.",
+        f"Its hardest step takes {hardest} and reaches the deadline of "
+        f"{requirements.deadline_ms:g} ms at × {format_rounded_down(margin.deadline)}.",
     ]
     longest, arms_ns = (
         data.find_longest_timing(chosen.configuration),
@@ -312,8 +317,8 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
         experiment, run = longest
         arms = f", the largest stall of a calibration run {format_time(arms_ns)}" * (arms_ns > 0.0)
         wait = describe_longest_wait(data.records, run)
-        largest = f"{format_time(run.raw_max_ns)}{wait} in {experiment.label}{arms}"
-        parts.append(f"Stalls do not scale with the computer: the largest timing is {largest}.")
+        largest = f"{format_time(run.raw_max_ns)}{wait} in `{experiment.label}`{arms}"
+        parts.append(f"Stalls do not scale with the computer; the largest timing is {largest}.")
     return [*parts, *_yield_untimed_loops_sentences(data)]
 
 
@@ -324,7 +329,7 @@ def _yield_untimed_loops_sentences(data: PageData) -> Iterator[str]:
     replays = {run.scenario or run.sequence: run for run in judged if run.mode == "replay"}
     loops = {run.scenario: run for run in judged if run.mode == "closed_loop"}
     if untimed := [
-        name
+        f"`{name}`"
         for name, loop in loops.items()
         if name not in replays and not any(map(loop.has_problem_of, replays.values()))
     ]:
@@ -336,7 +341,7 @@ def _describe_slow_step(step: SlowStep, wait: str = "") -> str:
     iterations = "" if isnan(step.iterations) else f"{plural(step.iterations, 'iteration')}, "
     work = f"{iterations}{plural(step.n_active, 'active limit')}"
     where = step.run.scenario or step.run.sequence
-    return f"{format_time(step.time_ns)}{wait} in {where}, k {step.k} ({work})"
+    return f"{format_time(step.time_ns)}{wait} in step {step.k} of `{where}` ({work})"
 
 
 def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:

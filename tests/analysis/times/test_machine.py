@@ -52,7 +52,7 @@ def test_nothing_but_the_harness_has_no_verdict(records: Any) -> None:
     said = records.ending()
     assert list(said) == ["answer", "machine", "harness"]
     assert said["machine"] == "quiet."
-    assert said["harness"].startswith("within the bar (no_op ")
+    assert said["harness"].startswith("within tolerance (p50: no_op ")
 
 
 def test_own_configurations_are_seen_in_no_other_part_of_the_view(records: Any) -> None:
@@ -77,12 +77,14 @@ def test_the_bar_is_1_us_or_a_hundredth(records: Any, off_us: float, missed: lis
     """5, 20, 50 and 200 µs and nothing at all: within 1, 1, 1, 2 and 1 µs; 1000 µs within 10."""
     _with_calibration(records, off_us)
     verdict, _, figures = records.ending()["harness"].partition(" (")
-    assert verdict == (f"missed by {join_with_and(missed)}" if missed else "within the bar")
+    assert verdict == (
+        f"{join_with_and(missed)} not within tolerance" if missed else "within tolerance"
+    )
     assert all(name in figures for name in CALIBRATION)
     topic = build_trust_topic(records.view())
     waits = [us / 1e3 for name, us in WAITS_NS.items() if name in missed]
     off = join_with_and([f"{us:g} µs as {us + off_us:.1f} µs" for us in waits])
-    assert (off or "within 1 µs or 1 %") in topic.lines[0]
+    assert (off or "to within 1 µs or 1 %") in topic.lines[0]
     if waits:
         worst = f"known to {format_share(max(off_us / us for us in waits))}."
         assert worst in topic.lines[0]
@@ -118,8 +120,8 @@ def test_switches_a_configuration_makes_itself_are_not_the_machines(records: Any
     assert records.ending()["machine"] == "quiet."
     topic = build_trust_topic(view)
     said = dict(topic.tables[0].rows)
-    assert said["switches a configuration makes itself, not counted above"] == (
-        "threads (qpsolvers fresh): 1.0 a step"
+    assert said["further switches, caused by the solver itself"] == (
+        "threads (qpsolvers fresh): 1.0 per step"
     )
 
 
@@ -138,7 +140,7 @@ def test_disturbed_rounds_are_part_of_all_rounds(records: Any) -> None:
     assert "3 of 3 rounds disturbed" in records.ending()["machine"]
     topic = build_trust_topic(records.view())
     assert topic is not None and "3 of 3 rounds disturbed" in topic.lines[1]
-    assert dict(topic.tables[0].rows)["disturbed rounds left"] == "3 of 3 rounds; 1 run again"
+    assert dict(topic.tables[0].rows)["remaining disturbed rounds"] == ("3 of 3 rounds; 1 repeated")
 
 
 def test_records_without_counters_say_nothing(records: Any) -> None:

@@ -53,7 +53,11 @@ def test_exact_and_fast_meets(records: Any) -> None:
 
 
 CAUSES = [
-    ({"error": 0.43}, {}, "its first move is up to 0.43 times the maximum increment off the"),
+    (
+        {"error": 0.43},
+        {},
+        "the error of its first move reaches 0.43 times the maximum increment in",
+    ),
     ({"error": math.inf}, {}, "it leaves steps without an answer in `paper`"),
     ({"failed": 3}, {}, "3 of 120 steps fail in `paper`"),
     ({}, {"median_us": 4000.0}, "its p99 is"),
@@ -61,14 +65,14 @@ CAUSES = [
     (
         {},
         {"failed": 2},
-        "2 answers fail in the replay of `paper` over all rounds with warm-up (1\u202f000 steps)",
+        "2 answers fail in the replay of `paper`, counted over all rounds with the warm-up (1",
     ),
     (
         {},
         {"failed": 8, "lost": (3, 5)},
-        "2 of 1\u202f000 steps fail in the replay of `paper`, ended by the iteration limit",
+        "2 of 1\u202f000 steps fail in the replay of `paper`, as the solver reaches its iteration ",
     ),
-    ({}, {"error": 0.2}, "off the optimum in the replay of `paper`"),
+    ({}, {"error": 0.2}, "times the maximum increment in the replay of `paper`"),
 ]
 
 
@@ -91,19 +95,19 @@ def test_an_inaccurate_answer_is_named_with_the_most_iterations(
 ) -> None:
     records.replay("osqp", iterations_max=most)
     finding = Finding("failed", tuple(records.view().runs), 8.0, 2, status="INACCURATE")
-    ended = f"ended by an answer that the solver calls inaccurate{after}"
+    ended = f"as the solver reports an inaccurate answer{after}"
     assert describe_finding(finding).endswith(ended)
 
 
 @pytest.mark.parametrize(
-    ("solver", "after"), [("sip", " (known of sip: it answers infeasible QPs so)"), ("piqp", "")]
+    ("solver", "after"), [("sip", " (known of `sip`: it answers infeasible QPs so)"), ("piqp", "")]
 )
 def test_what_is_known_of_a_failure_stands_where_it_is_met(
     solver: str, after: str, records: Any
 ) -> None:
     records.replay(solver)
     finding = Finding("failed", tuple(records.view().runs), 8.0, 2, status="NUMERICAL_ERROR")
-    assert describe_finding(finding).endswith(f"ended by a numerical error{after}")
+    assert describe_finding(finding).endswith(f"as the solver reports a numerical error{after}")
 
 
 @pytest.mark.parametrize(
@@ -230,7 +234,7 @@ def test_the_requirements_are_read_from_the_suite(records: Any) -> None:
     looser = Requirements.from_suite({"requirements": {"error_move": 0.1, "unknown": 1}})
     assert judge_solvers(records.view(), looser).verdicts_on_references[0].state == "pass"
     assert _verdict(records, "osqp").state == "fail"
-    assert "within 0.1 times the maximum increment" in describe_requirements(looser)
+    assert "of at most 0.1 times the maximum increment" in describe_requirements(looser)
 
 
 def test_a_loop_of_200_timings_that_is_slow_in_the_median_is_late(records: Any) -> None:
@@ -240,8 +244,8 @@ def test_a_loop_of_200_timings_that_is_slow_in_the_median_is_late(records: Any) 
     verdict = _verdict(records, "daqp")
     assert verdict.state == "late"
     assert _why(verdict) == (
-        "the median of its timings is 5.74 ms in `paper`, a closed loop, above the limit of "
-        "3.00 ms (also in `rough`)"
+        "its median timing in the closed loop `paper` is 5.74 ms, above the limit of 3.00 ms (also "
+        "in `rough`)"
     )
     records.loop("osqp", steps=200, raw_p50_ns=5.74e6, slowdown=100.0)
     records.loop("osqp", "rough")
@@ -259,7 +263,7 @@ def test_a_p99_within_the_spread_of_rounds(records: Any, median_us: float, state
     records.replay("daqp", median_us=median_us, spread=0.0)
     verdict = _verdict(records, "daqp")
     assert verdict.state == state
-    near = r"as near to the limit of 3.00 ms as rounds differ \((.*) ms to (.*) ms\)"
+    near = r"from the limit of 3.00 ms by less than rounds differ \((.*) ms to (.*) ms\)"
     found = re.search(near, _why(verdict))
     assert (found is not None) == (state == "borderline")
     if found is not None:
@@ -276,8 +280,8 @@ def test_few_timings_of_a_loop_name_limit_and_uncertainty(records: Any) -> None:
     verdict = _verdict(records, "daqp")
     assert verdict.state == "inconclusive"
     assert _why(verdict) == (
-        "the median of its few timings is 3.30 ms in `paper`, a closed loop, too few to judge it "
-        "by the limit of 3.00 ms: uncertain from 2.85 ms to 3.82 ms"
+        "its median timing in the closed loop `paper` is 3.30 ms, from too few timings to judge it "
+        "by the limit of 3.00 ms: it is uncertain from 2.85 ms to 3.82 ms"
     )
 
 
@@ -304,7 +308,9 @@ def test_without_a_deadline_no_time_is_judged(records: Any) -> None:
         "daqp": "pass",
         "osqp": "fail",
     }
-    assert describe_which_solvers_pass(verdicts).startswith("1 of 2 pass (lateness not judged): d")
+    assert describe_which_solvers_pass(verdicts).startswith(
+        "1 of 2 solvers pass (lateness not judged): `d"
+    )
     assert describe_requirements(unlimited).endswith(
         "no limit on step time, as no deadline is known."
     )
@@ -321,8 +327,8 @@ def test_borderline_is_counted_as_such(records: Any) -> None:
         records.replay(solver, median_us=median_us, spread=0.0)
     verdicts = judge_solvers(records.view(), REQUIREMENTS)
     assert describe_which_solvers_pass(verdicts).startswith(
-        "1 of 2 pass: daqp; osqp is borderline: its p99 of 2.90 ms in the replay of paper is as "
-        "near to the limit of 3.00 ms as rounds differ ("
+        "1 of 2 solvers pass: `daqp`. `osqp` is borderline: its p99 of 2.90 ms in the replay of "
+        "`paper` differs from the limit of 3.00 ms by less than rounds differ ("
     )
 
 
@@ -334,9 +340,9 @@ def test_high_settings_rescue(records: Any) -> None:
     verdicts = judge_solvers(records.view(), REQUIREMENTS)
     assert [v.state for v in verdicts.all_verdicts] == ["fail", "pass"]
     assert describe_which_solvers_pass(verdicts) == (
-        "1 of 1 passes: osqp; not in its default configuration: osqp (qpsolvers fresh, high); "
-        "in its default configuration osqp fails: "
-        "its first move is up to 0.40 times the maximum increment off the optimum in paper"
+        "1 of 1 solver passes: `osqp`. Not in the default configuration of the solver: `osqp` "
+        "(qpsolvers fresh, high). In its default configuration, `osqp` fails: the error of its "
+        "first move reaches 0.40 times the maximum increment in `paper`."
     )
 
 
@@ -356,7 +362,7 @@ def _high(records: Any, **columns: Any) -> Any:
     ("columns", "clause"),
     [
         ({}, "not run in `calm`"),
-        ({"steps": 60}, "not run whole in `calm` (60 of 120 steps)"),
+        ({"steps": 60}, "only 60 of 120 steps were run in `calm`"),
         (
             {"outcome": "refused", "outcome_detail": "no model", "done": 0},
             "not run in `calm` (no model)",
@@ -373,7 +379,7 @@ def test_a_level_passes_where_it_was_run(
     if clause:
         assert (
             describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
-            == f"0 of 1 passes; osqp is inconclusive: {clause.replace('`', '')}"
+            == f"0 of 1 solver passes. `osqp` is inconclusive: {clause}."
         )
 
 
@@ -386,9 +392,9 @@ def test_summary_counts_everybody_once(records: Any) -> None:
     records.refused("qpax", "not installed")
     said = describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
     assert said == (
-        "1 of 3 pass: daqp; osqp fails: its first move is up to 0.40 times the maximum increment "
-        "off the optimum in paper; scs is inconclusive: paper was stopped at its time limit (10 of "
-        "120 steps); qpax is not run: not installed"
+        "1 of 3 solvers pass: `daqp`. `osqp` fails: the error of its first move reaches 0.40 times "
+        "the maximum increment in `paper`. `scs` is inconclusive: `paper` was stopped at its time "
+        "limit (10 of 120 steps). `qpax` was not run: not installed."
     )
 
 
@@ -400,8 +406,10 @@ def test_summary_names_three_of_each_verdict(records: Any) -> None:
         records.loop(f"bad_{solver}", error=0.4)
         records.replay(f"bad_{solver}", median_us=10.0 + i, spread=0.0)
     said = describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
-    assert said.startswith("5 of 10 pass: a, b, c and 2 more; bad_a fails: its first move")
-    assert said.count(" fails: ") == 3 and said.endswith("; 2 more fail")
+    assert said.startswith(
+        "5 of 10 solvers pass: `a`, `b`, `c` and 2 more. `bad_a` fails: the error of "
+    )
+    assert said.count(" fails: ") == 3 and said.endswith(". 2 more fail.")
 
 
 def _duel(records: Any, median_us: float) -> Any:
@@ -423,7 +431,8 @@ def test_a_clear_lead_is_called_so(records: Any) -> None:
     assert found.ratio.value == pytest.approx(2.0, rel=0.02)
     assert not found.is_tied and found.finding_text == "slower"
     said = (
-        r"[\d.]+ times as long over the same steps of [a-z, ]+ \(geometric mean, [\d.]+ to [\d.]+\)"
+        r"[\d.]+ times as long over the same steps of `[a-z, ]+` "
+        r"\(geometric mean, 95 % interval [\d.]+ to [\d.]+\)"
     )
     assert re.fullmatch(said, describe_paired_times([found]))
 

@@ -100,7 +100,7 @@ def test_a_comment_on_one_configuration_compares_it_with_no_other(records: Any) 
     records.loop("daqp", error=0.5)
     records.replay("daqp")
     text, _ = compare_solver(Report.from_results(records.results()), "daqp")
-    assert "\n\n`daqp (qpsolvers fresh)` fails: its first move is up to 0.50 times the " in text
+    assert "\n\n`daqp (qpsolvers fresh)` fails: the error of its first move reaches 0.50 " in text
     assert "best of" not in text
 
 

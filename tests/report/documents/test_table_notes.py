@@ -29,8 +29,9 @@ def test_rows_of_other_replays_and_own_options_are_named() -> None:
     own = _verdict("osqp", "squall", settings="mine", options='{"rho": 1.6}')
     notes = list(yield_table_remarks([_verdict("daqp", "move"), own, _verdict("piqp", "move")]))
     assert notes == [
-        "p50 and p99 are of the replay of move, but for osqp (native warm, mine) (squall).",
-        "Settings of your own: osqp mine: rho=1.6.",
+        "p50 and p99 are from the replay of `move`; for `osqp` (native warm, mine), from the "
+        "replay of `squall`.",
+        "Custom settings: `osqp` mine: rho=1.6.",
     ]
 
 
@@ -46,11 +47,12 @@ def test_the_replays_of_worst_p99_and_hardest_step_are_named() -> None:
             ]
         )
     )
-    turn = "the hardest steps of turn, but for scs (native warm) (move)"
+    turn = "in the hardest steps of `turn`; for `scs` (native warm), in the replay of `move`"
+    rough = "for `piqp` (native warm), in the hardest steps of `rough`"
     assert notes == [
-        "A p99 of hardest steps has no interval, as the other steps were not timed.",
-        f"The worst p99 is in {turn}.",
-        f"The hardest step is in {turn} and piqp (native warm) (the hardest steps of rough).",
+        "A p99 of hardest steps has no interval, because the other steps were not timed.",
+        f"The worst p99 occurs {turn}.",
+        f"The hardest step occurs {turn}; {rough}.",
     ]
 
 

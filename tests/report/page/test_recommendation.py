@@ -65,20 +65,19 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
         assert format_error(chosen.error_move) in output
         factor = format_rounded_down(margin.allowed_slowness_factor)
         assert f"may be up to {factor} times slower" in output
-        assert (
-            f"The p99 reaches 3 ms at × {format_rounded_down(margin.p99_limit)}: it is " in output
-        )
+        limit = format_rounded_down(margin.p99_limit)
+        assert f"reaches the limit of 3 ms at × {limit}." in output
         deadline = format_rounded_down(margin.deadline)
-        assert f"The hardest step takes the deadline of 300 ms at × {deadline}: it is " in output
+        assert f"reaches the deadline of 300 ms at × {deadline}." in output
         for step in (margin.p99, margin.hardest):
-            where = f"{format_time(step.time_ns)} in {step.run.scenario}, k {step.k} ("
-            assert where in output
+            where = f"{format_time(step.time_ns)} in step {step.k} of {step.run.scenario} ("
+            assert where in plain
     output = dict(written.lines)
     assert "native warm" not in output["answer"], (
         "a call mode that was replayed alone is not recommended"
     )
     assert output["inconclusive"].startswith(
-        "daqp (native warm) is faster on average, and inconclusive: not run"
+        "daqp (native warm) is faster on average, but inconclusive: not run"
     )
 
 
@@ -115,7 +114,8 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
     report = Report.from_results(records.results())
     waits = " (6.00 ms of it a wait for the core)", " (39.0 ms of it a wait for the core)"
     slower = dict(report.summary_rows())["slower"]
-    assert f"takes the deadline of 300 ms at × 30.0: it is 10.0 ms{waits[0]} in paper" in slower
+    hardest = f"Its hardest step takes 10.0 ms{waits[0]} in step 7 of paper"
+    assert hardest in slower and "reaches the deadline of 300 ms at × 30.0." in slower
     assert f"the largest timing is 40.0 ms{waits[1]} in paper" in slower
     assert f"| 10.0 ms{waits[0]} |" in make_report_markdown(report)
     text, worst = compare_solver(report, "daqp")
@@ -131,9 +131,9 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
     [
         (
             450,
-            "p99 {} of 450 steps of `paper` (no interval, as only the hardest steps were timed)",
+            "p99 {} over 450 steps of `paper` (no interval: only the hardest steps were timed)",
         ),
-        (60, "largest {} of 60 steps of `paper`"),
+        (60, "largest {} over 60 steps of `paper`"),
     ],
 )
 def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int, time: str) -> None:
@@ -148,7 +148,8 @@ def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int,
     ending = records.ending()
     assert time.replace("`", "").format("20.0 µs") in ending["answer"]
     following = time.replace("`", "").format("30.0 µs")
-    assert f"{following}, too few common steps for a ratio (15 of 500)." in ending["next"]
+    against = "Against daqp (qpsolvers fresh): too few common steps for a ratio (15 of 500)."
+    assert f"{following}. {against}" in ending["next"]
 
 
 @pytest.mark.slow
@@ -175,7 +176,7 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
     assert lines[0].startswith(
         "osqp[rho=0.16] (native warm): fail, largest error 0.55, 2 failed answers, "
     )
-    assert "its first move is up to 0.55 times the maximum increment off the optimum" in lines[0]
+    assert "the error of its first move reaches 0.55 times the maximum increment" in lines[0]
     # With the steps that the percentile is of: other settings may have those of a window.
     assert re.search(r"answers, p99 [\d.]+ µs \(95 %: .*\) in the replay of paper: its", lines[0])
     best = "Best of 3 settings of osqp by largest error (0.22): rho=16.0"
@@ -192,8 +193,8 @@ def test_inaccurate_settings_that_are_late_too_name_both_reasons(records: Any) -
     records.replay("osqp", median_us=4000.0, spread=0.0, **options)
     line = records.ending()["options"]
     late = "; its p99 is 4.00 ms in the replay of paper, above the limit of 3.00 ms."
-    assert "its first move is up to 0.33 times" in line and late in line
-    assert "median of its timings" not in line
+    assert "the error of its first move reaches 0.33 times" in line and late in line
+    assert "median timing" not in line
 
 
 @pytest.mark.parametrize(
@@ -237,9 +238,7 @@ def test_own_settings_are_judged_by_the_call_modes_that_ran_most(records: Any) -
     (line,) = [text for about, text in report.summary_rows() if about == "options"]
     assert " (native fresh, best of 3 call modes): fail, largest error 0.22, " in line
     assert "inconclusive" not in line
-    assert (
-        " native reuse fails: its first move is up to 0.33 times the maximum increment off" in line
-    )
+    assert " native reuse fails: the error of its first move reaches 0.33 times the maximum" in line
 
 
 @pytest.mark.slow
@@ -259,7 +258,10 @@ def test_a_few_configurations_are_all_listed(records: Any, solvers: int) -> None
         assert "more call modes" not in text
     else:
         assert modes == ["qpsolvers warm"] * 13
-        assert "\n13 more call modes and settings: `tables/verdicts.csv`.\n" in text
+        assert (
+            "\nThe verdicts on 13 more call modes and settings are in `tables/verdicts.csv`.\n"
+            in text
+        )
 
 
 def test_a_grid_whose_best_is_inside_needs_no_wider_one(records: Any) -> None:
@@ -298,7 +300,7 @@ def test_a_grid_that_fails_everywhere_alike_is_not_to_be_widened(records: Any) -
     pairs = list(zip(ratios["first"], ratios["second"], strict=True))
     assert ("daqp (qpsolvers fresh)", "osqp (qpsolvers fresh, rho=6.4)") in pairs
     assert len(pairs) == len(set(pairs)) == 6
-    assert "\n\nVerdicts on daqp (qpsolvers fresh) by scenario: " in make_report_markdown(report)
+    assert "\n\nVerdicts on `daqp` (qpsolvers fresh) by scenario: " in make_report_markdown(report)
 
 
 def test_chips_say_of_each_experiment_what_the_first_did_there(records: Any) -> None:
@@ -361,10 +363,10 @@ def test_loops_without_times_and_stopped_runs_are_named(records: Any) -> None:
         records.loop("osqp", scenario)
     records.replay("osqp", stopped=True)
     notes = dict(_answer(records).notes)
-    assert notes["slower"].endswith("Not timed, as no replay has their QPs: calm and rough.")
+    assert notes["slower"].endswith("Not timed, as no replay has their QPs: `calm` and `rough`.")
     assert notes["stopped"] == (
-        "1 of 4 runs stopped at the time limit (cell_limit_s): 1 of osqp (qpsolvers fresh); "
-        "outcome timed_out in tables/runs.csv."
+        "The time limit (`cell_limit_s`) stopped 1 of 4 runs: 1 of `osqp` (qpsolvers fresh). "
+        "Its outcome is `timed_out` in `tables/runs.csv`."
     )
 
 
@@ -385,8 +387,8 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     answer = _answer(records)
     assert (answer.first.solver, answer.second.solver) == ("daqp", "qtqp")
     notes = dict(answer.notes)
-    assert "is not the answer: written in Python" in notes["faster"]
-    assert notes["next"].startswith("Next: scs (qpsolvers fresh), p99 ")
+    assert "is not recommended: written in Python" in notes["faster"]
+    assert notes["next"].startswith("Next: `scs` (qpsolvers fresh), p99 ")
     assert records.ending()["next"].startswith("scs (qpsolvers fresh), p99 ")
     licence = "Licence: MIT; language: C, library-free; C code: yes, it writes its workspace as C."
     assert notes["deployment"] == licence
@@ -415,13 +417,13 @@ def test_of_a_single_configuration_it_is_said_first_that_nothing_was_compared(
     records: Any,
 ) -> None:
     """In the answer of terminal, page and Markdown; no longer with a second one."""
-    first = "Nothing was compared, as only daqp (qpsolvers fresh) was run. Use `daqp`"
+    first = "Nothing was compared, as only `daqp` (qpsolvers fresh) was run. Use `daqp`"
     records.loop("daqp")
     records.replay("daqp")
     assert records.ending()["answer"].startswith(first.replace("`", ""))
     assert first in make_report_markdown(Report.from_results(records.results()))
     records.loop("daqp", settings="high")
-    alone = "Only daqp was run, in 2 configurations: compared with no other solver. Use `daqp`"
+    alone = "Only `daqp` was run, in 2 configurations: no other solver is compared. Use `daqp`"
     assert _answer(records).sentence.startswith(alone)
 
 
@@ -429,7 +431,10 @@ def test_code_in_python_alone_is_no_recommendation(records: Any) -> None:
     records.loop("qtqp")
     records.replay("qtqp")
     answer = _answer(records)
-    assert "No solver that can be deployed passes; qtqp" in answer.sentence
+    assert (
+        "No solver that can be deployed passes. `qtqp` (qpsolvers fresh) passes but "
+        in answer.sentence
+    )
     assert answer.notes == ()
 
 
@@ -446,9 +451,9 @@ def test_what_is_faster_and_open_is_named(records: Any) -> None:
         records.replay("hildreth", median_us=median_us, error=error, **way)
     notes = [text for word, text in _answer(records).notes if word == "inconclusive"]
     assert notes == [
-        "hildreth (native reuse, high) is faster on average, and inconclusive: not run in closed "
+        "`hildreth` (native reuse, high) is faster on average, but inconclusive: not run in closed "
         "loop.",
-        "daqp (native reuse) is faster on average, and inconclusive: not run in closed loop.",
+        "`daqp` (native reuse) is faster on average, but inconclusive: not run in closed loop.",
     ]
 
 
@@ -478,7 +483,7 @@ def test_a_p50_below_checked_waits_is_said(
         name = f"busy_wait_{wait_us}us"
         records.replay(name, median_us=wait_us + 0.2, route="native", policy="reuse")
     note = dict(_answer(records).notes).get("checked", "")
-    assert ("is below the shortest wait checked, 20.0 µs." in note) == output == bool(note)
+    assert ("is below 20.0 µs, the shortest time for which" in note) == output == bool(note)
 
 
 def test_a_snippet_opens_what_it_recommends(records: Any) -> None:
@@ -521,7 +526,7 @@ def test_why_is_the_verdicts_cause(records: Any) -> None:
         v.configuration.solver: Recommendation.why(v) for v in _facts(records).verdicts.all_verdicts
     }
     assert why["osqp"].startswith(
-        "its first move is up to 0.40 times the maximum increment off the"
+        "the error of its first move reaches 0.40 times the maximum increment in"
     )
     assert why["daqp"] == "no closed loop was run"
     assert why["qpax"] == "not installed"
@@ -564,7 +569,7 @@ def test_the_code_to_paste_has_settings_of_ones_own(records: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("steps", "named"), [(300, "largest step (in place of a p99)"), (1000, "p99")]
+    ("steps", "named"), [(300, "largest step time (in place of a p99)"), (1000, "p99")]
 )
 def test_a_margin_of_too_few_steps_names_no_p99(records: Any, steps: int, named: str) -> None:
     """A p99 takes 1000 steps."""
@@ -572,5 +577,6 @@ def test_a_margin_of_too_few_steps_names_no_p99(records: Any, steps: int, named:
     records.replay("daqp", steps=steps, spread=0.0)
     data = Report.from_results(records.results()).data
     (verdict,) = data.verdicts.all_verdicts
-    text = " ".join(list_speed_margin_sentences(data, verdict))
-    assert f"The {named} reaches 3 ms at × 150: it is 20.0 µs" in text
+    margin = " ".join(list_speed_margin_sentences(data, verdict))
+    assert f"Its {named} is 20.0 µs in step " in margin
+    assert "and reaches the limit of 3 ms at × 150." in margin
