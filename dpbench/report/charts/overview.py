@@ -55,8 +55,12 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     above = alt.Axis(orient="top", labelAngle=-90 if stacked else -40)
     x = alt.X(f"{across}:N", sort=order[across], title=None, axis=above)
     y = alt.Y(f"{down}:N", sort=order[down], title=None)
-    titles = {"experiment": "in", "verdict": "verdict"}
-    titles |= {"off": "largest error of the first move", "fails": "failed steps", "because": "why"}
+    titles = {"experiment": "scenario or replay", "verdict": "verdict"}
+    titles |= {
+        "off": "largest error of the first move",
+        "fails": "failed steps",
+        "because": "reason",
+    }
     titled = (style.tooltip(f"{field}:N", title) for field, title in titles.items())
     tips = style.tooltips(
         "solver:N", style.tooltip("call_mode:N", "call mode"), "settings:N", *titled
@@ -107,7 +111,7 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         chart = placed.facet(column=alt.Column("settings:N", **own), spacing=max(14, room))
     chart.usermeta = {"tall": tall}
     states = "pass, borderline, inconclusive, late, fail or not run"
-    about = f"Tiles of solver by scenario: {states}, for each settings level."
+    about = f"Verdict on each solver in each scenario at each settings level: {states}."
     return style.set_style(chart, "Verdicts by scenario and replay", about)
 
 
@@ -199,7 +203,7 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
             height=360,
         ),
         "Accuracy against time",
-        "Largest error of the first move against step time, a point for each settings level.",
+        "Largest error of the first move against step time, with one point per settings level.",
     )
 
 
@@ -218,7 +222,9 @@ LOWEST_MS = 1e-3
 """Left end of the axis."""
 ROOM = 300
 """Least width of a figure with the names of the limits in full [px]."""
-_JITTER = "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'jitter of this machine, ') + 'as measured'"
+_JITTER = (
+    "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'timings on this machine, ') + 'as measured'"
+)
 """Remark on the whiskers on a slower computer."""
 
 
@@ -240,8 +246,8 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
     )
     return style.set_style(
         alt.layer(*parts, width=560, height=alt.Step(style.ROW_STEP["wide"])),
-        "How close to the deadline" if isfinite(deadline_ms) else "Step times",
-        "Step times of each solver from median over p99 to the largest, against the deadline.",
+        "Step times and deadline" if isfinite(deadline_ms) else "Step times",
+        "Step times of each solver (median, p99 and largest) against the deadline.",
     )
 
 
@@ -259,16 +265,16 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
         computer="'× ' + format(slow, '.3~g')",
         timing="format(datum.longest_ms, '.3~g') + (slow > 1 ? ', as measured' : '')",
     )
-    times = (("a", "p50"), ("c", "p99, worst scenario"), ("m", "hardest step"))
+    times = (("a", "p50"), ("c", "worst p99"), ("m", "hardest step"))
     tips = [
         style.tooltip("label:N", "configuration"),
-        style.tooltip("computer:N", "computer slower"),
-        style.tooltip("now:N", "verdict there"),
+        style.tooltip("computer:N", "slowdown of the computer"),
+        style.tooltip("now:N", "verdict at this slowdown"),
         *(style.tooltip(f"{name}:Q", f"{title} [ms]", 3) for name, title in times),
-        style.tooltip("replay_p99_ms:Q", "p99, whole replay, as measured [ms]", 3),
-        style.tooltip("raw_p99_ms:Q", "p99 of single timings there [ms]", 3),
+        style.tooltip("replay_p99_ms:Q", "p99 of the replay, as measured [ms]", 3),
+        style.tooltip("raw_p99_ms:Q", "p99 of single timings in the replay [ms]", 3),
         style.tooltip("timing:N", "largest single timing [ms]"),
-        style.tooltip("margin:Q", "speed margin ×", 3),
+        style.tooltip("margin:Q", "speed margin", 3),
     ]
     y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_name_axis())
     return scaled.encode(y=y, tooltip=tips)

@@ -53,7 +53,7 @@ def _named_chart(name: str, table: pd.DataFrame) -> alt.Chart:
 
 def _step_axis(*, last: bool = False) -> alt.X:
     """Return the x axis of step numbers, labelled below the last chart alone."""
-    axis = alt.Axis(title="step k" if last else None, labels=last, ticks=last, format="d")
+    axis = alt.Axis(title="step" if last else None, labels=last, ticks=last, format="d")
     return alt.X("k:Q", axis=axis, scale=alt.Scale(nice=False, zero=False))
 
 
@@ -62,7 +62,9 @@ def _draw_step_times(steps: alt.Chart) -> list[Any]:
     # Of a closed loop there is one timing a step.
     raw = "isValid(datum.raw_us) ? format(datum.raw_us, '.3~g') : 'the same'"
     largest = style.tooltip("raw:N", "largest timing [µs]")
-    tips = style.tooltips("k:Q", style.tooltip("time_us:Q", "step time [µs]"), largest)
+    tips = style.tooltips(
+        style.tooltip("k:Q", "step"), style.tooltip("time_us:Q", "step time [µs]"), largest
+    )
     apart = style.log_scale(nice=False, padding=5)
     y = alt.Y("time_us:Q", title="time [µs]", scale=apart)
     base = steps.transform_calculate(raw=raw).encode(y=y, tooltip=tips)
@@ -77,8 +79,10 @@ def _draw_step_errors(steps: alt.Chart, error_limit: float) -> list[Any]:
     shown = f"datum.error === null ? null : max(datum.error, {style.FLOOR})"
     dots = steps.transform_calculate(shown=shown).mark_circle(size=9, opacity=0.9)
     dots = dots.encode(
-        tooltip=style.tooltips("k:Q", style.tooltip("error:Q", "error of the first move", 2)),
-        y=alt.Y("shown:Q", title="error_move", scale=scale, axis=axis),
+        tooltip=style.tooltips(
+            style.tooltip("k:Q", "step"), style.tooltip("error:Q", "error of the first move", 2)
+        ),
+        y=alt.Y("shown:Q", title=["error of the", "first move"], scale=scale, axis=axis),
         color=style.value_if("datum.failed", style.FAIL, style.SOFT),
         size=style.value_if("datum.failed", 40, 9),
     )
@@ -87,9 +91,13 @@ def _draw_step_errors(steps: alt.Chart, error_limit: float) -> list[Any]:
 
 def _draw_iterations(steps: alt.Chart) -> list[Any]:
     """Return chart layers of each step's iterations over the number of active limits."""
-    base = steps.encode(tooltip=style.tooltips("k:Q", "iterations:Q", "active:Q"))
+    base = steps.encode(
+        tooltip=style.tooltips(
+            style.tooltip("k:Q", "step"), "iterations:Q", style.tooltip("active:Q", "active limits")
+        )
+    )
     area = base.mark_area(color=style.LINE, opacity=0.8, interpolate="step")
-    area = area.encode(y=alt.Y("active:Q", title="iterations, active"))
+    area = area.encode(y=alt.Y("active:Q", title=["iterations,", "active limits"]))
     return [
         area,
         base.mark_circle(size=9, color=style.INK, opacity=0.9).encode(y=alt.Y("iterations:Q")),
@@ -118,7 +126,10 @@ def draw_step_pairs(first: str, second: str) -> Any:
         x=alt.X("a_us:Q", scale=scale, title=f"{first} [µs]"),
         y=alt.Y("b_us:Q", scale=scale, title=f"{second} [µs]"),
         tooltip=style.tooltips(
-            "sequence:N", "k:Q", style.tooltip("a_us:Q"), style.tooltip("b_us:Q")
+            "sequence:N",
+            style.tooltip("k:Q", "step"),
+            style.tooltip("a_us:Q", "horizontal axis [µs]"),
+            style.tooltip("b_us:Q", "vertical axis [µs]"),
         ),
     )
     ends = (

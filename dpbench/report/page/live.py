@@ -19,6 +19,7 @@ from dpbench.report.charts.overview import draw_accuracy, draw_deadline_chart, d
 from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS, draw_step_pairs, draw_step_strips
 from dpbench.report.charts.study import draw_point_errors, draw_point_seas, draw_study_points
 from dpbench.report.embedded_text import make_calculator_rows, name_sequence_and_core
+from dpbench.report.formats import describe_range_of_steps, plural
 from dpbench.report.page.data import PageData, make_table_of_runs, select_tiles
 from dpbench.report.page.section import Section
 
@@ -51,11 +52,11 @@ def _draw_verdict_grids(data: PageData) -> Charts:
 
 
 MATRIX = (
-    "Each cell is the verdict on a configuration (solver, call mode, settings) in one scenario or "
-    "replay. Fail: at least one step has an inaccurate answer, or none. Late: accurate, but too "
-    "slow. Borderline: a time closer to its limit than timing rounds differ. Inconclusive: part of "
-    "the run was not judged, or waits for the processor core may explain a time. The verdict on a "
-    "closed loop covers the repeated timing of its hardest steps."
+    "Each cell shows the verdict on a configuration (solver, call mode, settings) in one scenario "
+    "or replay. Fail: at least one step has an inaccurate answer or none. Late: accurate, but too "
+    "slow. Borderline: a time differs from its limit by less than timing rounds differ. "
+    "Inconclusive: part of the run was not judged, or waits for the processor core may explain a "
+    "time. The verdict on a closed loop includes the timing of its hardest steps, in a window."
 )
 
 
@@ -70,12 +71,18 @@ def _explain_verdict_grid(data: PageData) -> str:
         ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["verdict"].ne("not run")]
         requested = ran[ran["settings"] == "default"]
         failing = requested.loc[requested["verdict"] == "fail", "solver"].nunique()
-        of = f"{failing} of {requested['solver'].nunique()} solvers"
-        fail = f" {of} fail there: scale the QP." if failing else ""
+        of = f"{failing} of {plural(requested['solver'].nunique(), 'solver')}"
+        verb = "fails" if requested["solver"].nunique() == 1 else "fail"
+        fail = f" {of} {verb} in these units: scale the QP." if failing else ""
         wording.append(f"Runs in SI units (N, N·m) do not count in the overall verdict.{fail}")
+    ranges = [run.sequence for run in data.runs.values() if "[" in run.sequence]
+    for sequence in list(dict.fromkeys(ranges))[:1]:
+        wording.append(f"`{sequence}` is {describe_range_of_steps(sequence)}.")
     if there != drawn:
-        most = f"Shown are the {drawn} of {there} scenarios and replays with the fewest passes"
-        wording.append(f"{most}; tables/experiments.csv has all.")
+        most = (
+            f"The figure shows the {drawn} of {there} scenarios and replays with the fewest passes"
+        )
+        wording.append(f"{most}; `tables/experiments.csv` contains all.")
     return " ".join(wording)
 
 
@@ -165,7 +172,7 @@ SECTIONS = (
     ),
     Section(
         "embedded",
-        "On the ship's computer",
+        "Ship's computer",
         _draw_counts,
         ("embedded",),
         data=_pack_counts,

@@ -17,7 +17,7 @@ _OWN_PHRASES = (
     "active limits, certified optimum, claimed, closed loop, deadline, requirements, "
     "disturbed, reference loop, failed step, fallback, fresh, interval, jitter, "
     "native, paired ratio, qpsolvers, radial error, rate limit, maximum increment, "
-    "referee, region of attraction, replay, reuse, round, settings, warm, call mode"
+    "referee, region of attraction, replay, reuse, round, settings, warm, call mode, window"
 )
 PHRASES = {
     **{name: name for name in _OWN_PHRASES.split(", ")},
@@ -32,7 +32,7 @@ _FOUND = re.compile(
     re.IGNORECASE,
 )
 
-DRAG_MISMATCH = "The ship meets cross-flow drag; the controller's model is linear."
+DRAG_MISMATCH = "Cross-flow drag acts on the ship; the controller's model is linear."
 
 _HEAD_TOPICS = (
     "Solvers and configurations",
@@ -150,10 +150,12 @@ def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -
     if experiment.mode == "replay":
         parts.append(_describe_replay(data, run))
     if experiment.units == "si":
-        parts.append("Here in N and N·m as they come: an extra that no verdict counts.")
+        parts.append(
+            "Here in SI units (N, N·m), unscaled; these runs do not count in the overall verdict."
+        )
     if experiment.slowdown > 0:
         parts.append(
-            f"Here on a computer × {experiment.slowdown:g} slower, whose answers come later."
+            f"Here on a computer × {experiment.slowdown:g} slower, whose solutions come later."
         )
     return " ".join(parts).replace("`", "")
 
@@ -161,9 +163,9 @@ def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -
 def _describe_replay(data: PageData, run: RunRecord) -> str:
     """Return as text which steps of a loop are replayed, and the share with active limits."""
     first = run.first_step
-    window = f"steps {first} to {first + run.steps_planned} of " if "[" in run.sequence else ""
+    window = f"steps {first} to {first + run.steps_planned - 1} of " if "[" in run.sequence else ""
     kept = data.thinned_runs.get(run.run_id)
     if kept is None:
-        return f"Here {window}its reference loop, replayed."
+        return f"Replay of {window}its reference loop."
     share = format_share(float(np.mean(kept.steps.n_active > 0)))
-    return f"Here {window}its reference loop, replayed: limits are active in {share} of them."
+    return f"Replay of {window}its reference loop; limits are active in {share} of the steps."

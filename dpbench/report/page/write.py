@@ -193,20 +193,18 @@ def _describe_experiment(
     return wording
 
 
-ABOUT = (
-    "Quadratic-programming solvers in the predictive controller of a dynamically positioned ship"
-)
-ABOUT_OWN_PLANT = "Quadratic-programming solvers in a model predictive controller"
+ABOUT = "QP solvers in the model predictive controller of a dynamically positioned ship"
+ABOUT_OWN_PLANT = "QP solvers in a model predictive controller"
 _STATES = ("var(--good)", "var(--near)", "var(--warn)", "var(--late)", "var(--bad)", "var(--none)")
 _HUES = [hue for hue in style.FAMILY_COLOURS.values() if hue not in style.STATE_COLOURS]
 FILES = {
     "runs.parquet": "one row per run",
-    "steps.parquet": "one row per step; not in every published copy, as a new run restores it",
+    "steps.parquet": "one row per step; published copies may omit it, as a new run restores it",
     "embedded.parquet": "one row per step of a solver's C code on an embedded core",
     "capability.parquet": "one row per QP at the edge of the capability plot",
-    "machine.json": "the machine and the versions",
-    "suite.json": "the suite that was requested",
-    "tables/runs.csv": "the runs as CSV; README.md in the same folder explains all tables",
+    "machine.json": "description of the machine, with versions",
+    "suite.json": "the suite that was run",
+    "tables/runs.csv": "the runs as CSV; README.md in the same folder describes all tables",
 }
 VARIABLES = {
     style.INK: "var(--ink)",
@@ -305,6 +303,8 @@ WORDS = (
         "replay",
         "sample time",
         "step",
+        "sequence",
+        "window",
         "round",
         "p50, p95, p99",
         "move",

@@ -34,6 +34,7 @@ DRAWN = (
     ("increments", draw_increments, "Fig. 7: force increments and their rate limits."),
 )
 """Figures 4 to 7: name, function, caption."""
+WEATHER_OFFSET = f"in the weather of {WEATHER} [m]"
 
 
 def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic | None:
@@ -90,7 +91,7 @@ def _make_stability_table(designs: Designs) -> Table:
             "controller",
             "largest |λ| (eq. 35)",
             f"sway offset held, {STILL} [m]",
-            f"in the weather of {WEATHER} [m]",
+            WEATHER_OFFSET,
         ),
         tuple(
             (
@@ -101,9 +102,10 @@ def _make_stability_table(designs: Designs) -> Table:
             for record in designs.records
         ),
         "Stability of the controller",
-        "A controller is stable where |λ| < 1. The offsets are the farthest start that it held and "
-        "the nearest that it did not.",
+        "A controller is stable if |λ| < 1. Its name contains prediction and control horizon. The "
+        "offsets are the largest initial one that it held and the smallest that it did not.",
         folded=True,
+        labels={WEATHER_OFFSET: f"sway offset held, weather of {WEATHER} [m]"},
     )
 
 

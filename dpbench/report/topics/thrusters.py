@@ -87,11 +87,11 @@ def _describe_thruster_load(
         for runs in configurations.values()
     )
     return (
-        f"In {hardest.scenario} a thruster is at its limit in "
-        f"{100.0 * hardest.at_limit_thrusters:.0f} % of the "
-        f"{plural(hardest.steps_done, 'step')} run; {whole} of "
-        f"{plural(len(configurations), 'configuration')} {'is' if whole == 1 else 'are'} right on "
-        f"every step of {join_with_and(sorted(best))}."
+        f"In `{hardest.scenario}`, at least one thruster is at its limit in "
+        f"{100.0 * hardest.at_limit_thrusters:.0f} % of the {plural(hardest.steps_done, 'step')}. "
+        f"{whole} of {plural(len(configurations), 'configuration')} "
+        f"{'is' if whole == 1 else 'are'} accurate on every step of "
+        f"{join_with_and([f'`{name}`' for name in sorted(best)])}."
     )
 
 

@@ -58,16 +58,16 @@ def _describe_round_spread(records: Records, disturbance: Disturbance) -> list[s
         *([few] if count < LEAST_CONFIGURATIONS else ()),
     ]
     spread = (
-        "How far runs of other days differ cannot be estimated from this run: "
+        "How far runs on other days differ cannot be estimated from this run: "
         f"{join_with_and(why)}."
         if why
         else f"In 95 % of the configurations the rounds of this run agree within a factor of "
-        f"{significant(high)} (median {significant(usual)}). Runs of other days can differ by more."
+        f"{significant(high)} (median {significant(usual)}). Runs on other days can differ by more."
     )
     beyond = " and the ratio exceeds the spread of their rounds" if disturbed else ""
     return [
         "Within this run, two solvers differ in step time only if the 95 % interval of their ratio "
-        f"excludes 1{beyond}. {spread} To compare machines, compare a run from each."
+        f"excludes 1{beyond}. {spread} To compare machines, run the suite on each of them."
     ]
 
 
@@ -76,15 +76,15 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
 
     measured : median of each [ns]; shortest_ns : the shortest wait.
     """
-    below = f" Shorter times than {shortest_ns / 1e3:g} µs, the shortest wait, were not checked."
+    below = f" Times below {shortest_ns / 1e3:g} µs, the shortest wait, were not checked."
     missed = {n: p50 for n, p50 in measured.items() if is_within_tolerance(n, p50) is False}
     if not missed:
-        return f"Waits of known length were measured within 1 µs or 1 %.{below}"
+        return f"Waits of known length were measured to within 1 µs or 1 %.{below}"
     waits = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
     worst = max(abs(compute_excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
-        f"Waits of known length: {join_with_and(waits)} (p50 of the timings that count, the "
-        f"largest of its replays), so absolute times of that length are known to "
+        f"Waits of known length were measured as follows: {join_with_and(waits)} (largest p50 of "
+        f"the replays). Absolute times of that length are therefore accurate to "
         f"{format_share(worst)}.{below}"
     )
 
@@ -99,12 +99,12 @@ def _describe_machine_load(disturbance: Disturbance, machine: Mapping[str, Any])
     rounds = plural(disturbance.rounds, "round")
     keys = {"governor": "its frequency", "throttle_counters": "throttling"}
     hidden = [name for key, name in keys.items() if machine.get(key, UNSEEN) == UNSEEN]
-    unseen = f" Not recorded, as the machine does not show it: {join_with_and(hidden)}."
+    unseen = f" The machine does not report {join_with_and(hidden)}."
     unwatched = unseen if hidden else ""
     return (
-        "The machine was quiet by the operating system's counters: "
-        f"{format_count(disturbance.rerun)} of {rounds} were disturbed and run again, and "
-        f"{format_count(disturbance.disturbed)} stayed disturbed.{unwatched}"
+        "The machine was quiet according to the operating system's counters: "
+        f"{format_count(disturbance.rerun)} of {rounds} were disturbed and repeated, and "
+        f"{format_count(disturbance.disturbed)} remained disturbed.{unwatched}"
     )
 
 

@@ -126,7 +126,7 @@ def test_a_hard_step_opens(selected: Any) -> None:
     button = (
         page.locator("#hard p", has_not_text=re.compile("all |windows")).locator("button").first
     )
-    k = re.match(r"k (\d+):", button.inner_text())
+    k = re.match(r"step (\d+):", button.inner_text())
     button.click()
     wait_for_strips(page)
     assert selection(page)["k"] == k[1]
@@ -168,7 +168,7 @@ def test_the_hardest_steps_begin_with_those_of_all_experiments(selected: Any) ->
     page = selected("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
     page.locator("#hard summary").click()
     heads = page.locator("#hard span").all_inner_texts()
-    assert heads[0] == "slowest steps, fastest round of replays and windows"
+    assert heads[0] == "longest step times in replays and windows, fastest round"
     assert "largest single timings of all closed loops, stalls included" in heads[1:]
     assert heads[-1] == "largest single timings, stalls included"
     runs = page.evaluate(
@@ -208,7 +208,7 @@ def test_the_table_has_pages_and_what_has_no_value_stands_last(opened: Any) -> N
     page.click("#table-next")
     second = page.locator("#table-body tr").all_inner_texts()
     assert len(first) == 20 and second and first != second
-    assert page.inner_text("#table-said").startswith(f"21 to {20 + len(second)} of ")
+    assert page.inner_text("#table-said").startswith(f"rows 21 to {20 + len(second)} of ")
     page.click("#table-back")
     assert page.locator("#table-body tr").all_inner_texts() == first
     assert page.is_disabled("#table-back")
@@ -229,7 +229,7 @@ def test_a_step_of_a_loop_says_where_the_ship_is(selected: Any, campaign: Path) 
     output = page.inner_text("#step-said")
     number = r"([\d.e-]+)"
     ship = re.search(
-        rf"Ship(?: at k (\d+), the nearest kept)?: {number} m north, {number} m east, "
+        rf"Ship(?: at step (\d+), the nearest one stored)?: {number} m north, {number} m east, "
         rf"heading {number}°; surge {number} %",
         output,
     )
@@ -317,7 +317,7 @@ def _check_speed_margins(page: Any, facts: Any, slow: int) -> None:
     met = {
         label.split("configuration: ")[1].split(" (")[0]
         for label in labels
-        if "verdict there: pass" in label
+        if "verdict at this slowdown: pass" in label
     }
     assert met == {row["solver"] for row in keep}
     measured = r"largest single timing \[ms\]: [\d.e-]+, as measured"
@@ -325,8 +325,8 @@ def _check_speed_margins(page: Any, facts: Any, slow: int) -> None:
     for c, bound in bounds.items():
         page.evaluate(f"select({{ c: {c} }})")
         output = page.inner_text("#slow-kept")
-        assert (": in time up to × " in output) == (bound >= slow)
-        assert (": late beyond × " in output) == (bound < slow)
+        assert (" is in time up to × " in output) == (bound >= slow)
+        assert (" is late beyond × " in output) == (bound < slow)
 
 
 def test_reload_and_back_restore(opened: Any) -> None:
@@ -462,13 +462,13 @@ def test_two_of_separate_commands_have_no_ratio(selected: Any) -> None:
       return beside();
     }"""
     before = page.evaluate("Object.values(facts.paired.turns).map((own) => own[state.c])[0]")
-    assert page.evaluate(other, [99, 99]) == ", timed in separate commands from daqp"
+    assert page.evaluate(other, [99, 99]) == ", timed in separate commands from `daqp`"
     output = page.inner_text("#two-said")
-    assert re.search(r"takes [\d.]+ µs a step and daqp .* [\d.]+ µs, timed in separate", output)
+    assert re.search(r"takes [\d.]+ µs per step and daqp .* [\d.]+ µs, timed in separate", output)
     assert "so there is no ratio" in output and "times as long" not in output
     page.evaluate(other, [99, before[1]])
     assert "not timed by turns" in page.inner_text("#two-said")
-    assert " × the time of daqp" in page.evaluate(other, before)
+    assert " × the time of `daqp`" in page.evaluate(other, before)
     assert "times as long" in page.inner_text("#two-said")
     disturbed = """async (spread) => {
       for (const p in facts.paired.turns) facts.paired.spreads[p] = { [state.c]: spread };
@@ -566,7 +566,11 @@ def test_late_is_not_wrong(selected: Any) -> None:
     labels = page.locator("#figure-ladder .mark-symbol path[aria-label]")
     looks: dict[str, set[tuple[str, str]]] = {}
     for mark in labels.all():
-        state = str(mark.get_attribute("aria-label")).split("verdict there: ")[1].split(";")[0]
+        state = (
+            str(mark.get_attribute("aria-label"))
+            .split("verdict at this slowdown: ")[1]
+            .split(";")[0]
+        )
         shape = re.sub(r"[\d.,-]+", "", str(mark.get_attribute("d")))
         looks.setdefault(state, set()).add((str(mark.get_attribute("fill")), shape))
     assert {"late", "fail"} <= set(looks)
@@ -641,7 +645,7 @@ def test_print_has_the_answer_and_what_is_chosen(opened: Any) -> None:
     assert page.evaluate("document.documentElement.scrollWidth") <= 710
     controls = [one for one in page.locator("select, input, button").all() if one.is_visible()]
     output = [one.inner_text() for one in controls]
-    assert [text for text in output if not re.search(r"\bk \d+: ", text)] == [], "steps alone"
+    assert [text for text in output if not re.search(r"\bstep \d+: ", text)] == [], "steps alone"
     ink = page.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--ink')")
     assert ink.strip() == "#1d2733"
 
@@ -654,10 +658,10 @@ def test_the_largest_sample_stays_where_it_was_measured(selected: Any) -> None:
     output = page.locator("#figure-ladder text", has_text="as measured")
     assert output.count() == 0, "nothing is scaled there"
     caption = page.locator("#answer figcaption").inner_text()
-    assert "dashed line: largest single timing" in caption
+    assert "dashed line: up to the largest single timing" in caption
     page = selected("#slow=10000")
     assert page.locator(whiskers).count() < before
-    assert page.locator("#figure-ladder text", has_text="jitter of this machine").count() == 1
+    assert page.locator("#figure-ladder text", has_text="timings on this machine").count() == 1
 
 
 def test_settings_of_ones_own_are_offered_with_their_options(chromium: Any, tmp_path: Path) -> None:

@@ -64,7 +64,9 @@ def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None
     start = "Rough sea: sway thrust at its limit. Mean and slowly varying forces of about DP number"
     assert output["rough"] == f"{start} 6-7."
     assert output["rough (in N and N·m)"].startswith(start)
-    assert output["rough (in N and N·m)"].endswith("an extra that no verdict counts.")
+    assert output["rough (in N and N·m)"].endswith(
+        "these runs do not count in the overall verdict."
+    )
     window = "Here steps 900 to 1400 of its reference loop, replayed: limits are active in 0 %"
     assert window in output["rough[900:1400] (replay)"]
     assert list(output) == [p.label for p in facts.experiments if p.name != "robot"]
@@ -109,7 +111,7 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
     )
     records.loop("osqp", units="si", error=0.5)
     assert _explain_verdict_grid(_facts(records)).endswith(
-        " 1 of 2 solvers fail there: scale the QP."
+        " 1 of 2 solvers fail in these units: scale the QP."
     )
 
 

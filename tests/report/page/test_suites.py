@@ -198,7 +198,7 @@ def test_without_a_solver_on_a_ship_no_requirements_are_named(records: Any, kind
             "B can be held throughout"
         ),
         "slow computers": "Slower computers, paper: daqp (qpsolvers fresh) × 100",
-        "calibration": "Waits of known length were measured within ",
+        "calibration": "Waits of known length were measured to within ",
     }
     assert lead.leads and lead.lines[0].startswith(starts[kind])
     assert (answer.sentence, answer.requirements, answer.snippets, answer.chips) == ("", "", (), ())

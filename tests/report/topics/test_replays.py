@@ -96,10 +96,8 @@ def test_what_the_machine_hides_is_said(records: Any) -> None:
     records.replay("daqp", replay_s=9.0, rerun_rounds=2, involuntary_switches=0, steal_s=0.0)
     topic = build_trust_topic(records.view())
     (quiet,) = (line for line in topic.lines if line.startswith("The machine was quiet"))
-    assert "2 of 3 rounds were disturbed and run again, and 0 stayed disturbed." in quiet
-    assert quiet.endswith(
-        "Not recorded, as the machine does not show it: its frequency and throttling."
-    )
+    assert "2 of 3 rounds were disturbed and repeated, and 0 remained disturbed." in quiet
+    assert quiet.endswith("The machine does not report its frequency and throttling.")
 
 
 def test_a_wait_is_said_by_its_largest_replay(records: Any) -> None:
@@ -107,6 +105,6 @@ def test_a_wait_is_said_by_its_largest_replay(records: Any) -> None:
         records.replay("busy_wait_50us", sequence, median_us=median_us, replay_s=1.0)
     topic = build_trust_topic(records.view())
     (waits,) = (line for line in topic.lines if line.startswith("Waits of known length"))
-    assert "50 µs as 52.0 µs (p50 of the timings that count, the largest of its replays)" in waits
-    assert "known to 4.0 %" in waits
+    assert "50 µs as 52.0 µs (largest p50 of the replays)" in waits
+    assert "accurate to 4.0 %" in waits
     assert "busy_wait_50us 52.0 µs" in records.ending()["harness"]

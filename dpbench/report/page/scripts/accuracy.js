@@ -4,7 +4,7 @@
 // Whose point is the large one, as a phone has no room for every name.
 function pointed() {
   const own = rowsDrawn("accuracy").values.find((row) => Number(row.id) === state.c);
-  return own ? `The largest marker is the selected configuration, ${label(state.c)}.` : `${label(state.c)} is not in this figure.`;
+  return own ? `The largest marker is the selected configuration, ${marked(state.c)}.` : `${marked(state.c)} is not in this figure.`;
 }
 
 const drawPercentile = () => signal("accuracy", { percentile: $("percentile").value });
@@ -13,7 +13,7 @@ SECTIONS.push({
   id: "accuracy", after: ["c", "p"],
   draw: async () => {
     await mark("accuracy", { id: String(state.c) });
-    $("accuracy-chosen").textContent = pointed();
+    $("accuracy-chosen").replaceChildren(...coded(pointed()));
   },
   redraw: drawPercentile,
   listen: () => on("percentile", "change", drawPercentile),

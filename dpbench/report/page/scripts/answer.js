@@ -2,7 +2,7 @@
 "use strict";
 
 // Names, of many only where the computer is slower.
-const listed = (rows, say = (row) => row.solver) => (rows.length && (rows.length <= 6 || state.slow > 1)
+const listed = (rows, say = (row) => `\`${row.solver}\``) => (rows.length && (rows.length <= 6 || state.slow > 1)
   ? `: ${rows.map(say).join(", ")}` : "");
 
 // The speed margin of the chosen configuration, and the solvers that stay within both limits on the
@@ -11,8 +11,8 @@ function kept() {
   const { deadline_ms, p99_ms } = facts.requirements, margin = C().margin[state.c];
   if (deadline_ms === null) return "Lateness is not judged, as no deadline is known.";
   const counted = facts.counts?.some((row) => row.solver === C().solver[state.c]);
-  const own = margin === null || counted ? "" : `${C().solver[state.c]}: ${
-    margin < state.slow ? "late beyond" : "in time up to"} × ${roundedDown(margin)}. `;
+  const own = margin === null || counted ? "" : `\`${C().solver[state.c]}\` ${
+    margin < state.slow ? "is late beyond" : "is in time up to"} × ${roundedDown(margin)}. `;
   const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
   const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");
   if (!right.length) return own;
@@ -21,7 +21,7 @@ function kept() {
   const safe = solvers.filter((row) => state.slow <= 1 || row.margin >= state.slow);
   return `${own}${safe.length} of ${solvers.length} ${passing.length ? "passing" : "borderline or inconclusive"
   } solvers meet the deadline of ${deadline_ms} ms and the p99 limit of ${p99_ms} ms${
-    listed(safe, (row) => `${row.solver} (up to × ${roundedDown(row.margin)})`)}.`;
+    listed(safe, (row) => `\`${row.solver}\` (up to × ${roundedDown(row.margin)})`)}.`;
 }
 
 // Where the slider stops: 1, 2 and 5 of each decade.
@@ -31,7 +31,7 @@ async function drawSlow() {
   $("slow-said").value = figure(state.slow);
   $("slow").value = String(Math.round(3 * Math.log10(state.slow)));
   $("slow").setAttribute("aria-valuetext", `× ${figure(state.slow)}`);
-  $("slow-kept").textContent = kept();
+  $("slow-kept").replaceChildren(...coded(kept()));
   await signal("ladder", { slow: state.slow });
 }
 

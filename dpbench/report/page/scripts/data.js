@@ -24,7 +24,7 @@ function drawTable() {
   const head = document.createElement("tr");
   for (const [column, j] of shown) {
     const th = document.createElement("th"), button = document.createElement("button");
-    th.scope = "col"; button.textContent = column.label; button.title = column.meaning;
+    th.scope = "col"; button.textContent = column.label; button.title = column.meaning ? `${column.name}: ${column.meaning}` : "";
     if (sorting.column === j) th.setAttribute("aria-sort", sorting.down ? "descending" : "ascending");
     button.addEventListener("click", () => {
       sorting.down = sorting.column === j ? !sorting.down : false;
@@ -55,8 +55,8 @@ function drawTable() {
   });
   $("table-head").replaceChildren(head);
   $("table-body").replaceChildren(...body);
-  $("table-said").textContent = `${rows.length ? from + 1 : 0} to ${Math.min(from + ROWS, rows.length)} of ${rows.length} rows${
-    $("table-of").value === "all" ? "" : `, of ${table.rows} in all`}`;
+  $("table-said").textContent = `rows ${rows.length ? from + 1 : 0} to ${Math.min(from + ROWS, rows.length)} of ${rows.length}${
+    $("table-of").value === "all" ? "" : `; ${table.rows} in total`}`;
   turnable($("table-back"), from > 0, $("table-next"));
   turnable($("table-next"), from + ROWS < rows.length, $("table-back"));
   state.rows = rows; state.shown = shown;

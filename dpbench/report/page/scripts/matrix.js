@@ -21,8 +21,8 @@ function drawSelected() {
   link.href = "#one";
   link.textContent = "All steps";
   link.addEventListener("click", (event) => { event.preventDefault(); go("one"); });
-  $("matrix-said").replaceChildren(`${label(state.c)}. `,
-    ...(run ? coded(resultOf(run)) : [`Not run in ${facts.experiments[state.p].label}.`]), " ", link);
+  $("matrix-said").replaceChildren(...coded(`${marked(state.c)}. `
+    + (run ? resultOf(run) : `Not run in \`${facts.experiments[state.p].label}\`.`)), " ", link);
 }
 
 async function drawMatrix() {
@@ -42,7 +42,7 @@ function withTips(axis) {
   const says = Object.fromEntries(facts.experiments.filter((experiment) => experiment.shows).map((experiment) => [experiment.label, experiment.shows]));
   const known = `${JSON.stringify(says)}[datum.value]`, labels = axis.encode?.labels;
   return axis.labels === false ? axis : { ...axis, encode: { ...axis.encode, labels: { ...labels, interactive: true,
-    update: { ...labels?.update, tooltip: { signal: `${known} ? {'in': datum.value, 'is': ${known}} : null` } } } } };
+    update: { ...labels?.update, tooltip: { signal: `${known} ? {'scenario or replay': datum.value, 'description': ${known}} : null` } } } } };
 }
 
 FIGURES.matrix = {

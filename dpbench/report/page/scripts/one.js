@@ -58,7 +58,7 @@ function notKept() {
   const { study, point, sea } = facts.experiments[state.p], runs = facts.studies.find((s) => s.name === study)?.runs;
   const i = runs?.id.findIndex((_, j) => runs.point[j] === point && runs.sea[j] === sea
     && studied().c[runs.of[j]] === state.c) ?? -1;
-  return i < 0 ? null : `This page keeps no steps of this run: pandas.read_parquet("steps.parquet", `
+  return i < 0 ? null : `This page contains no steps of this run: pandas.read_parquet("steps.parquet", `
     + `filters=[("run_id", "==", "${runs.id[i]}")]).`;
 }
 
@@ -69,8 +69,8 @@ function over(run) {
 
 // How many steps are inaccurate, failed, or falsely reported as solved; "" where none is.
 function wrongOf(run) {
-  const answers = run.answers === run.steps ? "" : ` of ${run.answers} answers`;
-  return [[over(run), "inaccurate"], [run.failed, "failed"], [run.untrue, `reported as solved${answers}, but not`]]
+  const answers = run.answers === run.steps ? "" : ` (of ${run.answers} answers)`;
+  return [[over(run), "inaccurate"], [run.failed, "failed"], [run.untrue, `falsely reported as solved${answers}`]]
     .filter(([count]) => count !== 0 && count !== "–").map(([count, what]) => `${figure(count)} ${what}`).join(", ");
 }
 
@@ -97,7 +97,7 @@ async function drawOne() {
   // That of the answer stands there.
   $("one-call").parentElement.hidden = $("one-call").textContent === $("paste-1")?.textContent;
   if (!run) {
-    text.textContent = notKept() ?? `Not run in ${facts.experiments[state.p].label}.`;
+    text.replaceChildren(...coded(notKept() ?? `Not run in \`${facts.experiments[state.p].label}\`.`));
     for (const id of ["hard", "figure-strips", "strips-said", "step", "ship"]) $(id).hidden = true;
     return;
   }
@@ -113,7 +113,7 @@ async function drawOne() {
   const drawn = run.t !== undefined && run.t !== null;
   $("figure-strips").hidden = $("strips-said").hidden = !drawn;
   $("strips-time").textContent = facts.experiments[state.p].mode === "replay"
-    ? "Dot: fastest counted round; grey: up to the largest timing. A replay controls no plant."
+    ? "Dot: fastest counted round; grey line: up to the largest timing. A replay controls no plant."
     : "Dot: one step, timed once while other work was running. Compare times in replays only.";
   if (!drawn) { drawShip(null); return; }
   const view = await figureOf("strips");
@@ -154,7 +154,7 @@ function varies(c) {
 function drawHard(run) {
   const replayed = facts.experiments[state.p].mode === "replay";
   const names = [
-    replayed ? "slowest steps, fastest round" : "largest single timings, stalls included", "most iterations", "largest error",
+    replayed ? "longest step times, fastest round" : "largest single timings, stalls included", "most iterations", "largest error",
   ];
   const row = (name, steps) => {
     const line = document.createElement("p"), head = document.createElement("span");
@@ -169,16 +169,16 @@ function drawHard(run) {
     return line;
   };
   const here = (run.hard ?? []).map((list, m) => row(names[m], list.map(([k, value]) =>
-    ({ p: state.p, k, said: `k ${k}: ${m === 0 ? time(value) : figure(value)}` }))));
+    ({ p: state.p, k, said: `step ${k}: ${m === 0 ? time(value) : figure(value)}` }))));
   // Where a step is one timing its time is jitter as well: it comes last; iterations that are alike
   // everywhere say nothing.
   const order = (replayed ? [0, 1, 2] : [1, 2, 0]).filter((m) => m !== 1 || varies(state.c));
   const said = (m) => ({ p, k, value }) => ({ p, k,
-    said: `${facts.experiments[p].label}, k ${k}: ${m === 0 ? time(value) : figure(value)}` });
+    said: `${facts.experiments[p].label}, step ${k}: ${m === 0 ? time(value) : figure(value)}` });
   // Of a single experiment its own lines say it.
   const several = facts.experiments.filter((_, p) => cell(state.c, p)?.hard).length > 1;
   const most = varies(state.c) ? [1] : [], worst = most.length && !["late", "fail"].includes(C().verdict[state.c]) ? [] : [2];
-  const everywhere = [[0, "slowest steps, fastest round of replays and windows", "replay"],
+  const everywhere = [[0, "longest step times in replays and windows, fastest round", "replay"],
     ...[...worst, ...most].map((m) => [m, `${names[m]}, all judged scenarios and replays`]),
     [0, "largest single timings of all closed loops, stalls included", "closed_loop"]];
   const all = document.createElement("details"), title = document.createElement("summary");
@@ -201,8 +201,8 @@ function moved(run, k) {
   if (n === null) return "";
   const force = ["surge", "sway", "yaw"].map((axis, i) => `${axis} ${figure(100 * track.u[i][at], 2)} %`);
   const kept = run.first + at * track.every;
-  return `Ship${kept === k ? "" : ` at k ${kept}, the nearest kept`}: ${figure(n)} m north, ${figure(e)} m east, heading ${figure((psi * 180) / Math.PI)}°; `
-    + `${force.join(", ")} of the force there is.`;
+  return `Ship${kept === k ? "" : ` at step ${kept}, the nearest one stored`}: ${figure(n)} m north, ${figure(e)} m east, heading ${figure((psi * 180) / Math.PI)}°; `
+    + `${force.join(", ")} of the largest force.`;
 }
 
 // Whether a run has a step k, and the page its numbers.
@@ -220,7 +220,7 @@ function drawStep(run) {
   $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}, ${many(array(run.i)[j], "iteration")}, `
     + `${many(array(run.a)[j], "active limit")}, error of the first move ${figure(off ? off[1] : array(run.e)[j])}; `
     + `it ${said(0) ? "reported “solved”" : `did not report “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}; `
-    + `its answer is ${said(1) ? "right" : "not right"}${flags.length ? `; ${flags.join(", ")}` : ""}. ${moved(run, k)}`;
+    + `its answer is ${said(1) ? "correct" : "not correct"}${flags.length ? `; ${flags.join(", ")}` : ""}. ${moved(run, k)}`;
   const experiment = facts.experiments[run.p];
   // A sea of a study has no file of its own to export from.
   $("step-export").parentElement.hidden = !experiment.source;
@@ -301,7 +301,7 @@ function drawShip(run) {
   const slider = $("ship-k");
   slider.max = String(last); slider.value = String(at);
   const kept = run.first + at * track.every;
-  $("ship-said").textContent = `k ${kept}${state.k === null || state.k === kept ? "" : " (the nearest kept)"}`;
+  $("ship-said").textContent = `step ${kept}${state.k === null || state.k === kept ? "" : " (the nearest one stored)"}`;
 }
 
 let playing = null;

@@ -6,19 +6,19 @@ function beside() {
   const first = facts.answer.first, rows = first === state.c ? [] : comparedSteps(first, state.c);
   if (rows[0]?.separate) return `, ${rows[0].separate} from ${unlike(first, state.c)}`;
   return rows.length
-    ? `, ${figure(ratioOf(rows), 2)} × the time of ${unlike(first, state.c)} (geometric mean of the same steps)` : "";
+    ? `, ${figure(ratioOf(rows), 2)} × the time of ${unlike(first, state.c)} (geometric mean over the same steps)` : "";
 }
 
 // The line that stays on a wide screen: the selected configuration, its times, where it is shown.
 function drawChosen() {
   const c = state.c, timed = facts.experiments[C().timed_experiment_index[c]]?.label, longest = facts.experiments[C().longest_at[c]]?.label;
-  const times = [["p50", "p50"], ["p99", "replay_p99", timed && ` in ${timed}`],
-    ["hardest step", "max", `${C().max_wait[c]} of all replays`], ["largest timing", "longest", longest && `${C().longest_wait[c]} in ${longest}`]]
+  const times = [["p50", "p50"], ["p99", "replay_p99", timed && ` in \`${timed}\``],
+    ["hardest step of all replays", "max", C().max_wait[c]], ["largest timing", "longest", longest && `${C().longest_wait[c]} in \`${longest}\``]]
     .filter(([, column]) => C()[column][c] !== null)
     .map(([name, column, where]) => `, ${name} ${time(C()[column][c])}${where ?? ""}`);
   const verdict = C().verdict[c] === "not judged" ? "" : `: ${C().verdict[c]}`;
-  $("chosen").replaceChildren(`${label(c)}${verdict}`, ...times, beside(),
-    `; shown in ${facts.experiments[state.p].label}${state.k === null ? "" : `, k ${state.k}`}`);
+  $("chosen").replaceChildren(...coded(`${marked(c)}${verdict}${times.join("")}${beside()}`
+    + `; shown in \`${facts.experiments[state.p].label}\`${state.k === null ? "" : `, step ${state.k}`}`));
 }
 
 // Draws the eye to what has changed.
@@ -46,7 +46,7 @@ async function copy(button, text) {
   } catch {
     text.hidden = false;
     getSelection().selectAllChildren(text);
-    button.textContent = "Marked: copy by hand";
+    button.textContent = "Selected: copy it by hand";
   }
 }
 

@@ -24,6 +24,7 @@ function time(ns) {
 const C = () => facts.configurations;
 const callMode = (c) => `${C().route[c]}-${C().policy[c]}`;
 const label = (c) => `${C().solver[c]} (${C().route[c]} ${C().policy[c]}, ${C().settings[c]})`;
+const marked = (c) => label(c).replace(C().solver[c], `\`${C().solver[c]}\``);
 const key = (c) => `${C().solver[c]}~${callMode(c)}~${C().settings[c]}`;
 const count = () => C().solver?.length ?? 0;
 const all = () => Array.from({ length: count() }, (_, c) => c);

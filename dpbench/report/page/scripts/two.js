@@ -79,13 +79,13 @@ function meanOf(rows, which) {
 }
 
 // What tells a configuration from another: its solver, if that will do.
-const unlike = (c, other) => (C().solver[c] === C().solver[other] ? label(c) : C().solver[c]);
+const unlike = (c, other) => (C().solver[c] === C().solver[other] ? marked(c) : `\`${C().solver[c]}\``);
 
 // Which steps they are; of QPs of several sizes also how large these are.
 function commonSteps(rows) {
   const largest = ofLargest(rows);
   const counts = unique(largest.map((row) => row.sequence))
-    .map((name) => `${largest.filter((row) => row.sequence === name).length} steps of ${name}`);
+    .map((name) => `${largest.filter((row) => row.sequence === name).length} steps of \`${name}\``);
   const size = largest.length < rows.length ? `, the largest QPs (${largest[0].variables} variables)` : "";
   return `${counts.join(" and ")}${counts.length > 1 ? ", of equal weight" : ""}${size}`;
 }
@@ -106,14 +106,15 @@ async function drawTwo() {
   // The packed times hold two digits of a ratio.
   const interval = reach !== null ? `95 % interval ${figure(ratio / reach, 2)} to ${figure(ratio * reach, 2)}`
     : ratio === 1 ? "one run: the settings make no difference" : "too few steps for an interval";
-  said.textContent = rows[0].separate
-    ? `${label(state.c)} takes ${time(meanOf(rows, "a"))} a step and ${label(second)} `
+  const text = rows[0].separate
+    ? `${marked(state.c)} takes ${time(meanOf(rows, "a"))} per step and ${marked(second)} `
     + `${time(meanOf(rows, "b"))}, ${rows[0].separate}, so there is no ratio: geometric means over `
     + `${commonSteps(rows)}.`
-    : `${label(slower)} takes ${figure(ratio, 2)} times as long as ${label(faster)} `
+    : `${marked(slower)} takes ${figure(ratio, 2)} times as long as ${marked(faster)} `
     + `(${interval}): geometric mean over ${commonSteps(rows)}.`
     + `${reach === null ? "" : whyUnranked(rows, ratio / reach)} Below the dashed line `
     + `${unlike(second, state.c)} is faster.`;
+  said.replaceChildren(...coded(text));
   const view = await figureOf("pairs");
   if (view) {
     view.signal("first", `${label(state.c)} [µs]`).signal("second", `${label(second)} [µs]`);
@@ -124,9 +125,9 @@ async function drawTwo() {
       const cells = [state.c, second].map((c) => `${time(C()[column][c])} in ${C()[`${column}_in`][c]}`);
       return `| ${column} | ${cells.join(" | ")} |`;
     }).join("\n")
-    + `\n| largest step of all replays | ${time(C().max[state.c])} | ${time(C().max[second])} |`
+    + `\n| hardest step of all replays | ${time(C().max[state.c])} | ${time(C().max[second])} |`
     + `\n| largest error | ${figure(C().error[state.c])} | ${figure(C().error[second])} |\n`
-    + `| verdict | ${C().verdict[state.c]} | ${C().verdict[second]} |\n\n${said.textContent.split(" Below")[0]}\n`;
+    + `| verdict | ${C().verdict[state.c]} | ${C().verdict[second]} |\n\n${text.split(" Below")[0]}\n`;
 }
 
 FIGURES.pairs = {
