@@ -103,7 +103,9 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
     }
     if otherwise := [v.configuration for v in good if v.configuration.solver not in by_default]:
         labels = join_with_and([configuration.marked_label for configuration in otherwise])
-        wording.append(f"Not in the default configuration of the solver: {labels}")
+        outside = "passes only outside its default configuration"
+        many = "pass only outside their default configurations"
+        wording.append(f"{labels} {outside if len(otherwise) == 1 else many}")
         solvers = [configuration.solver for configuration in otherwise]
         wording += _describe_defaults_that_do_not_pass(verdicts, solvers)
     for state, (verb, verbs) in _VERBS.items():
