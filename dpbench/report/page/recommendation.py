@@ -383,7 +383,7 @@ def _describe_other_call_modes(data: PageData, chosen: Configuration, p: int) ->
                 f"{other.route} {other.policy}"
             )
     others = [
-        f"{join_with_and(names)} {state}" for state, names in modes.items() if state != "not run"
+        f"{join_with_and(names)}: {state}" for state, names in modes.items() if state != "not run"
     ]
     return f" in this call mode ({'; '.join(others)})" if others else ""
 

@@ -63,6 +63,7 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
                 tuple((claim.claim, claim.found, claim.state) for claim in judged),
                 "Claims of the paper",
                 folded=True,
+                labels={"state": "result"},
             ),
             Table(
                 ("not specified by the paper", "assumed here"),

@@ -67,7 +67,7 @@ def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None
     assert output["rough (in N and N·m)"].endswith(
         "these runs do not count in the overall verdict."
     )
-    window = "Here steps 900 to 1400 of its reference loop, replayed: limits are active in 0 %"
+    window = "Replay of steps 900 to 1399 of its reference loop; limits are active in 0 %"
     assert window in output["rough[900:1400] (replay)"]
     assert list(output) == [p.label for p in facts.experiments if p.name != "robot"]
 
