@@ -327,7 +327,8 @@ def test_a_chip_says_how_other_ways_did_where_the_first_was_not_run(records: Any
     assert answer.first is not None and answer.first.policy == "warm"
     output = next(chip for chip in answer.chips if "N·m" in chip.text)
     assert output.text == (
-        "paper (in N and N·m): not run in this call mode (qpsolvers fresh: pass; native reuse: fail)"
+        "paper (in N and N·m): not run in this call mode (qpsolvers fresh: pass; native reuse: "
+        "fail)"
     )
     assert output.mark == "none"
 
