@@ -117,8 +117,8 @@ def list_embedded_cost_sentences(
     share = format_sample_share(worst_ns / requirements.deadline_ns)
     of_deadline = f", {share} of the {describe_deadline(requirements)}"
     return [
-        f"On a {core}, its worst step of {describe_range_of_steps(sequence.sequence)} executes "
-        f"{format_count(one.worst)} instructions, which take {format_time(worst_ns)} at "
+        f"On a {core}, it executes at most {format_count(one.worst)} instructions per step "
+        f"({describe_range_of_steps(sequence.sequence)}), which take {format_time(worst_ns)} at "
         f"{CLOCK_MHZ:g} MHz and an assumed 1 instruction per cycle"
         f"{of_deadline * requirements.judges_step_times}.",
         f"Its p99 is {format_count(one.p99)} instructions.",

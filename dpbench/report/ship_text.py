@@ -226,7 +226,7 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
         losses = [f"{join_with_and(names)} at {at_s:g} s" for at_s, names in list_losses(run)]
         what = join_with_and(losses) or "part of the force"
         since = _format_time_since_loss(run)
-        unsettled = ", not yet settled" if since == AT_END else f", not settled {since}"
+        unsettled = "; the ship has not settled" + (f" {since}" if since != AT_END else "")
         yield (
             f"After the loss of {what} in `{ship.name}`, the largest offset is "
             f"{significant(run.exact_loss_offset_max_m)} m and the largest heading error "

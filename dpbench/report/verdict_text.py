@@ -185,8 +185,7 @@ def name_counts(counts: Sequence[tuple[str, int]]) -> str:
     ordered = sorted(counts, key=lambda named: -named[1])
     named = [f"{count} of {name}" for name, count in ordered[:MOST_NAMED]]
     more = len(ordered) - MOST_NAMED
-    others = f"{sum(n for _, n in ordered[MOST_NAMED:])} of {plural(more, 'other configuration')}"
-    rest = [others] if more > 0 else []
+    rest = [f"{sum(n for _, n in ordered[MOST_NAMED:])} of others"] if more > 0 else []
     return join_with_and([*named, *rest])
 
 

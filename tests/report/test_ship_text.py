@@ -150,7 +150,7 @@ def test_a_small_offset_that_is_largest_at_the_end_is_not_settled(
     """0.271 m after the loss and at the end, be an offset before the loss larger or not."""
     own = {"exact_loss_offset_max_m": 0.271, "exact_offset_end_m": 0.271} | columns
     records.loop("daqp", "thrusters_loss", steps=500, **own)
-    said = "0.0100°, not settled 60.0 s after the loss."
+    said = "0.0100°; the ship has not settled 60.0 s after the loss."
     assert (said in _summary(records).text) != is_settled
     assert "still rises" not in _summary(records).caution
 

@@ -91,7 +91,7 @@ def make_report_markdown(report: Report) -> str:
         escape_markdown_paragraph(
             describe_which_solvers_pass(data.verdicts) if data.verdicts.of else ""
         ),
-        *_make_counts_tables(topics),
+        *(counts := _make_counts_tables(topics)),
         *map(
             escape_markdown_paragraph,
             [*describe_best_of_grids(list_best_verdict_of_own_settings(data.verdicts)), *after],
@@ -101,19 +101,23 @@ def make_report_markdown(report: Report) -> str:
         "`runs.parquet`, `steps.parquet`.",
     ]
     text = "\n\n".join(part for part in parts if part) + "\n"
-    elsewhere = "tables/verdicts.csv" if data.verdicts.of else "tables/study_*.csv"
-    return truncate_text(text, MOST_BYTES, elsewhere)
+    if len(text.encode()) > MOST_BYTES and counts:
+        text = text.replace("\n\n".join(counts), "Instruction counts: `tables/embedded.csv`.")
+    return truncate_text(text, MOST_BYTES, "report.html")
 
 
 def _yield_verdicts_by_scenario(data: PageData, recommendation: Recommendation) -> Iterator[str]:
     """Yield a sentence on the first configuration's verdict in each scenario, if there is any."""
-    valid = [
-        badge.text + " (not counted)" * (units == "si")
-        for badge in recommendation.chips
-        for units in ["" if badge.experiment is None else data.experiments[badge.experiment].units]
-    ]
-    if valid and recommendation.first is not None:
-        yield f"Verdicts on {recommendation.first.marked_label} by scenario: {', '.join(valid)}."
+    if not recommendation.chips or recommendation.first is None:
+        return
+    by_state = group_by_key(recommendation.chips, lambda badge: badge.state_text)
+    parts = []
+    for state, badges in by_state.items():
+        units = [data.experiments[b.experiment].units for b in badges if b.experiment is not None]
+        state_text = state + " (not counted)" * (units == ["si"])
+        names = join_with_and([f"`{badge.name}`" for badge in badges if badge.name])
+        parts.append(f"{state_text} in {names}" if names else state_text)
+    yield f"Verdicts on {recommendation.first.marked_label}: {'; '.join(parts)}."
 
 
 def _make_counts_tables(topics: Sequence[Topic]) -> list[str]:
@@ -269,7 +273,7 @@ def truncate_text(text: str, most_bytes: int, elsewhere: str) -> str:
     if len(raw) <= most_bytes:
         return text
     kept = raw[: most_bytes - 60].decode(errors="ignore").rsplit("\n", 1)[0]
-    return f"{kept}\n\nMore rows: `{elsewhere}`.\n"
+    return f"{kept}\n\nThe rest is in `{elsewhere}`.\n"
 
 
 USUAL = ("osqp", "daqp")

@@ -257,7 +257,7 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
         )
         label, time = found.runner_up.configuration.marked_label, format_usual_time(found.runner_up)
         first = chosen.configuration.marked_label
-        yield "next", f"Next: {label}, {time}. Against {first}: {beside}."
+        yield "next", f"Next: {label}, {time}. Compared with {first}: {beside}."
     for verdict in filter(None, (chosen, found.runner_up)):
         if silent := describe_unanswered_qps(data.records, verdict.configuration.solver):
             yield "unanswered", f"{silent}."

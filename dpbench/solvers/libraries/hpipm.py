@@ -61,7 +61,10 @@ RECORD = SolverRecord(
     project=make_project_facts(
         licence=("BSD-2-Clause", "HPIPM source, head of each file"),
         language=("C, on BLASFEO", "HPIPM reference guide, Introduction"),
-        c_code=("it is C to embed", "HPIPM reference guide, Introduction"),
+        c_code=(
+            "yes, it is written in C and can be embedded",
+            "HPIPM reference guide, Introduction",
+        ),
         allocation_free=(
             "yes, memory comes from the caller",
             "HPIPM source, *_memsize and *_create",

@@ -31,7 +31,7 @@ PAPER_ACTIVE_SET = SolverRecord(
     project=make_project_facts(
         licence=LICENCE,
         language=("C99, library-free, part of dpbench itself", "dpbench, solvers/own/active_set.h"),
-        c_code=("yes, it is C", "dpbench, solvers/own/active_set.h"),
+        c_code=("yes, it is written in C", "dpbench, solvers/own/active_set.h"),
         allocation_free=("yes, the caller gives all memory", "dpbench, solvers/own/active_set.h"),
         single_precision=("yes, ACTIVE_SET_FLOAT", "dpbench, solvers/own/active_set.h"),
     ),

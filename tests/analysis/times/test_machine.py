@@ -86,7 +86,7 @@ def test_the_bar_is_1_us_or_a_hundredth(records: Any, off_us: float, missed: lis
     off = join_with_and([f"{us:g} µs as {us + off_us:.1f} µs" for us in waits])
     assert (off or "to within 1 µs or 1 %") in topic.lines[0]
     if waits:
-        worst = f"known to {format_share(max(off_us / us for us in waits))}."
+        worst = f"accurate to {format_share(max(off_us / us for us in waits))}."
         assert worst in topic.lines[0]
 
 
@@ -155,7 +155,7 @@ def test_records_without_counters_say_nothing(records: Any) -> None:
         (
             4,
             4,
-            "rounds of this run agree within a factor of 2.00 (median 2.00). Runs of other days",
+            "rounds of this run agree within a factor of 2.00 (median 2.00). Runs on other days",
         ),
         (3, 4, "cannot be estimated from this run: only 3 configurations had two rounds."),
         (4, 900, "cannot be estimated from this run: the machine was disturbed."),

@@ -71,7 +71,7 @@ def test_two_commands_give_both_times_and_no_ratio(records: Any) -> None:
 
 def test_every_place_names_separate_commands_in_place_of_a_ratio(records: Any) -> None:
     _two_commands(records)
-    text = f"50.0 µs a step against 20.0 µs (geometric means over the same steps), {SEPARATE}"
+    text = f"50.0 µs per step against 20.0 µs (geometric means over the same steps), {SEPARATE}"
     said, report = records.ending(), Report.from_results(records.results())
     assert text in said["next"] and said["commands"].startswith(f"The solvers were {SEPARATE} on")
     written = make_report_markdown(report)

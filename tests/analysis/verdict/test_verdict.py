@@ -15,7 +15,6 @@ from dpbench.analysis.times.paired_times import (
 from dpbench.analysis.verdict.requirements import MISSED, Finding, Requirements
 from dpbench.analysis.verdict.time_findings import compute_speed_margins
 from dpbench.analysis.verdict.verdict import judge_solvers, sort_fastest_first
-from dpbench.report.formats import strip_markdown
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.verdict_text import (
     describe_answer,
@@ -213,8 +212,8 @@ def test_on_a_disturbed_machine_its_state_comes_before_all_reasons(records: Any)
     assert "when first solved" in reasons and "timed in parallel with other work" in reasons
     machine = "the machine was disturbed in 3 of 5 rounds of the replay of `paper`; "
     assert _why(disturbed) == machine + reasons
-    assert describe_main_reason(disturbed) == strip_markdown(machine + reasons)
-    assert describe_main_reason(calm) == strip_markdown(describe_finding(calm.doubts[0]))
+    assert describe_main_reason(disturbed) == machine + reasons
+    assert describe_main_reason(calm) == describe_finding(calm.doubts[0])
 
 
 def test_too_few_steps_for_a_p99(records: Any) -> None:

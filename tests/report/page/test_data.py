@@ -62,7 +62,7 @@ def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None
     facts = _facts(records)
     output = {word.term: word.meaning for word in describe_experiments(facts).values()}
     start = "Rough sea: sway thrust at its limit. Mean and slowly varying forces of about DP number"
-    assert output["rough"] == f"{start} 6-7."
+    assert output["rough"] == f"{start} 6 to 7."
     assert output["rough (in N and N·m)"].startswith(start)
     assert output["rough (in N and N·m)"].endswith(
         "these runs do not count in the overall verdict."
@@ -81,7 +81,7 @@ def test_a_ship_with_drag_is_said_to_differ_from_its_model(records: Any) -> None
     for name in ("calm", "rough"):
         records.loop("daqp", name)
     output = {word.term: word.meaning for word in describe_experiments(_facts(records)).values()}
-    sentence = "The ship meets cross-flow drag; the controller's model is linear."
+    sentence = "Cross-flow drag acts on the ship; the controller's model is linear."
     assert output["rough"].endswith(sentence) and sentence not in output["calm"]
 
 

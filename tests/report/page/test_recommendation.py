@@ -148,7 +148,7 @@ def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int,
     ending = records.ending()
     assert time.replace("`", "").format("20.0 µs") in ending["answer"]
     following = time.replace("`", "").format("30.0 µs")
-    against = "Against daqp (qpsolvers fresh): too few common steps for a ratio (15 of 500)."
+    against = "Compared with daqp (qpsolvers fresh): too few common steps for a ratio (15 of 500)."
     assert f"{following}. {against}" in ending["next"]
 
 
@@ -158,7 +158,7 @@ def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
         records.loop(f"somebody_elses_solver_{i:03d}")
     text = make_report_markdown(Report.from_results(records.results()))
     assert len(text.encode()) <= MOST_BYTES
-    assert text.endswith("More rows: `tables/verdicts.csv`.\n")
+    assert text.endswith("The rest is in `report.html`.\n")
     assert all(line.endswith("|") for line in text.splitlines() if line.startswith("|"))
 
 
@@ -178,7 +178,9 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
     )
     assert "the error of its first move reaches 0.55 times the maximum increment" in lines[0]
     # With the steps that the percentile is of: other settings may have those of a window.
-    assert re.search(r"answers, p99 [\d.]+ µs \(95 %: .*\) in the replay of paper: its", lines[0])
+    assert re.search(
+        r"answers, p99 [\d.]+ µs \(95 %: .*\) in the replay of paper: the error", lines[0]
+    )
     best = "Best of 3 settings of osqp by largest error (0.22): rho=16.0"
     best += ", at the edge of the grid in rho: widen it."
     assert lines[3:] == [best]
@@ -300,7 +302,9 @@ def test_a_grid_that_fails_everywhere_alike_is_not_to_be_widened(records: Any) -
     pairs = list(zip(ratios["first"], ratios["second"], strict=True))
     assert ("daqp (qpsolvers fresh)", "osqp (qpsolvers fresh, rho=6.4)") in pairs
     assert len(pairs) == len(set(pairs)) == 6
-    assert "\n\nVerdicts on `daqp` (qpsolvers fresh) by scenario: " in make_report_markdown(report)
+    assert "\n\nVerdicts on `daqp` (qpsolvers fresh): pass in `paper`" in make_report_markdown(
+        report
+    )
 
 
 def test_chips_say_of_each_experiment_what_the_first_did_there(records: Any) -> None:

@@ -57,7 +57,7 @@ def test_a_solver_that_ran_alone_is_not_chosen(records: Any) -> None:
         records.loop("daqp", name, steps=500)
     sentence = Report.from_results(records.results()).recommendation.sentence
     assert sentence.startswith(
-        "Only daqp was run, in 2 configurations: compared with no other solver. Use `daqp`"
+        "Only `daqp` was run, in 2 configurations: no other solver is compared. Use `daqp`"
     )
 
 

@@ -85,8 +85,8 @@ def test_claims_on_a_law_follow_its_row(records: Any, columns: dict[str, Any], c
     ("outside", "says"),
     [
         (range(0), "within 1 m from the start ("),
-        (range(34), "enters 1 m at 10.2 s and stays (95.0 % of the run inside)"),
-        ([0, 3, 500], "enters 1 m at 150 s and stays ("),
+        (range(34), "enters the 1 m circle at 10.2 s and stays (95.0 % of the run inside)"),
+        ([0, 3, 500], "enters the 1 m circle at 150 s and stays ("),
         ([0, WHOLE - 1], "outside 1 m at the end ("),
     ],
 )
