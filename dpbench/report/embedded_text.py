@@ -147,7 +147,7 @@ def yield_ranking_sentences(
     sequences: Sequence[CountedSequence], requirements: Requirements
 ) -> Iterator[str]:
     """Yield sentences: where instructions and desk times rank solvers alike, where otherwise."""
-    apart = f"for pairs whose p99 values differ by more than {100 * (APART - 1):.0f} % in both"
+    near = f"p99 values within {100 * (APART - 1):.0f} % of each other are not ranked"
     alike = []
     for sequence in sequences:
         if len(sequence.desk_rank_by_solver) < 2:
@@ -167,13 +167,13 @@ def yield_ranking_sentences(
         more = f", and {len(pairs) - MOST_PAIRS} more" if len(pairs) > MOST_PAIRS else ""
         where = _mark_sequence_and_core(sequence)
         yield (
-            f"Instruction counts and times on this machine give different rankings in {where}, "
-            f"{apart}: {join_with_and(named)}{more}."
+            f"In {where}, instruction counts and times on this machine rank solvers differently: "
+            f"{join_with_and(named)}{more} ({near})."
         )
     if alike:
         yield (
-            "Instruction counts and times on this machine give the same ranking in "
-            f"{join_with_and(alike)}, {apart}."
+            f"In {join_with_and(alike)}, instruction counts and times on this machine rank the "
+            f"solvers alike ({near})."
         )
 
 

@@ -166,6 +166,12 @@ def describe_range_of_steps(sequence: str) -> str:
     return f"steps {first} to {int(end) - 1} of `{name}`"
 
 
+def explain_range_of_steps(sequences: Iterable[str]) -> str:
+    """Return a sentence on the notation of the first range of steps among sequences; or ""."""
+    found = next((name for name in sequences if _RANGE.fullmatch(name)), "")
+    return f"`{found}` denotes {describe_range_of_steps(found)}." if found else ""
+
+
 def join_with_counts(counts: Iterable[tuple[str, int]]) -> str:
     """Return names with their counts as text, `a (3) and b (1)`, the largest count first."""
     ordered = sorted(counts, key=lambda item: -item[1])

@@ -33,7 +33,7 @@ def draw_instructions(table: pd.DataFrame) -> Any:
         tooltip=[
             style.tooltip("label:N", "solver"),
             style.tooltip("group:N", titles["group"]),
-            *(style.tooltip(f"{name}:Q", title) for name, title in numbers),
+            *(alt.Tooltip(f"{name}:Q", title=title, format=",.0f") for name, title in numbers),
             style.tooltip("k:N", titles["k"]),
         ],
     )

@@ -19,7 +19,7 @@ from dpbench.report.charts.overview import draw_accuracy, draw_deadline_chart, d
 from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS, draw_step_pairs, draw_step_strips
 from dpbench.report.charts.study import draw_point_errors, draw_point_seas, draw_study_points
 from dpbench.report.embedded_text import make_calculator_rows, name_sequence_and_core
-from dpbench.report.formats import describe_range_of_steps, plural
+from dpbench.report.formats import explain_range_of_steps, plural
 from dpbench.report.page.data import PageData, make_table_of_runs, select_tiles
 from dpbench.report.page.section import Section
 
@@ -75,9 +75,8 @@ def _explain_verdict_grid(data: PageData) -> str:
         verb = "fails" if requested["solver"].nunique() == 1 else "fail"
         fail = f" {of} {verb} in these units: scale the QP." if failing else ""
         wording.append(f"Runs in SI units (N, N·m) do not count in the overall verdict.{fail}")
-    ranges = [run.sequence for run in data.runs.values() if "[" in run.sequence]
-    for sequence in list(dict.fromkeys(ranges))[:1]:
-        wording.append(f"`{sequence}` is {describe_range_of_steps(sequence)}.")
+    if notation := explain_range_of_steps(run.sequence for run in data.runs.values()):
+        wording.append(notation)
     if there != drawn:
         most = (
             f"The figure shows the {drawn} of {there} scenarios and replays with the fewest passes"

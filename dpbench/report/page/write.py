@@ -31,6 +31,7 @@ from dpbench.report.embedded_text import (
     describe_deadline,
     make_calculator_rows,
 )
+from dpbench.report.formats import explain_range_of_steps
 from dpbench.report.page.citations import format_citations
 from dpbench.report.page.data import (
     GROUPS,
@@ -271,6 +272,7 @@ def make_page_html(
             for name, chart in select_static_charts(charts).items()
         },
         lead=lead,
+        counted_range=explain_range_of_steps(one.sequence for one in data.counts.sequences),
         core_times=make_calculator_rows(data.counts, data.requirements),
         cycles=f"{CYCLES:g}",
         clock_mhz=f"{CLOCK_MHZ:g}",

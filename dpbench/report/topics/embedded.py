@@ -16,7 +16,7 @@ from dpbench.report.embedded_text import (
 from dpbench.report.formats import MISSING, Table, format_count, format_error, format_time
 from dpbench.report.page.section import Topic
 
-WORST = "The worst step is that of its sequence."
+WORST = "The maximum holds for these steps only."
 TABLE = "Instructions per step, memory and error"
 LABELS = {
     "k": "worst step",

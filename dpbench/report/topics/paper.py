@@ -103,8 +103,9 @@ def _make_stability_table(designs: Designs) -> Table:
             for record in designs.records
         ),
         "Stability of the controller",
-        "A controller is stable if |λ| < 1. Its name contains prediction and control horizon. The "
-        "offsets are the largest initial one that it held and the smallest that it did not.",
+        "A controller is stable if |λ| < 1. A name such as 30/5 gives prediction and control "
+        "horizon. Each range extends from the largest initial offset that the controller held to "
+        "the smallest that it did not.",
         folded=True,
         labels={WEATHER_OFFSET: f"sway offset held, weather of {WEATHER} [m]"},
     )

@@ -61,7 +61,7 @@ def test_the_topic_names_the_disagreement(judged: MadeRecords) -> None:
     assert topic.lines[0].startswith(
         "`daqp` executes the fewest instructions in steps 0 to 199 of `paper` on"
     )
-    (line,) = (line for line in topic.lines if "give different rankings" in line)
+    (line,) = (line for line in topic.lines if "rank solvers differently" in line)
     assert "`daqp` executes fewer instructions than `quadprog`" in line
     assert "but is slower here" in line
     (table,) = topic.tables
