@@ -140,7 +140,7 @@ def _gone(name: str) -> Callable[[Path], None]:
         (_edit("machine.json", lambda machine: machine.update(id="x")), ("machine_id", "'x'")),
         (_edit("suite.json", lambda suite: suite.update(name="y")), ("a page of another suite",)),
         (_runs(outcome="lost"), ("outcome", "4 lost")),
-        (_runs(schema=1), ("schema", "run again")),
+        (_runs(schema=1), ("schema", "run the suite again")),
     ],
 )
 def test_faults(

@@ -360,7 +360,7 @@ def test_a_replay_of_the_same_horizons_by_another_name_times_the_loop(records: A
     same = json.dumps({"scenario": {**files, "name": "paper-30-5"}})
     records.replay("osqp", scenario="paper-30-5", cell=same)
     slower = dict(_answer(records).notes)["slower"]
-    assert slower.endswith("Not timed, as no replay has their QPs: calm.")
+    assert slower.endswith("Not timed, as no replay has their QPs: `calm`.")
 
 
 def test_loops_without_times_and_stopped_runs_are_named(records: Any) -> None:
