@@ -30,8 +30,6 @@ from dpbench.ship.weather import Windage
 
 FOLDER = Path(__file__).parent
 WIDTH, PAD = 900, 12
-ENDS = ("svg", "png")
-_FONT = "Helvetica, Arial, sans-serif"
 matplotlib.rcParams.update(
     {
         "svg.fonttype": "none",
