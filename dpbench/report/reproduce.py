@@ -128,7 +128,10 @@ def _make_claims_document(topic: Topic, results: Results) -> str:
     """Return the text on the paper's claims and how far the runs confirm them."""
     versions = results.runs.drop_duplicates("solver")[["solver", "solver_version", "build"]]
     ran = [" ".join(filter(None, row)) for row in versions.itertuples(index=False)]
-    tables = [(t.title, make_markdown_table(t.heads, t.rows, len(t.heads))) for t in topic.tables]
+    tables = [
+        (table.title, make_markdown_table(table.heads, table.rows, len(table.heads)), table.note)
+        for table in topic.tables
+    ]
     made = describe_version(results.suite)
     return render_document(
         "claims.md",

@@ -59,9 +59,10 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
         ),
         tables=(
             Table(
-                ("claim", "measured here", "state"),
-                tuple((claim.claim, claim.found, claim.state) for claim in judged),
+                ("claim", "paper states", "measured here", "state"),
+                tuple((one.claim, one.stated_in_paper, one.found, one.state) for one in judged),
                 "Claims of the paper",
+                _WORDS["notes"]["claims"],
                 folded=True,
                 labels={"state": "result"},
             ),
@@ -127,9 +128,10 @@ _WORDS = read_words(__file__)
 
 @dataclass(frozen=True)
 class Claim:
-    """Claim of the paper: its text, what was measured here, and whether it is reproduced."""
+    """Claim of the paper: text, the paper's own words, what was measured, if it is reproduced."""
 
     claim: str
+    stated_in_paper: str
     found: str
     state: State
 
@@ -137,11 +139,13 @@ class Claim:
 def judge_claims(records: Records) -> list[Claim]:
     """Return the findings on all claims of the paper by a folder's runs, in the paper's order."""
     requested = [
-        (text, assess_paper_claim(records, where, by)) for text, where, by in _WORDS["claims"]
+        (text, stated, assess_paper_claim(records, where, by))
+        for text, where, by, stated in _WORDS["claims"]
     ]
     wording = _WORDS["found"]
     return [
-        Claim(text, fill_template(wording[of.by], **of.values), of.state) for text, of in requested
+        Claim(text, stated, fill_template(wording[of.by], **of.values), of.state)
+        for text, stated, of in requested
     ]
 
 

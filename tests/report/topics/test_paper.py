@@ -40,7 +40,7 @@ def test_claims_of_the_paper_case(records: Any) -> None:
     states = _states(records)
     topic = build_paper_topic(records.view())
     assert topic.lines[0].startswith(f"{len(states) - 2} of {len(states)} claims")
-    assert [row[2] for row in topic.tables[0].rows] == list(states.values())
+    assert [row[-1] for row in topic.tables[0].rows] == list(states.values())
     failed = [claim for claim, state in states.items() if state != "reproduced"]
     assert all(claim.replace("`", "") in topic.lines[0] for claim in failed)
     assert failed == [
@@ -126,6 +126,19 @@ def test_claims_that_were_not_measured_are_counted(records: Any) -> None:
     assert topic is not None
     assert topic.lines[0].startswith(f"{reproduced} of {len(states)} claims")
     assert f"{missing} not measured" in topic.lines[0]
+
+
+def test_the_words_of_the_paper_are_beside_the_results(records: Any) -> None:
+    """The paper has no measured value, and the limit of 5 cm is not its own."""
+    records.loop("daqp", steps=WHOLE)
+    table = build_paper_topic(records.view()).tables[0]
+    assert table.heads == ("claim", "paper states", "measured here", "state")
+    stated = {row[0]: row[1] for row in table.rows}
+    assert all(stated.values())
+    five_cm = stated["It is nearly stationary there (steady error below 5 cm)"]
+    assert "no number" in five_cm and "5 cm is set by dpbench" in five_cm
+    assert "nothing in the text" in stated["Its precision is better in heading too (Fig. 5)"]
+    assert "depends on the assumed D, Q and R" in table.note
 
 
 @pytest.mark.slow
