@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from dpbench.scenario.problem_files import ScenarioDocuments
 
 CHECKED = (
-    "the name of a vessel, scenario, SCENARIO@VESSEL, suite or sequence; a TOML file; "
-    "a .npz, .json or .mat file of QPs, or a folder of them; a folder of results/community"
+    "a TOML file of a vessel, scenario or suite; a .npz, .json or .mat file of QPs, or a folder of "
+    "them; a folder of results/community"
 )
-"""Arguments of `dpbench check`, for errors."""
+"""Files that `dpbench check` reads, for errors."""
 NONE_PASSES = (
     "no configuration (solver, route, policy, settings) has both a closed loop and a replay, so "
     "none can pass"
@@ -69,9 +69,11 @@ def _make_unknown_name_error(name: str) -> InputError:
     kinds = (*problems.KINDS, problems.SEQUENCES)
     names = [known for kind in kinds for known in problems.list_shipped_problem_names(kind)]
     near = find_nearest_names(name, names, likeness=0.6)
-    hint = f"{', '.join(near)} (nearest names); " if near else ""
+    hint = f"{', '.join(near)} or another name" if near else "a name"
     shown = repr(name if len(name) <= 80 else f"{name[:77]}...")
-    return InputError("check", "", shown, f"{hint}{CHECKED}; `dpbench list KIND` lists all names")
+    return InputError(
+        "check", "", shown, f"{hint} that `dpbench list KIND` shows; SCENARIO@VESSEL; {CHECKED}"
+    )
 
 
 def _check_folder(folder: Path, progress: Progress | None) -> str:

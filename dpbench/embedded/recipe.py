@@ -13,17 +13,17 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from dpbench.embedded.toolchain import FOLDER, Target, cache_folder, compile_program
 from dpbench.errors import InputError, SituationError, UnknownNameError, format_allowed_names
 from dpbench.qp.program import QPSequence
+from dpbench.scenario.problem_files import read_toml_as_model
 
 RECIPES = FOLDER / "recipes"
 Setting = bool | int | float
@@ -91,17 +91,7 @@ class Recipe:
     def __init__(self, folder: Path, source: Path | None = None) -> None:
         self.folder, where = folder.absolute(), folder / "recipe.toml"
         self.source = source.absolute() if source else None
-        try:
-            text = where.read_text(encoding="utf-8")
-            self.file = RecipeFile.model_validate(tomllib.loads(text))
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(str(where), "", error, "a readable file") from None
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(str(where), "", error, "valid TOML") from None
-        except ValidationError as error:
-            first = error.errors()[0]
-            key = ".".join(map(str, first["loc"]))
-            raise InputError(str(where), key, repr(first["input"]), first["msg"]) from None
+        self.file = read_toml_as_model(where, RecipeFile)
         shims = [self.folder / name for name in ("shim.c", "shim.cpp")]
         self._shims = [path for path in shims if path.is_file()]
         if not self._shims:
@@ -124,11 +114,10 @@ class Recipe:
 
     def with_settings(self, given: Settings) -> Settings:
         """Return the recipe's settings with those given; InputError for one that it has not."""
-        for key, value in given.items():
-            own = self.file.settings.get(key)
-            if own is None:
+        for key in given:
+            if key not in self.file.settings:
                 allowed = ", ".join(self.file.settings) or "none"
-                raise InputError(f"settings of {self.solver}", key, value, allowed)
+                raise InputError(f"settings of {self.solver}", key, "an unknown key", allowed)
         return {**self.file.settings, **given}
 
     def check(self, sequence: QPSequence, *, single: bool) -> None:

@@ -318,7 +318,8 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
     try:
         vessel_path = find_problem_path("vessels", vessel, beside=path.parent)
     except InputError as error:
-        raise UnknownNameError(str(path), "vessel", repr(vessel), error.allowed) from None
+        where = str(name_or_path) if at else str(path)
+        raise UnknownNameError(where, "vessel", repr(vessel), error.allowed) from None
     files: ScenarioDocuments = {
         "name": f"{path.stem}@{vessel_path.stem}" if other else path.stem,
         "scenario": scenario.model_dump(),

@@ -17,9 +17,9 @@ TEXT = 'solver = "mine"\nlicence = "MIT"\norigin = "here"\nstart = "none"\ntuned
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("solver = ", r"recipe.toml: found Invalid value"),
-        ('solver = "mine"', r"recipe.toml: licence: found .* allowed: Field required"),
-        (f"{TEXT}other = 1\n", r"recipe.toml: other: found 1; allowed: Extra inputs"),
+        ("solver = ", r"recipe.toml: found invalid TOML"),
+        ('solver = "mine"', r"recipe.toml: licence: missing; required: a value"),
+        (f"{TEXT}other = 1\n", r"recipe.toml: other: found an unknown key; allowed: "),
         (
             f'{TEXT}[package]\nname = "x"\nversion = "1"\nsha256 = "0"\n',
             r"recipe.toml: package.sha256: found '0'; allowed: String should match",
@@ -40,7 +40,7 @@ def test_a_recipe_of_a_users_own(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match=r"--solver: found 'mine'; allowed: "):
         select_recipes(["mine"])
     with pytest.raises(
-        InputError, match=r"settings of osqp: sigma: found 1; allowed: eps_abs, rho"
+        InputError, match=r"settings of osqp: sigma: found an unknown key; allowed: eps_abs, rho"
     ):
         select_recipes(["osqp"])[0].with_settings({"sigma": 1})
 

@@ -241,7 +241,7 @@ def test_a_sea_without_wind_gets_one_by_its_whole_table() -> None:
 
 
 def test_an_unknown_key_is_refused_by_name() -> None:
-    with pytest.raises(InputError, match=r"environment\.wind\.sped: found no key 'sped'"):
+    with pytest.raises(InputError, match=r"environment\.wind\.sped: found an unknown key 'sped'"):
         load_scenario("weather").with_keys({"environment.wind.sped": 16.0})
 
 

@@ -227,7 +227,7 @@ def read_stored_text(arrays: Arrays, where: str, name: str) -> str:
     array = arrays.get(name)
     if array is None:
         others = ", ".join(list(arrays)[:8]) or "none"
-        raise InputError(where, name, f"no such array among {others}", "a text")
+        raise InputError(where, name, "nothing", f"a text (arrays: {others})")
     if array.dtype.kind != "U" or array.shape:
         raise InputError(where, name, f"type {array.dtype}, shape {array.shape}", "one text")
     return str(array)

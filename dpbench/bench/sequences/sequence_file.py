@@ -315,7 +315,7 @@ def list_problem_files(folder: Path) -> list[Path]:
     by_format = ([path for path in paths if path.suffix == suffix] for suffix in _READERS)
     files = next(filter(None, by_format), [])
     if not files:
-        found = f"no {', '.join(_READERS)} file"
+        found = f"no {' or '.join(_READERS)} file"
         raise InputError(str(folder), "", found, "a folder of files with one QP each")
     return sorted(files, key=lambda path: (_natural_sort_key(path.stem), path.name))
 

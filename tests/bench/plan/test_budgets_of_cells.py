@@ -128,7 +128,9 @@ def test_the_deadline_of_a_model_ship_is_its_shorter_sample() -> None:
 
 @pytest.mark.parametrize("deadline_s", [-0.001, 0.3001])
 def test_a_deadline_beyond_the_sample_is_refused(deadline_s: float) -> None:
-    with pytest.raises(InputError, match=r"deadline_s: found .*; allowed: .* sample of 0\.3 s"):
+    with pytest.raises(
+        InputError, match=r"deadline_s: found .*; allowed: .* sample time of 0\.3 s"
+    ):
         make_delay_of_cell(loop(deadline_s=deadline_s), 0.3)
 
 

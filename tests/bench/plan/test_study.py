@@ -111,7 +111,7 @@ def test_columns_of_a_study_in_the_table_of_runs() -> None:
             "seed.*draws nothing at random.*waves.*list scenarios",
         ),
         ({"base": "rough", "product": {"title": ["a", "b"]}}, "title.*changes nothing"),
-        ({"product": {"environment.wnd.speed_mps": [1.0]}}, "no key 'wnd'.*wind"),
+        ({"product": {"environment.wnd.speed_mps": [1.0]}}, "unknown key 'wnd'.*wind"),
         ({"product": {HORIZON: [5]}}, "control_horizon.*10"),
         ({"product": {WIND: ["fast", 2.0]}}, "speed_mps.*'fast'"),
         ({"base": "weathr"}, "weathr.*weather"),

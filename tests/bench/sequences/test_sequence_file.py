@@ -155,7 +155,7 @@ def renamed(a: Arrays) -> Arrays:
 @pytest.mark.parametrize(
     ("change", "parts"),
     [
-        (without("format"), ["format", "no such array"]),
+        (without("format"), ["format", "missing"]),
         (without("q"), ["q", "missing"]),
         (without("bound"), ["bound", "missing"]),
         (without("certificate"), ["certificate"]),
