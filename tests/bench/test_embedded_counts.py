@@ -63,7 +63,7 @@ def test_a_bad_sequence_is_refused(text: str, found: str) -> None:
 
 
 def test_a_solver_without_a_recipe_is_refused() -> None:
-    with pytest.raises(InputError, match=r"embedded.solvers: found 'clarabel'; allowed: solvers "):
+    with pytest.raises(InputError, match=r"embedded.solvers: found 'clarabel'; allowed: a solver "):
         pair_sequences_with_cores(table("paper:0:1", solvers=["clarabel"]))
 
 

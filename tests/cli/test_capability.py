@@ -162,7 +162,11 @@ def test_a_solver_that_is_not_installed_is_named(
         ("breadth_m = 18.0\ndraught_m", "draught_m", "capability.breadth_m: missing"),
         ("draught_m = 5.0", "draught_m = -5.0", "capability.draught_m: found -5.0"),
         ("[capability]", "[capability]\nbow_angle_deg = 95.0", "capability.bow_angle_deg"),
-        ("[windage]\nfrontal_m2 = 344.0\nlateral_m2 = 830.0\n", "", "windage with capability"),
+        (
+            "[windage]\nfrontal_m2 = 344.0\nlateral_m2 = 830.0\n",
+            "",
+            "windage together with capability",
+        ),
         (
             "thrust_kN = 420.0",
             "thrust_kN = 420.0\nheight_m = 1.0",

@@ -188,4 +188,4 @@ def test_a_version_that_does_not_exist_is_refused(
     """In one line."""
     words = ["--out", str(tmp_path / "c"), "--fmu", str(tmp_path / "x.fmu"), "--fmi", "1"]
     assert main(["codegen", "paper", *words]) == 2
-    assert capsys.readouterr().err == "dpbench: codegen: fmi: found 1; allowed: 2 or 3\n"
+    assert capsys.readouterr().err == "dpbench: --fmi: found 1; allowed: 2 or 3\n"
