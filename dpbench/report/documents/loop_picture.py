@@ -56,8 +56,8 @@ class LoopPicture:
         return (
             f"{names}{around} in {run.scenario}, {significant(self.t_s[0])} to "
             f"{significant(self.t_s[-1])} s, with {run.solver}: at most "
-            f"{significant(run.dev_position_max_m)} m from the reference loop. The station "
-            f"ends at {run.station_radius_m:.3g} m and {HEADING_DEG:g}°, dashed where reached."
+            f"{significant(run.dev_position_max_m)} m from the reference loop. Dashed, "
+            f"if reached: limits of the station, {run.station_radius_m:.3g} m and {HEADING_DEG:g}°."
         )
 
     @property
@@ -70,7 +70,7 @@ class LoopPicture:
         wide = (width - GAP * (len(self.panels) - 1)) / len(self.panels)
         lefts = [left + number * (wide + GAP) for number in range(len(self.panels))]
         for panel, at in zip(self.panels, lefts, strict=True):
-            title = f"{panel.name}, to {significant(panel.most)} {panel.unit}"
+            title = f"{panel.name}, up to {significant(panel.most)} {panel.unit}"
             yield _make_svg_label(at, top - 2.0, title)
         for panel, at in zip(self.panels, lefts, strict=True):
             yield from self._yield_panel_svg(panel, at, top, wide, height)

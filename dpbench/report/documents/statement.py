@@ -57,10 +57,10 @@ from dpbench.report.verdict_text import (
     describe_deployment,
     describe_hardest_wait,
     describe_judged_runs,
-    describe_p99_interval,
     describe_requirements,
     describe_selection,
     describe_stopped_runs,
+    format_p99_interval,
 )
 from dpbench.report.words import render_document
 from dpbench.scenario.own_thrusters import list_assumptions_on_vessel, split_source
@@ -229,7 +229,7 @@ def _fill_statement(
         unmet=describe_unmet(ships, known),
         compared=[
             f"{solver} {versions[solver]} {v.state}, p99 {format_time(v.p99_ns)}"
-            + describe_p99_interval(v)
+            + format_p99_interval(v.p99_interval)
             + (f" ({Recommendation.why(v)})" if v.state == "inconclusive" else "")
             for v in list_best_verdict_of_each_solver(data.verdicts)
             for solver in [v.configuration.solver]
@@ -315,7 +315,7 @@ def describe_scenario(ship: ShipResult) -> Iterator[str]:
         parts += [
             f"loss of {join_with_and(lost)} at {at_s:g} s" for at_s, lost in list_losses(ship.run)
         ]
-        yield f"{scenario.get('title', ship.name)}: {'; '.join(parts)}"
+        yield f"{scenario.get('title', ship.name)} ({'; '.join(parts)})"
 
 
 def _describe_weather(environment: Mapping[str, Any]) -> str:

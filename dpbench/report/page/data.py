@@ -277,7 +277,7 @@ LABELS = {
     "settle_s": "settling time [s]",
     "dev_position_max_m": "deviation, largest [m]",
     "exact_cost": "cost of reference loop",
-    "longest_miss_streak": "longest row of misses",
+    "longest_miss_streak": "longest run of misses",
     "latency_p50_ns": "median latency",
     "latency_max_ns": "largest latency",
     "recover_steps_max": "steps to recover",

@@ -304,7 +304,7 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
     parts = [
         f"{computer} may be up to "
         f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this one.",
-        f"Its {time} is {p99} and reaches the limit of {requirements.p99_ms:g} ms at × "
+        f"The solver's {time} is {p99} and reaches the limit of {requirements.p99_ms:g} ms at × "
         f"{format_rounded_down(margin.p99_limit)}.",
         f"Its hardest step takes {hardest} and reaches the deadline of "
         f"{requirements.deadline_ms:g} ms at × {format_rounded_down(margin.deadline)}.",

@@ -50,6 +50,7 @@ from dpbench.report.verdict_text import (
     describe_hardest_wait,
     describe_longest_wait,
     describe_p99_interval,
+    name_experiment,
 )
 from dpbench.report.words import topics as glossary
 
@@ -109,8 +110,10 @@ def _describe_configuration(
         "why": "" if v is None else recommendation.why(v).replace("**", ""),
         **{name: convert_to_json_number(times.get(name)) for name in ("p50", "p99", "max")},
         "replay_p99": None if v is None else convert_to_json_number(v.replay_p99_ns),
-        "p50_in": "" if v is None else v.timed_on,
-        "p99_in": "" if v is None else v.sequence_of_largest_p99 + describe_p99_interval(v),
+        "p50_in": "" if v is None else f"the replay of `{v.timed_on}`",
+        "p99_in": ""
+        if v is None or v.p99_run is None
+        else name_experiment(v.p99_run) + describe_p99_interval(v),
         "error": None if v is None else convert_to_json_number(v.error_move),
         "failed": None if v is None else v.failed_steps,
         "timed_experiment_index": None if v is None else data.find_timed_experiment_index(v),

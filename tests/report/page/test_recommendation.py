@@ -583,5 +583,5 @@ def test_a_margin_of_too_few_steps_names_no_p99(records: Any, steps: int, named:
     data = Report.from_results(records.results()).data
     (verdict,) = data.verdicts.all_verdicts
     margin = " ".join(list_speed_margin_sentences(data, verdict))
-    assert f"Its {named} is 20.0 µs in step " in margin
+    assert f"The solver's {named} is 20.0 µs in step " in margin
     assert "and reaches the limit of 3 ms at × 150." in margin

@@ -20,7 +20,7 @@ function kept() {
   const solvers = right.sort((a, b) => b.margin - a.margin).filter((row, i) => right.findIndex((r) => r.solver === row.solver) === i);
   const safe = solvers.filter((row) => state.slow <= 1 || row.margin >= state.slow);
   return `${own}${safe.length} of ${solvers.length} ${passing.length ? "passing" : "borderline or inconclusive"
-  } solvers meet the deadline of ${deadline_ms} ms and the p99 limit of ${p99_ms} ms${
+  } solvers ${safe.length === 1 ? "meets" : "meet"} the deadline of ${deadline_ms} ms and the p99 limit of ${p99_ms} ms${
     listed(safe, (row) => `\`${row.solver}\` (up to × ${roundedDown(row.margin)})`)}.`;
 }
 

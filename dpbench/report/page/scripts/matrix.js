@@ -21,8 +21,8 @@ function drawSelected() {
   link.href = "#one";
   link.textContent = "All steps";
   link.addEventListener("click", (event) => { event.preventDefault(); go("one"); });
-  $("matrix-said").replaceChildren(...coded(`${marked(state.c)}. `
-    + (run ? resultOf(run) : `Not run in \`${facts.experiments[state.p].label}\`.`)), " ", link);
+  $("matrix-said").replaceChildren(...coded(run ? resultOf(run, marked(state.c))
+    : `${marked(state.c)} was not run in \`${facts.experiments[state.p].label}\`.`), " ", link);
 }
 
 async function drawMatrix() {

@@ -75,11 +75,11 @@ function wrongOf(run) {
 }
 
 // The result of the selected configuration in the selected scenario or replay.
-function resultOf(run) {
+function resultOf(run, name = `\`${C().solver[state.c]}\``) {
   const experiment = facts.experiments[state.p];
   const verdict = { pass: "passes", borderline: "is borderline", late: "is late", fail: "fails" }[run.verdict] ?? "is inconclusive";
   return [
-    `${experiment.study ? "In" : `\`${C().solver[state.c]}\` ${verdict} in`} \`${experiment.label}\`: it ran ${run.steps} of ${run.planned} steps, `
+    `${experiment.study ? "In" : `${name} ${verdict} in`} \`${experiment.label}\`: it ran ${run.steps} of ${run.planned} steps, `
     + `with a largest error of the first move of ${figure(run.error)} times the maximum increment; ${wrongOf(run) || "every step is accurate"}.`,
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop`
       + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
@@ -141,7 +141,8 @@ function worstAnywhere(m, mode) {
   // Windows of hardest steps have no experiment of their own: their steps are shown in the loop.
   if (m === 0 && mode === "replay") known.push(...C().bounds[state.c].map(([p, k, value]) => ({ p, k, value })));
   const rank = (x) => (x === "inf" ? Infinity : x);
-  return known.sort((a, b) => rank(b.value) - rank(a.value)).slice(0, 5);
+  return known.sort((a, b) => rank(b.value) - rank(a.value))
+    .filter(({ p, k }, i) => known.findIndex((other) => other.p === p && other.k === k) === i).slice(0, 5);
 }
 
 // Whether the iterations of a configuration differ from step to step.
@@ -217,7 +218,7 @@ function drawStep(run) {
   const flags = facts.flags.filter((_, bit) => bit > 1 && said(bit));
   // The packed arrays are rounded; what stands on the buttons is not.
   const exact = run.hard?.[0].find((hard) => hard[0] === k), off = run.hard?.[2].find((hard) => hard[0] === k);
-  $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}, ${many(array(run.i)[j], "iteration")}, `
+  $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}, ${array(run.i)[j] == null ? "iterations not reported" : many(array(run.i)[j], "iteration")}, `
     + `${many(array(run.a)[j], "active limit")}, error of the first move ${figure(off ? off[1] : array(run.e)[j])}; `
     + `it ${said(0) ? "reported “solved”" : `did not report “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}; `
     + `its answer is ${said(1) ? "correct" : "not correct"}${flags.length ? `; ${flags.join(", ")}` : ""}. ${moved(run, k)}`;
