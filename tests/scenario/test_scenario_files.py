@@ -152,7 +152,7 @@ def test_a_scenario_takes_another_vessel_by_name(write: Callable[..., Path]) -> 
     scenario = load_scenario("rough@osv")
     assert (scenario.name, scenario.vessel.id) == ("rough@osv", "osv")
     path = write("scenarios", "calm", '"supply_fs99"', '"suply_fs99"')
-    for name, where in (("rough@osw", "rough.toml"), (path, path.name)):
+    for name, where in (("rough@osw", "rough@osw"), (path, path.name)):
         with pytest.raises(UnknownNameError, match=f"{where}: vessel: .*(osv|supply_fs99)"):
             load_scenario(name)
 
