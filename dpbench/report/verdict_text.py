@@ -35,6 +35,7 @@ from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.qp.residuals import TRUE_TOL
 from dpbench.report.formats import (
     MISSING,
+    describe_range_of_steps,
     describe_wait,
     format_count,
     format_error,
@@ -456,7 +457,7 @@ def name_experiment(row: RunRecord) -> str:
     if row.steps_searched_for_hardest:
         return f"the hardest steps of `{row.scenario}`"
     if row.mode == "replay":
-        return f"the replay of `{row.sequence}`"
+        return f"the replay of {describe_range_of_steps(row.sequence)}"
     return f"`{row.scenario}`"
 
 
@@ -465,7 +466,7 @@ def _name_experiments(rows: Sequence[RunRecord]) -> str:
     loops = [f"`{row.scenario}`" for row in rows if row.mode != "replay"]
     windows = [f"`{row.scenario}`" for row in rows if row.steps_searched_for_hardest]
     replays = [
-        f"`{row.sequence}`"
+        describe_range_of_steps(row.sequence)
         for row in rows
         if row.mode == "replay" and not row.steps_searched_for_hardest
     ]

@@ -28,6 +28,7 @@ from dpbench.report.commands_text import describe_versions
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import (
     MISSING,
+    describe_range_of_steps,
     describe_wait,
     escape_markdown,
     escape_markdown_paragraph,
@@ -114,9 +115,9 @@ def _yield_verdicts_by_scenario(data: PageData, recommendation: Recommendation) 
     parts = []
     for state, badges in by_state.items():
         units = [data.experiments[b.experiment].units for b in badges if b.experiment is not None]
-        state_text = state + " (not counted)" * (units == ["si"])
         names = join_with_and([f"`{badge.name}`" for badge in badges if badge.name])
-        parts.append(f"{state_text} in {names}" if names else state_text)
+        text = f"{names} (not counted): {state}" if units == ["si"] else f"{state} in {names}"
+        parts.append(text if names else state)
     yield f"Verdicts on {recommendation.first.marked_label}: {'; '.join(parts)}."
 
 
@@ -202,7 +203,10 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
     """Yield remarks: the replay of each time where they differ, the user's settings' options."""
     timed = [verdict for verdict in verdicts if verdict.timed_on]
     labels = [verdict.configuration.marked_label for verdict in timed]
-    usual = {label: f"the replay of `{v.timed_on}`" for label, v in zip(labels, timed, strict=True)}
+    usual = {
+        label: f"the replay of {describe_range_of_steps(v.timed_on)}"
+        for label, v in zip(labels, timed, strict=True)
+    }
     worst = {
         label: _where(v.p99_run)
         for label, v in zip(labels, timed, strict=True)
@@ -272,7 +276,7 @@ def truncate_text(text: str, most_bytes: int, elsewhere: str) -> str:
     raw = text.encode()
     if len(raw) <= most_bytes:
         return text
-    kept = raw[: most_bytes - 60].decode(errors="ignore").rsplit("\n", 1)[0]
+    kept = raw[: most_bytes - 60].decode(errors="ignore").rsplit("\n", 1)[0].rstrip()
     return f"{kept}\n\nThe rest is in `{elsewhere}`.\n"
 
 
