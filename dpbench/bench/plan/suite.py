@@ -373,7 +373,7 @@ def name_file_in_errors(
         place, colon, key = error.where.partition(":")
         if place not in places:
             raise
-        if place == "scenario name" and error.found in map(repr, scenarios or ()):
+        if place == "scenario name" and error.found in [repr(name) for name in scenarios or ()]:
             raise type(error)("`scenarios`", error.key, error.found, error.allowed) from None
         where = f"{places[place]}{colon}{key}"
         raise type(error)(where, error.key, error.found, error.allowed) from None

@@ -133,6 +133,15 @@ class DaqpWorkspace(NativeWorkspace):
         # A model that refused its problem cannot be updated.
         self._unusable = flag < 0
 
+    def _send_new_matrices_to_library(self) -> bool:
+        """Have DAQP take new matrices and bounds; `warm` keeps its active set."""
+        n = self._n
+        self._low[:n], self._high[:n] = self._lb, self._ub
+        self._f[:], self._low_rows[:], self._high_rows[:] = self._q, self._l, self._u
+        sense = None if self._warm else self._sense
+        flag = self._update(self._P, self._f, self._A, self._high, self._low, sense)
+        return bool(flag == 0)
+
     def update(self, step: QPStep) -> None:
         """Copy a step's vectors into DAQP's arrays by few calls, as DAQP solves in 1.5 µs."""
         new = not (step.P is None and step.A is None and step.lb is None and step.ub is None)

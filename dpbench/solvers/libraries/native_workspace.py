@@ -77,6 +77,10 @@ class NativeWorkspace(Workspace):
     def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
         """Pass a step's linear cost q and row limits to the library, in place."""
 
+    def _send_new_matrices_to_library(self) -> bool:
+        """Pass changed P, A, lb or ub to the library in place; return whether it takes them."""
+        return False
+
     def _call_library_solve(self) -> None:
         """Call the library's solve function."""
         self._result = self._solver.solve()
@@ -139,7 +143,10 @@ class NativeWorkspace(Workspace):
         )
 
     def update(self, step: QPStep) -> None:
-        """Pass new vectors to the library; make a new library object for new matrices."""
+        """Pass new vectors and matrices to the library, or make a new object that takes them.
+
+        A start that is passed to the library outlives its object.
+        """
         n, m = self._n, self._m
         if n < 0:
             raise make_error_for_missing_setup("update")
@@ -159,12 +166,30 @@ class NativeWorkspace(Workspace):
                     setattr(self, f"_{name}", np.array(value, dtype=np.float64, order="C"))
         if matrices or self._unusable or self.setup_every_step:
             self._q[:], self._l[:], self._u[:] = q, low, high
-            self._recreate_solver_or_record_failure()
-            return
+            is_taken = not (self._unusable or self.setup_every_step) and self._try_new_matrices()
+            if not is_taken and not self._recreate_solver_with_known_start():
+                return
         try:
             self._send_step_vectors_to_library(q, low, high)
         except BaseException as error:
             self._record_exception_and_mark_unusable(error)
+
+    def _try_new_matrices(self) -> bool:
+        """Pass new matrices to the library object; return whether it has taken them."""
+        try:
+            self._converted = self._send_new_matrices_to_library()
+        except BaseException as error:
+            self._record_exception_and_mark_unusable(error)
+        return self._converted
+
+    def _recreate_solver_with_known_start(self) -> bool:
+        """Store a new library object; return whether it gets the start of the one before."""
+        start = self._start if self._given_start and not self._unusable else None
+        self._recreate_solver_or_record_failure()
+        if self._failure or start is None:
+            return False
+        self._start.copy_answer_of(start)
+        return True
 
     def _recreate_solver_or_record_failure(self) -> None:
         """Store a new library object, or an exception of the library as the solve's failure."""
@@ -301,6 +326,12 @@ class WarmStart:
         for (_, last, _), value in zip(self._last, answer, strict=True):
             last[:] = value
         self.known = True
+
+    def copy_answer_of(self, other: "WarmStart") -> None:
+        """Take over the stored answer of another start of the same sizes."""
+        for (_, last, _), (_, value, _) in zip(self._last, other._last, strict=True):
+            last[:] = value
+        self.known = other.known
 
     def shift_stored_answer_if_any(self) -> bool:
         """Shift the stored answer by a control increment in place; return whether there is one."""

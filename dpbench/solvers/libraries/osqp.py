@@ -123,13 +123,32 @@ class OsqpWorkspace(NativeWorkspace):
 
     def _prepare_matrices_for_library(self) -> None:
         """Store sparse P and [A; I], bounds as rows, for OSQP, and arrays of limits."""
-        csc, n, m = self._library.CSC, self._n, self._m
-        self._P_upper = csc(scipy.sparse.triu(self._P, format="csc"))
-        self._rows = csc(scipy.sparse.csc_matrix(append_identity_rows_for_bounds(self._A, n)))
+        n, m = self._n, self._m
+        self._sparse = self._convert_matrices_to_csc()
         self._low, self._high = np.empty(m + n), np.empty(m + n)
         np.maximum(self._lb, -INFINITY, out=self._low[m:])
         np.minimum(self._ub, INFINITY, out=self._high[m:])
         self._low_rows, self._high_rows = self._low[:m], self._high[:m]
+
+    def _convert_matrices_to_csc(self) -> tuple[Any, Any]:
+        """Return the upper triangle of P and the rows [A; I] as sparse matrices."""
+        rows = append_identity_rows_for_bounds(self._A, self._n)
+        return scipy.sparse.triu(self._P, format="csc"), scipy.sparse.csc_matrix(rows)
+
+    def _send_new_matrices_to_library(self) -> bool:
+        """Pass the values of new matrices, with bounds, to OSQP if their pattern is the old one."""
+        new = self._convert_matrices_to_csc()
+        for old, other in zip(self._sparse, new, strict=True):
+            if not np.array_equal(old.indptr, other.indptr):
+                return False
+            if not np.array_equal(old.indices, other.indices):
+                return False
+        self._sparse, m = new, self._m
+        np.maximum(self._lb, -INFINITY, out=self._low[m:])
+        np.minimum(self._ub, INFINITY, out=self._high[m:])
+        return not self._solver.update_data_mat(
+            P_x=new[0].data, P_i=None, A_x=new[1].data, A_i=None
+        )
 
     def _write_clipped_row_limits(self, low: Vector, high: Vector) -> None:
         """Write row limits into OSQP's arrays, clipped to ±1e30, which OSQP takes as infinite."""
@@ -143,8 +162,9 @@ class OsqpWorkspace(NativeWorkspace):
         self._set_options_on_library_settings(settings)
         self._write_clipped_row_limits(self._l, self._u)
         n, m = self._n, self._m
+        P_upper, rows = map(self._library.CSC, self._sparse)
         self._solver = self._library.OSQPSolver(
-            self._P_upper, self._q, self._rows, self._low, self._high, m + n, n, settings
+            P_upper, self._q, rows, self._low, self._high, m + n, n, settings
         )
         # A view of the latest answer. Each look at `solution` makes another one of 32 B, which
         # osqp 1.0 never frees.

@@ -146,6 +146,13 @@ class ProxqpWorkspace(NativeWorkspace):
             self._solver.init(self._P, self._q, None, None, self._A, *limits)
         self._shiftable = self._stuck = False
 
+    def _send_new_matrices_to_library(self) -> bool:
+        """Pass new matrices and bounds to ProxQP; the sparse form takes those of one pattern."""
+        if self._sparse or self._stuck:
+            return False
+        self._solver.update(H=self._P, C=self._A, l_box=self._lb, u_box=self._ub)
+        return True
+
     def _send_step_vectors_to_library(self, q: Vector, low: Vector, high: Vector) -> None:
         """Pass q and limits to ProxQP; shift its previous result in place as warm start."""
         if self._stuck:
