@@ -45,7 +45,7 @@ def build_random_topic(records: Records) -> Topic | None:
     ]
     return Topic(
         id="random",
-        title="Random QPs: claimed and true",
+        title="Random QPs: reported and verified solutions",
         lines=(
             f"{-sum(count for count, _ in wrong)} false claims on {steps} certified steps: "
             f"{'; '.join(wording)}.",

@@ -142,7 +142,7 @@ def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None
         *_yield_consequence_sentences(records, chosen),
     ]
     lines = [" ".join(part for part in parts if part) for parts in (first, second)]
-    return Topic("conclusion", "What to conclude", tuple(line for line in lines if line))
+    return Topic("conclusion", "Conclusions", tuple(line for line in lines if line))
 
 
 def _describe_solver_to_use(
