@@ -17,6 +17,7 @@ import numpy as np
 from dpbench.cli.own_thrusters import (
     HeldSea,
     OwnThrusters,
+    WeakSide,
     choose_further_losses,
     choose_limits,
     choose_loss,
@@ -42,8 +43,12 @@ from dpbench.ship.weather import WATER_DENSITY
 
 WHERE = "init"
 COMMENT_WIDTH = 96
-STEPS = 1000  # Steps of the scenario, as many as a p99 needs
-LOST_FROM = 0.6  # Share of the steps after which thrusters are lost
+STEPS = 1000  # Steps of a scenario without a loss, as many as a p99 needs
+LOST_FROM = 0.6  # Share of these steps after which thrusters are lost
+SETTLED_S = 180.0
+"""Earliest loss [s]: the weather has grown and the ship, which starts at rest, has settled."""
+AFTER_LOSS_S = 420.0
+"""Time simulated after a loss [s]: a ship may leave its station slowly."""
 SAMPLE_S = 0.3
 START_M = (1.2, 1.3)  # North and east; sample and start are the paper's
 YAW_WEIGHT = 3000.0
@@ -146,6 +151,7 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
         files = _name_loss_files(stem, held, number)
         paths = {group: folder / file for group, file in files.items()}
         remarks += describe_losses(held, number, _find_time_of_loss(vessel), paths)
+        remarks.append(held.weak_side.describe(number, _name_weak_side_file(stem)))
     harder = _suggest_harder_sea(folder, vessel, number, held)
     written = _list_files_and_commands(folder, texts, vessel, number, held, remarks)
     return [*drawn, *written, *harder]
@@ -158,7 +164,7 @@ def _render_sea_files(
     stem = name if chosen else f"{name}_sea{number}"
     weather = f"{name}_weather.toml" if chosen else f"{stem}.toml"
     texts = {weather: render_scenario_file(name, vessel, number, held, chosen=chosen)}
-    steered, left_out = [], ""
+    steered, left_out, weak_file = [], "", ""
     if held is not None:
         losses = _name_loss_files(stem, held, number)
         groups = {file: group for group, file in losses.items()}
@@ -168,8 +174,17 @@ def _render_sea_files(
                 name, vessel, number, held, chosen=chosen, steered=True, lost=groups.get(file)
             )
         left_out = describe_losses_left_out(held, [*losses])
-    suite = render_suite_file(name, weather, vessel, number, steered, left_out)
+        weak = held.weak_side
+        texts[weak_file := _name_weak_side_file(stem)] = render_scenario_file(
+            name, vessel, number, held, chosen=chosen, steered=True, lost=weak.lost, weak=weak
+        )
+    suite = render_suite_file(name, weather, vessel, number, steered, left_out, weak_file)
     return texts | {f"{stem}_suite.toml": suite}
+
+
+def _name_weak_side_file(stem: str) -> str:
+    """Return the file name of the scenario with weather from the weak side."""
+    return f"{stem}_weak_side.toml"
 
 
 def _name_loss_files(stem: str, held: HeldSea, number: int) -> dict[str, str]:
@@ -423,8 +438,12 @@ def list_cautions(ship: OwnShip) -> list[str]:
 
 def choose_sample_s(vessel: Vessel) -> float:
     """Return a new ship's MPC sample time [s]: 0.3 s, Froude-scaled, in steps of 0.05 s."""
-    slower = scaling.compute_froude_time_scale(vessel.length_m)
-    return max(0.05, round(round(SAMPLE_S * slower / 0.05) * 0.05, 2))
+    return max(0.05, round(round(_scale_sample_s(vessel) / 0.05) * 0.05, 2))
+
+
+def _scale_sample_s(vessel: Vessel) -> float:
+    """Return the sample time [s] of the paper's ship at a new ship's size, before rounding."""
+    return SAMPLE_S * scaling.compute_froude_time_scale(vessel.length_m)
 
 
 def render_scenario_file(
@@ -436,17 +455,23 @@ def render_scenario_file(
     chosen: bool,
     steered: bool = False,
     lost: str | None = None,
+    weak: WeakSide | None = None,
 ) -> str:
     """Return the text of a new ship's scenario file in the sea of a DP number.
 
     held : what its thrusters hold; chosen : dpbench chose the sea, not the user; steered : the
-    controller steers thrusters; lost : the group that it loses.
+    controller steers thrusters, from rest; lost : the group that it loses; weak : the weak side
+    from which the weather comes, with a DP number of its own.
     """
     longer = scaling.compute_froude_time_scale(vessel.length_m) ** 2
-    wind_mps, hs_m, *_ = scaling.DP_NUMBERS[number]
     step_s = choose_sample_s(vessel)
-    share, _ = find_mean_share(vessel, number, held)
+    why = _explain_sea_choice(find_mean_share(vessel, number, held)[0], held, chosen=chosen)
     from_deg = held.from_deg if held else scaling.FROM_DEG
+    if weak is not None:
+        why, from_deg = weak.explain_sea(number), weak.from_deg
+        number = weak.find_number(number)
+    wind_mps, hs_m, *_ = scaling.DP_NUMBERS[number]
+    after = math.ceil(AFTER_LOSS_S / step_s) if lost else STEPS - round(LOST_FROM * STEPS)
     return render_document(
         "own_scenario.toml",
         comment=_wrap_as_comment,
@@ -454,19 +479,21 @@ def render_scenario_file(
         name=name,
         number=number,
         most=max(scaling.DP_NUMBERS),
-        why=_explain_sea_choice(share, held, chosen=chosen),
-        share=share,
+        why=why,
+        share=find_mean_share(vessel, number, held)[0],
         held=held,
         steered=steered,
+        is_weak=weak is not None,
         fault=lost and {"at_s": _find_time_of_loss(vessel), "lost": lost},
-        is_held=lost == choose_loss(held, number),
+        is_held=weak is None and lost == choose_loss(held, number),
         limits=choose_limits(vessel),
         wind_mps=wind_mps,
         hs_m=hs_m,
         port=from_deg > 180.0,
-        off_bow_deg=scaling.FROM_DEG,
+        off_bow_deg=min(from_deg, 360.0 - from_deg),
         step_s=step_s,
-        steps=STEPS,
+        scaled_s=_scale_sample_s(vessel),
+        steps=_find_step_of_loss(vessel) + after if steered else STEPS,
         start=[round(metres * longer, 2) for metres in START_M],
         sea=scaling.make_environment_of_dp_number(number, from_deg),
         # A lever that grows with the ship.
@@ -474,9 +501,14 @@ def render_scenario_file(
     )
 
 
+def _find_step_of_loss(vessel: Vessel) -> int:
+    """Return the step at which a new ship's scenario loses thrusters."""
+    return max(round(LOST_FROM * STEPS), math.ceil(SETTLED_S / choose_sample_s(vessel)))
+
+
 def _find_time_of_loss(vessel: Vessel) -> float:
     """Return the time [s] at which a new ship's scenario loses thrusters."""
-    return LOST_FROM * STEPS * choose_sample_s(vessel)
+    return round(_find_step_of_loss(vessel) * choose_sample_s(vessel), 2)
 
 
 def _explain_sea_choice(share: float, held: HeldSea | None, *, chosen: bool) -> str:
@@ -498,16 +530,20 @@ def render_suite_file(
     number: int,
     steered: Sequence[str] = (),
     left_out: str = "",
+    weak_side: str = "",
 ) -> str:
     """Return the text of a suite file that compares solvers in a new ship's scenarios.
 
     steered : files of the scenarios whose controller steers thrusters; the first is replayed, too;
-    left_out : the losses that none of them simulates, and why.
+    left_out : the losses that none of them simulates, and why; weak_side : file of the scenario
+    with weather from the weak side; "" for none.
     """
+    lost_from = _find_step_of_loss(vessel)
     return render_document(
         "own_suite.toml",
         steered=steered,
         left_out=left_out,
+        weak_side=weak_side,
         comment=_wrap_as_comment,
         toml_strings=partial(json.dumps, ensure_ascii=False),
         name=name,
@@ -515,6 +551,7 @@ def render_suite_file(
         number=number,
         solvers=json.dumps(SOLVERS),
         steps=STEPS,
-        lost_from=round(LOST_FROM * STEPS),
+        lost_from=lost_from,
+        first=lost_from - round(LOST_FROM * STEPS),
         step_s=choose_sample_s(vessel),
     )

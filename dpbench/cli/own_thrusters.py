@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dpbench.bench.capability.frontier import (
+    FROM_DEG,
     INTACT,
     Capability,
     CapabilityPlot,
@@ -243,6 +244,46 @@ def _ask_for_rows() -> list[dict[str, str]]:
 
 
 @dataclass(frozen=True)
+class WeakSide:
+    """The direction [°] of least wind held, after the loss of a group or intact without one.
+
+    limit : the wind held from there then; intact : the least wind held intact, and from where [°].
+    """
+
+    from_deg: float
+    limit: WindLimit
+    lost: str | None
+    intact: tuple[float, WindLimit]
+
+    def find_number(self, number: int) -> int:
+        """Return the largest DP number up to another that is held from there, at least 1."""
+        return max(1, min(number, self.limit.number))
+
+    @property
+    def when(self) -> str:
+        """State of the ship in which the wind is held, as text."""
+        return "intact" if self.lost is None else f"after the loss of {self.lost}"
+
+    def explain_sea(self, number: int) -> str:
+        """Return a sentence on the choice of its sea, up to a DP number."""
+        where = f"from {self.from_deg:g}°, the direction of least wind held {self.when}"
+        if not self.limit.number:
+            return f"the smallest, as the thrusters hold none by level 1 {where}"
+        return f"the largest up to number {number} that the thrusters hold by level 1 {where}"
+
+    def describe(self, number: int, file: str) -> str:
+        """Return a sentence on the scenario of a file with a sea up to a DP number."""
+        from_deg, limit = self.intact
+        winds = [f"{floor_to_tenth(limit.wind_mps):.1f} m/s from {from_deg:g}° intact"]
+        if self.lost is not None:
+            wind = f"{floor_to_tenth(self.limit.wind_mps):.1f} m/s"
+            winds.append(f"{wind} from {self.from_deg:g}° {self.when}")
+        held = "" if self.limit.number else ", not held"
+        sea = f"DP number {self.find_number(number)}{held}"
+        return f"weak side, the least wind held: {', '.join(winds)} ({file}, {sea})"
+
+
+@dataclass(frozen=True)
 class HeldSea:
     """The DP number that thrusters hold off the bow, after the loss of a group where they can.
 
@@ -251,7 +292,8 @@ class HeldSea:
     intact_mps : largest wind [m/s] held without a loss. reason : why this sea, for the scenario.
     from_deg : the side of the bow from which less is held. has_half_turns : whether controllers
         plan with less than the sectors of the plot. remedies : what would help, as text, by group
-        after whose loss no sea is held.
+        after whose loss no sea is held. weak_side : the direction of least wind held, after the
+        loss of `lost` where there is one.
     """
 
     capability: Capability
@@ -263,6 +305,7 @@ class HeldSea:
     from_deg: float
     has_half_turns: bool
     remedies: dict[str, str]
+    weak_side: WeakSide
 
     def list_groups_not_held(self, number: int) -> list[str]:
         """Return the groups after whose loss a DP number is not held, the worst first."""
@@ -302,9 +345,34 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
         for case in losses
         if not numbers[case]
     }
-    return HeldSea(
-        capability, number, lost, numbers, intact_mps, reason, from_deg, halves, remedies
+    weak_side = _find_weak_side(
+        compute_capability(CapabilityPlot(planned)) if halves else capability, lost
     )
+    return HeldSea(
+        capability,
+        number,
+        lost,
+        numbers,
+        intact_mps,
+        reason,
+        from_deg,
+        halves,
+        remedies,
+        weak_side,
+    )
+
+
+def _find_weak_side(capability: Capability, lost: str | None) -> WeakSide:
+    """Return the direction of least wind held, after a loss where there is one; else intact.
+
+    Starboard of equals.
+    """
+
+    def find_least(case: str) -> tuple[float, WindLimit]:
+        limits = zip(FROM_DEG, capability.held[case], strict=True)
+        return min(limits, key=lambda at: round(at[1].wind_mps, 3))
+
+    return WeakSide(*find_least(lost or INTACT), lost, find_least(INTACT))
 
 
 def _find_winds_without_zones(vessel: Vessel, from_deg: float) -> dict[str, float]:

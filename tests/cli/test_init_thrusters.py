@@ -16,7 +16,7 @@ from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.cli.main import main
 from dpbench.scenario.controllers.kinds import JointForceController
-from dpbench.scenario.own_ship import compute_limit_share_of_dp_number
+from dpbench.scenario.own_ship import DP_NUMBERS, compute_limit_share_of_dp_number
 from dpbench.scenario.own_thrusters import LOADING_KW_PER_M2
 from dpbench.scenario.scenario import load_scenario, load_vessel
 from dpbench.ship.thrusters import format_sector
@@ -160,6 +160,48 @@ def test_rudders_are_said_not_to_count_where_mains_alone_push_aft(
     assert f" {when} {said}" in " ".join(capsys.readouterr().out.split())
     assert main(["capability", FILES[0]]) == 0
     assert f" {when} {said}" in " ".join(capsys.readouterr().out.split())
+
+
+def test_losses_come_after_settling_from_rest_and_are_simulated_for_400_s() -> None:
+    """Without the approach, which still rings at 180 s; a ship may leave its station slowly."""
+    assert init(TABLE) == 0
+    for file in (*find_losses(), Path("my_ship_weak_side.toml")):
+        scenario = load_scenario(file)
+        (fault,) = scenario.files["scenario"]["faults"]
+        assert not scenario.files["scenario"]["start"]["north_m"]
+        assert fault["at_s"] >= 180.0
+        assert scenario.steps * scenario.sample_s >= fault["at_s"] + 400.0
+        assert "starts at rest" in scenario.shows
+    assert load_scenario(FILES[1]).files["scenario"]["start"]["north_m"] > 0.0
+    replays = load_path_and_suite(FILES[3])[1].replay
+    assert [(replay.first, replay.steps) for replay in replays[1:]] == [(0, 1000), (500, 100)]
+
+
+@pytest.mark.parametrize("astern", ["azimuth,-30,0,1200,board B\n", ""])
+def test_the_weak_side_is_simulated_in_a_scenario_of_its_own(
+    astern: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the largest sea up to the suite's that is held from there, after the loss if one is."""
+    assert init(TABLE.replace("azimuth,-30,0,1200,board B\n", astern)) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    plot = CapabilityPlot(load_vessel(FILES[0]))
+    intact, board_A, _ = plot.intact_and_failure_cases
+    case = board_A if load_scenario(FILES[2]).files["scenario"]["faults"] else intact
+    assert (case is board_A) == bool(astern)
+    limits = [plot.find_wind_limit(case, math.radians(deg)) for deg in FROM_DEG]
+    winds = [round(limit.wind_mps, 3) for limit in limits]
+    worst = winds.index(min(winds))
+    bow_mps = load_scenario(FILES[2]).files["scenario"]["environment"]["wind"]["speed_mps"]
+    weak = load_scenario("my_ship_weak_side.toml").files["scenario"]
+    sea, faults = weak["environment"], weak["faults"]
+    assert sea["wind"]["from_deg"] == sea["waves"]["from_deg"] == FROM_DEG[worst]
+    held_mps = DP_NUMBERS[max(1, limits[worst].number)][0]
+    assert sea["wind"]["speed_mps"] == min(bow_mps, held_mps)
+    assert f"{math.floor(10 * winds[worst]) / 10:.1f} m/s from {FROM_DEG[worst]:g}°" in said
+    assert "my_ship_weak_side.toml" in said
+    assert [fault["lost"] for fault in faults] == ([["board A"]] if astern else [])
+    (table,) = load_path_and_suite(FILES[3])[1].closed_loop[2:]
+    assert table.scenarios == ["my_ship_weak_side.toml"]
 
 
 def test_the_worst_group_is_lost_where_the_others_hold(capsys: pytest.CaptureFixture[str]) -> None:
