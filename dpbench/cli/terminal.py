@@ -184,10 +184,13 @@ class _ShareColumn(TextColumn):
 
 
 class ProgressBar:
-    """A terminal progress bar with the time left; it may vanish at the end or be hidden."""
+    """A progress bar with the time left on a terminal, which may vanish at the end or be hidden.
+
+    Without a terminal there are lines on standard error instead.
+    """
 
     def __init__(self, *, transient: bool = False, quiet: bool = False) -> None:
-        self._quiet = quiet
+        self._quiet, self._is_shown = quiet, _can_erase()
         self._progress = Progress(
             TextColumn("{task.description:<44}", markup=False),
             BarColumn(),
@@ -195,10 +198,9 @@ class ProgressBar:
             TimeElapsedColumn(),
             _TimeLeftColumn(),
             transient=transient,
-            disable=quiet or (transient and not _can_erase()),
+            disable=quiet or not self._is_shown,
         )
         self._task = self._progress.add_task("starting", total=None)
-        self._is_shown = _can_erase()
         self._lines = ProgressLines()
 
     def __enter__(self) -> ProgressBar:
