@@ -32,7 +32,7 @@ from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.scenario.own_thrusters import list_assumptions_on_vessel
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.loads import DP_CONDITIONS
-from dpbench.ship.capability.losses import list_thruster_cautions
+from dpbench.ship.capability.losses import list_thruster_cautions, list_zone_cautions
 from dpbench.ship.thrusters import format_sector
 from dpbench.ship.vessel import Vessel
 from dpbench.solvers.table import require_solver_available
@@ -149,13 +149,24 @@ def format_wind_table(
         "starboard); + at the end of the standard's table."
     )
     table = [f" from {head}".rstrip(), *rows]
-    cautions = list_thruster_cautions(vessel.thrusters) if vessel.thrusters else []
     assumed = list_assumptions_on_vessel(vessel)
-    notes = [*_explain_planned(planned, vessel), *_explain_notation(capability)]
+    notes = [*_explain_planned(planned, vessel), *caution_on_rudders(vessel)]
+    notes += _explain_notation(capability, vessel)
     notes += [f"Assumed, not given: {'; '.join(assumed)}."] if assumed else []
-    notes += cautions
+    notes += list_zone_cautions(vessel.thrusters) if vessel.thrusters else []
     notes = [line for note in notes for line in textwrap.wrap(note, WIDTH)]
     return [*textwrap.wrap(about, WIDTH), "", *table, "", *notes]
+
+
+def caution_on_rudders(vessel: Vessel) -> list[str]:
+    """Return the sentence to print before a notation without rudders; none where all counts."""
+    caution = "" if vessel.thrusters is None else vessel.thrusters.caution_on_rudders
+    return [caution] if caution else []
+
+
+def format_notation(capability: Capability, vessel: Vessel) -> str:
+    """Return a DP capability notation; "without rudders" where mains alone push aft."""
+    return f"{capability.notation}{' without rudders' if caution_on_rudders(vessel) else ''}"
 
 
 def _list_columns(capability: Capability) -> dict[str, tuple[WindLimit, ...]]:
@@ -197,11 +208,11 @@ def _format_wind_limit(held: WindLimit) -> str:
     return f"  {floor_to_tenth(held.wind_mps):5.1f}{beyond} {held.number:>2}".ljust(_CELL)
 
 
-def _explain_notation(capability: Capability) -> list[str]:
+def _explain_notation(capability: Capability, vessel: Vessel) -> list[str]:
     """Return notes on a DP capability notation, its zeros, the thrusters lost."""
     lines = [
-        f"{capability.notation}: least number intact within 30° of the bow and all round, and the "
-        "same after the worst failure."
+        f"{format_notation(capability, vessel)}: least number intact within 30° of the bow and all "
+        "round, and the same after the worst failure."
     ]
     if any(at.number == 0 for held in capability.held.values() for at in held):
         wind_mps, hs_m, _, current_mps = DP_CONDITIONS[1]

@@ -37,7 +37,7 @@ from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.hull_files import Hull, read_hull_from_csv_table, read_hull_from_mss_file
 from dpbench.scenario.own_thrusters import ASSUMED_IN_SOURCE
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.capability.losses import list_thruster_cautions
+from dpbench.ship.capability.losses import list_zone_cautions
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather import WATER_DENSITY
 
@@ -134,7 +134,7 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
             remarks.append(f"assumed for the thrusters: {' '.join(ship.thrusters.assumed)}")
             thrusters = ship.thrusters.thrusters
             remarks += [*thrusters.sector_descriptions, *ship.thrusters.half_turns]
-            remarks += list_thruster_cautions(thrusters)
+            remarks += list_zone_cautions(thrusters)
     else:
         if sea is None:
             instead = f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or describe the ship again"

@@ -3,6 +3,7 @@
 import argparse
 import math
 import sys
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,8 +17,13 @@ from dpbench.bench.capability.frontier import (
     compute_capability,
 )
 from dpbench.bench.capability.utilisation import ThrusterReach
-from dpbench.cli.capability import floor_to_tenth, save_rose_figure
-from dpbench.cli.terminal import ProgressBar
+from dpbench.cli.capability import (
+    caution_on_rudders,
+    floor_to_tenth,
+    format_notation,
+    save_rose_figure,
+)
+from dpbench.cli.terminal import WIDTH, ProgressBar
 from dpbench.errors import InputError, SituationError
 from dpbench.mpc.thrusters.attainable_set import build_attainable_force_polytope
 from dpbench.report.formats import format_rounded_down, join_with_and
@@ -396,7 +402,12 @@ def _find_remedy(thrusters: ThrusterSet, lost: str, free_mps: float) -> str:
     ends = {"bow": max(across, default=0.0) > 0.0, "stern": min(across, default=0.0) < 0.0}
     if missing := [end for end, is_there in ends.items() if not is_there]:
         place = " or the ".join(missing)
-        return f"no tunnel or azimuth is left at the {place}; put one on every switchboard (group)"
+        remedy = (
+            f"no tunnel or azimuth is left at the {place}; put one on every switchboard (group)"
+        )
+        if "stern" not in missing or all(thruster.kind != "main" for thruster in left):
+            return remedy
+        return f"{remedy}. Rudders are not modelled; those of a finished ship may hold a sea"
     if all(thruster.kind == "tunnel" for thruster in left):
         return "no main or azimuth is left; put one on every switchboard (group)"
     others = "a stronger thruster, or a retractable one on a switchboard of its own"
@@ -536,4 +547,5 @@ def save_held_sea(held: HeldSea, vessel: Vessel, folder: Path, name: str) -> lis
     """Write a chart of a ship's capability plot to a folder; return lines to print."""
     path = folder / f"{name}_capability.svg"
     save_rose_figure(held.capability, vessel, path)
-    return [f"wrote {path}: {held.capability.notation}"]
+    cautions = [line for text in caution_on_rudders(vessel) for line in textwrap.wrap(text, WIDTH)]
+    return [*cautions, f"wrote {path}: {format_notation(held.capability, vessel)}"]

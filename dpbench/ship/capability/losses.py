@@ -75,11 +75,14 @@ def find_forbidden_thrust_directions(
 
 
 def list_thruster_cautions(thrusters: ThrusterSet) -> list[str]:
-    """Return sentences on rudders that do not count, and barred zones that miss what they are for.
+    """Return sentences on rudders that do not count, and on barred zones that leave the race."""
+    rudders = thrusters.caution_on_rudders
+    return [*([rudders] if rudders else []), *list_zone_cautions(thrusters)]
 
-    The latter bar the push towards another thruster, and leave the race to it.
-    """
-    cautions = [thrusters.caution_on_rudders] if thrusters.caution_on_rudders else []
+
+def list_zone_cautions(thrusters: ThrusterSet) -> list[str]:
+    """Return sentences on zones that bar the push towards a thruster and leave the race to it."""
+    cautions = []
     for thruster in thrusters.thrusters:
         hit = [
             other.name
