@@ -65,14 +65,15 @@ def parse_tolerance_preset_name(name: str) -> float | None:
     return tolerance if 0.0 < tolerance < 1.0 else None
 
 
-def list_tolerances_left_at_default(solver: str, options: Options) -> list[str]:
-    """Return the tolerances that options leave at the library's default though they set others.
+def list_tolerance_options(solver: str) -> list[str]:
+    """Return the names of a solver's tolerances: what `high` sets to that tolerance or to zero."""
+    high = find_solver_record(solver).levels.get(HIGH, {}).items()
+    return [k for k, value in high if type(value) is float and value in (0.0, TOLERANCES[HIGH])]
 
-    Tolerances are what the solver's level `high` sets to that tolerance or to zero.
-    """
-    levels = find_solver_record(solver).levels
-    high = levels.get(HIGH, {}).items()
-    known = [k for k, value in high if type(value) is float and value in (0.0, TOLERANCES[HIGH])]
+
+def list_tolerances_left_at_default(solver: str, options: Options) -> list[str]:
+    """Return the tolerances that options leave at the library's default though they set others."""
+    known = list_tolerance_options(solver)
     left = [name for name in known if name not in options]
     return left if len(left) < len(known) else []
 

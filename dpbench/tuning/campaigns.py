@@ -16,7 +16,14 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import SEPARATE, RunRecord, group_by_key
-from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
+from dpbench.analysis.verdict.requirements import (
+    LATE,
+    Finding,
+    Requirements,
+    is_right_on_every_step,
+)
+from dpbench.analysis.verdict.time_findings import estimate_uncertainty, judge_replay_times
+from dpbench.analysis.verdict.verdict import find_wrong_answers
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.plan import plan_suite
@@ -156,6 +163,39 @@ class TunedSolver:
     solver_module: str | None = None
 
 
+@dataclass(frozen=True)
+class MeasuredRuns:
+    """Runs of settings on sequences, and why some of them miss the requirements.
+
+    faults : findings by run id, those on accuracy before those on time.
+    """
+
+    runs: Sequence[RunRecord]
+    faults: Mapping[str, Sequence[Finding]] = field(default_factory=dict)
+
+    def find_late(self, run: RunRecord) -> Finding | None:
+        """Return the finding on a time of a run that is above its limit; None without one."""
+        return next((f for f in self.faults.get(run.run_id, ()) if f.kind in LATE), None)
+
+
+def load_measured_runs(folder: Path, requirements: Requirements) -> MeasuredRuns:
+    """Return the runs of a result folder with their faults, by the rules of verdicts.
+
+    A run is late if a percentile of its step times is above the limit, also without the waits for
+    the processor core, by more than the uncertainty of the times.
+    """
+    records = Records(load_results(folder))
+    uncertainty = estimate_uncertainty(records)
+    faults: dict[str, Sequence[Finding]] = {}
+    for run in records.all_runs:
+        times, _ = judge_replay_times(records, [run], requirements, uncertainty)
+        found = find_wrong_answers(records, [run], requirements)
+        found += [finding for finding in times if finding.kind in LATE]
+        if found:
+            faults[run.run_id] = found
+    return MeasuredRuns(records.all_runs, faults)
+
+
 def find_trial_presets(solver: str) -> dict[str, Options]:
     """Return the options of the presets that a search tries first, by name; not of `default`."""
     presets = {name: find_options_of_preset(name, solver) for name in LEVELS}
@@ -202,7 +242,7 @@ def measure_settings(
     presets: Sequence[str] = (DEFAULT,),
     *,
     wait_s: float | None = None,
-) -> list[RunRecord]:
+) -> MeasuredRuns:
     """Time settings of a solver and some of its presets side by side; return the runs.
 
     The suite is written beside `folder`, which is the result folder. Finished runs are kept, unless
@@ -211,7 +251,7 @@ def measure_settings(
     suite = folder.with_suffix(".toml")
     folder.parent.mkdir(parents=True, exist_ok=True)
     write_text_atomically(suite, format_suite_as_toml(solver, problems, settings, presets))
-    runs: list[RunRecord] = []
+    measured = MeasuredRuns(())
     for fresh in (False, True):
         run_campaign(
             suite,
@@ -222,10 +262,10 @@ def measure_settings(
             wait_s=wait_s,
             fresh=fresh,
         )
-        runs = list(Records(load_results(folder)).all_runs)
-        if not _has_separate_times(runs):
+        measured = load_measured_runs(folder, solver.requirements)
+        if not _has_separate_times(measured.runs):
             break
-    return runs
+    return measured
 
 
 def _has_separate_times(runs: Sequence[RunRecord]) -> bool:
@@ -305,9 +345,15 @@ def group_runs_by_settings(
 
 
 def score_runs(
-    runs: Sequence[RunRecord], defaults: Sequence[RunRecord], requirements: Requirements
+    runs: Sequence[RunRecord],
+    defaults: Sequence[RunRecord],
+    requirements: Requirements,
+    measured: MeasuredRuns | None = None,
 ) -> Score:
-    """Return the score of runs with the same settings, beside those with default settings."""
+    """Return the score of runs with the same settings, beside those with default settings.
+
+    measured : the source of the runs' faults; without it, no run is late.
+    """
     wrong = [run for run in runs if not is_right_on_every_step(run, requirements)]
     missing = len(defaults) - len(runs)
     default = {run.sequence: run for run in defaults}
@@ -316,15 +362,20 @@ def score_runs(
         len(wrong) + missing,
         sum(_compute_error_excess_decades(run, requirements) for run in wrong) + FAILED * missing,
         math.exp(sum(logs) / len(logs)) if logs and not missing else math.nan,
+        tuple(late for run in runs if measured and (late := measured.find_late(run))),
     )
 
 
 def score_settings(
-    solver: TunedSolver, settings: Sequence[Options], runs: Mapping[str, Sequence[RunRecord]]
+    solver: TunedSolver,
+    settings: Sequence[Options],
+    measured: MeasuredRuns,
+    problems: Sequence[TunedProblem],
 ) -> list[Score]:
-    """Return the score of each of some settings, from runs by the name of their settings."""
+    """Return the score of each of some settings, from their runs on some sequences."""
+    runs = group_runs_by_settings(measured.runs, problems)
     return [
-        score_runs(runs.get(name, ()), runs[DEFAULT], solver.requirements)
+        score_runs(runs.get(name, ()), runs[DEFAULT], solver.requirements, measured)
         for name in _name_in_results(solver.name, settings)
     ]
 

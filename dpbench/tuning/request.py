@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.analysis.records.records import Records
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.engines.open_engine import count_slots
 from dpbench.bench.estimate import (
@@ -35,6 +34,7 @@ from dpbench.solvers.own_settings import (
 from dpbench.solvers.settings import (
     has_distinct_tolerance_presets,
     has_preset_or_tolerance,
+    list_tolerance_options,
     resolve_settings_to_options,
     resolve_settings_with_fixed_options,
 )
@@ -49,7 +49,7 @@ from dpbench.tuning.campaigns import (
     TunedProblem,
     TunedSolver,
     find_trial_presets,
-    group_runs_by_settings,
+    load_measured_runs,
     load_tuned_problem,
     plan_settings,
     refuse_training_qps_in_test,
@@ -61,6 +61,8 @@ from dpbench.tuning.search import Score, SearchSpace, SettingsSearch, make_space
 TRAINING = ("paper", "rough", "turn")
 TEST = ("move", "extreme", "weather")
 TRIALS = 48
+DOMINATES = 100.0
+"""Ratio of two tolerances from which the smaller one does not change when a solve ends."""
 YOURS, BEST = "yours", "best"
 _ITERATION_LIMIT = re.compile(
     r"(inner_)?max_iters?(_in)?|maxiters?|iter_max|iter_limit|qp_iteration_limit"
@@ -96,6 +98,21 @@ class SearchRequest:
         """Presets of the solver that the best settings are measured beside."""
         has_levels = has_distinct_tolerance_presets(self.solver.name)
         return [DEFAULT, HIGH] if has_levels else [DEFAULT]
+
+    def find_iteration_limit(self, options: Options) -> tuple[str, float] | None:
+        """Return name and value of the solver's limit of iterations, or None if it is unknown.
+
+        None also where the solver counts its iterations in another way than the limit does.
+        """
+        record = find_solver_record(self.solver.name)
+        if not record.iteration_limit or record.limits_outer_iterations:
+            return None
+        adapter = _get_adapter(self.solver.name, self.solver.route)
+        target = None if adapter.make_settings is None else adapter.make_settings()
+        usual = getattr(target, record.iteration_limit, None)
+        set_to = resolve_settings_with_fixed_options(options, record.name)
+        value = set_to.get(record.iteration_limit, usual)
+        return (record.iteration_limit, value) if isinstance(value, int | float) else None
 
     def name_settings(self, best: Options) -> dict[str, Options]:
         """Return by name the user's and the best settings, to be measured beside the presets."""
@@ -135,8 +152,7 @@ def make_request(
     # Custom options hold in every trial, and so do ranges in place of the stated ones.
     known = {} if ranges else find_trial_presets(solver)
     presets = [{**options, **space.fixed} for options in known.values()]
-    native = tuned.route == "native"
-    adapter = get_native_adapter(solver) if native else get_qpsolvers_adapter(solver)
+    adapter = _get_adapter(solver, tuned.route)
     _refuse_bad_options(adapter, space, start)
     learned = [load_tuned_problem(one, steps) for one in training or TRAINING]
     other = [load_tuned_problem(one, steps) for one in test or TEST]
@@ -153,7 +169,7 @@ def make_request(
         name,
         Path(out) if out is not None else Path("results") / f"tune-{solver}",
         _describe_searched_options(adapter, space),
-        _list_remarks(policy, [*learned, *other], space, start),
+        _list_remarks(policy, [*learned, *other], list_edges(solver, space, start or {})),
     )
 
 
@@ -167,8 +183,25 @@ def _parse_start(choice: str) -> tuple[str, Options]:
     return solver, points[0]
 
 
+def list_edges(solver: str, space: SearchSpace, options: Options) -> list[str]:
+    """Return a remark on each option at the edge of its range, with a wider range.
+
+    None on a tolerance at its least value while another is `DOMINATES` times as large: that one
+    ends the solve.
+    """
+    tolerances = {
+        name: value
+        for name in list_tolerance_options(solver)
+        if isinstance(value := options.get(name), int | float)
+    }
+    largest = max(tolerances.values(), default=0.0)
+    dominated = {name for name, value in tolerances.items() if largest >= DOMINATES * value}
+    others = {name: value for name, value in options.items() if name not in dominated}
+    return space.describe_edges(others)
+
+
 def _list_remarks(
-    policy: Policy, problems: Sequence[TunedProblem], space: SearchSpace, start: Options | None
+    policy: Policy, problems: Sequence[TunedProblem], edges: Sequence[str]
 ) -> list[str]:
     """Return remarks on a warm start from a distant step, and on a start at the edge of a range."""
     thinned = [f"{one.name} (one step of {one.every})" for one in problems if one.every > 1]
@@ -178,7 +211,6 @@ def _list_remarks(
             f"warm starts on {join_with_and(thinned)} begin far from the solution, and their times "
             "are not those of a control loop; name scenarios, as --train paper --steps 300"
         )
-    edges = space.describe_edges(start or {})
     return remarks + [f"your settings lie at the edge of the searched range, {e}" for e in edges]
 
 
@@ -209,6 +241,11 @@ def _choose_call_mode(
         runs = " | ".join(row.get_route_record(chosen).policies)
         raise PolicyError(f"solver {solver}", "policy", f"{policy!r} ({reason})", runs)
     return TunedSolver(solver, chosen, policy, requirements, solver_module)
+
+
+def _get_adapter(solver: str, route: str) -> _Adapter:
+    """Return a solver's adapter on a route."""
+    return get_native_adapter(solver) if route == "native" else get_qpsolvers_adapter(solver)
 
 
 def _refuse_bad_options(adapter: _Adapter, space: SearchSpace, start: Options | None) -> None:
@@ -256,11 +293,23 @@ class SearchForecast:
     remarks: Sequence[str]
 
     @property
+    def summary(self) -> str:
+        """One line on the number of settings and batches, and the expected time."""
+        return (
+            f"{self.request.trials} settings of {self.request.solver.name} in {self._batches}, "
+            f"then the measurement of the best: about {format_duration(self.time_s)}"
+        )
+
+    @property
+    def _batches(self) -> str:
+        """Number of batches as text, and how many of them are finished."""
+        done = f", {self.finished} of them finished" if self.finished else ""
+        return f"{len(split_into_batches(self.request.trials))} batches{done}"
+
+    @property
     def lines(self) -> list[str]:
         """Lines of text on the expected time of a settings search, for `--dry-run`."""
         request = self.request
-        batches = len(split_into_batches(request.trials))
-        done = f", {self.finished} of them finished" if self.finished else ""
         training, test = (
             ", ".join(problem.name for problem in problems)
             for problems in (request.training, request.test)
@@ -272,7 +321,7 @@ class SearchForecast:
         rates = "finished batches" if self.measured else STATED_RATES.origin.partition(";")[0]
         return [
             f"{request.trials} settings of {request.solver.name} in batches on {training}: "
-            f"{batches} batches{done}",
+            f"{self._batches}",
             *given,
             f"then {names} on these and {test}",
             f"about {format_duration(self.time_s)} on this machine"
@@ -289,7 +338,11 @@ class _NotFinishedError(Exception):
 
 def estimate_tuning(solver: str, **asked: Any) -> SearchForecast:
     """Return the expected time of `tune_solver` with the same arguments; errors as there."""
-    request = make_request(solver, **asked)
+    return forecast_search(make_request(solver, **asked))
+
+
+def forecast_search(request: SearchRequest) -> SearchForecast:
+    """Return the expected time of a requested search."""
     search, finished_s, wall_s = _repeat_finished_batches(request)
     sizes = split_into_batches(request.trials)
     sizes[0] += len(request.first_trials)
@@ -327,14 +380,13 @@ def _repeat_finished_batches(
         if len(find_finished_cells(cells, folder)) < len(cells):
             raise _NotFinishedError
         try:
-            results = load_results(folder)
+            measured = load_measured_runs(folder, request.solver.requirements)
         except ResultsError as error:
             # Its runs are in parts yet, without a table.
             raise _NotFinishedError from error
-        runs = group_runs_by_settings(Records(results).all_runs, request.training)
         finished_s.append(estimate_run_seconds(cells, count_slots(None), STATED_RATES))
-        wall_s.append(results.suite.get("wall_s", finished_s[-1]))
-        return score_settings(request.solver, settings, runs)
+        wall_s.append(load_results(folder).suite.get("wall_s", finished_s[-1]))
+        return score_settings(request.solver, settings, measured, request.training)
 
     search = SettingsSearch(request.space, evaluate, request.seed)
     with suppress(_NotFinishedError):  # the forecast is made of the trials before it

@@ -14,6 +14,7 @@ from typing import Any, Generic, Literal, TypeVar
 import numpy as np
 from scipy.stats import qmc
 
+from dpbench.analysis.verdict.requirements import Finding
 from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.solvers.contract import Options
@@ -196,11 +197,13 @@ class Score:
     wrong : sequences on which the accuracy requirement is missed.
     excess : log10 of error over requirement, summed over these; a failure counts `FAILED`.
     ratio : geometric mean over the sequences of step time over that of the default settings.
+    late : the finding on each sequence whose step times are above a limit.
     """
 
     wrong: int
     excess: float
     ratio: float
+    late: tuple[Finding, ...] = ()
 
     @property
     def is_right(self) -> bool:
@@ -208,10 +211,17 @@ class Score:
         return self.wrong == 0
 
     @property
-    def key(self) -> tuple[int, float]:
-        """Sort key: right before wrong, then by time or by the size of the error."""
-        time = self.ratio if math.isfinite(self.ratio) else math.inf
-        return (self.wrong, time if self.is_right else self.excess)
+    def key(self) -> tuple[int, int, float]:
+        """Sort key: right before wrong, in time before late; then by step time or excess.
+
+        Wrong settings rank by the size of the error, late ones by that of the times above a limit.
+        """
+        if not self.is_right:
+            return (self.wrong, 0, self.excess)
+        if self.late:
+            above = sum(math.log10(finding.value / finding.limit) for finding in self.late)
+            return (0, len(self.late), above)
+        return (0, 0, self.ratio if math.isfinite(self.ratio) else math.inf)
 
 
 @dataclass(frozen=True)

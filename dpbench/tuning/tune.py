@@ -6,22 +6,38 @@ timed anew side by side, on these and on the test sequences.
 
 import hashlib
 import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import count
 from pathlib import Path
 
+import numpy as np
+
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
+from dpbench.analysis.verdict.requirements import (
+    LATE,
+    Finding,
+    Requirements,
+    is_right_on_every_step,
+)
 from dpbench.bench.plan.run_request import NO_P99
 from dpbench.bench.progress import Progress, Silent
 from dpbench.files.regular_files import write_text_atomically
-from dpbench.report.formats import Table, format_error, format_time, join_with_and, significant
+from dpbench.report.formats import (
+    Table,
+    format_error,
+    format_time,
+    join_with_and,
+    significant,
+    strip_markdown,
+)
+from dpbench.report.verdict_text import describe_finding
 from dpbench.solvers.contract import Options, Policy, Route
 from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.solvers.settings import find_options_of_preset
 from dpbench.tuning.campaigns import (
+    MeasuredRuns,
     TunedSolver,
     count_steps_of_settings,
     find_step_of_largest_error,
@@ -32,13 +48,21 @@ from dpbench.tuning.campaigns import (
     score_settings,
     split_off_presets,
 )
-from dpbench.tuning.request import BEST, TRIALS, SearchRequest, make_request
+from dpbench.tuning.request import (
+    BEST,
+    TRIALS,
+    SearchRequest,
+    forecast_search,
+    list_edges,
+    make_request,
+)
 from dpbench.tuning.search import Score, SettingsSearch, Trial, split_into_batches
 
 FINAL = "final"
 """Result folder, of the search's, of the best settings beside the presets."""
 NEAR = 0.5
-"""Share of the limit of error beyond which accurate settings may fail on other steps."""
+"""Share of the limit of error, or of iterations, beyond which accurate settings may fail on other
+steps."""
 
 
 @dataclass(frozen=True)
@@ -46,29 +70,55 @@ class TunedRole:
     """Best settings, presets and the user's own on the training or the test sequences.
 
     runs : by the name of the settings, the user's as `YOURS`, the best ones as `BEST`.
+    measured : all runs, with their faults.
     """
 
     title: str
     runs: Mapping[str, Sequence[RunRecord]]
+    measured: MeasuredRuns = field(default_factory=lambda: MeasuredRuns(()))
 
     def summarise_best_settings(self, requirements: Requirements) -> str:
-        """Return as text if the best settings are accurate, and their time beside the presets."""
+        """Return as text if the best settings are accurate, late, and their time beside presets."""
         best = self.runs[BEST]
         wrong = sum(not is_right_on_every_step(run, requirements) for run in best)
         if wrong:
             return f"inaccurate on {wrong} of {len(best)}"
-        parts = ["accurate"]
+        late = [finding for run in best if (finding := self.measured.find_late(run))]
+        parts = [_describe_accuracy(late, len(best))]
         for name, runs in self.runs.items():
             if name != BEST:
-                preset = score_runs(runs, runs, requirements)
-                known = (
-                    f", which is inaccurate on {preset.wrong} of {len(runs)}"
-                    if preset.wrong
-                    else ""
-                )
+                preset = score_runs(runs, runs, requirements, self.measured)
+                faults = [f"inaccurate on {preset.wrong} of {len(runs)}"] * bool(preset.wrong)
+                faults += [f"late on {len(preset.late)} of {len(runs)}"] * bool(preset.late)
+                known = f", which is {join_with_and(faults)}" if faults else ""
                 ratio = significant(score_runs(best, runs, requirements).ratio)
                 parts.append(f"{ratio} times the step time of {name}{known}")
         return "; ".join(parts)
+
+    def describe_failed_steps(self) -> Iterator[str]:
+        """Yield a line on the failed steps of each run that has some, with the reason."""
+        for name, runs in self.runs.items():
+            for run in runs:
+                for finding in self.measured.faults.get(run.run_id, ()):
+                    if finding.kind == "failed":
+                        yield f"{name}: {strip_markdown(describe_finding(finding))}"
+
+    def describe_result(self, run: RunRecord, requirements: Requirements) -> str:
+        """Return in a word or two if a run is accurate, how many steps failed, if it is late."""
+        faults = self.measured.faults.get(run.run_id, ())
+        words = [f"{f.steps or f.value:.0f} failed" for f in faults if f.kind == "failed"]
+        if not words and not is_right_on_every_step(run, requirements):
+            words = ["inaccurate"]
+        words += ["late"] * any(f.kind in LATE for f in faults)
+        return ", ".join(words) or "accurate"
+
+
+def _describe_accuracy(late: Sequence[Finding], sequences: int) -> str:
+    """Return that settings are accurate, and where their step times are above a limit."""
+    if not late:
+        return "accurate"
+    reasons = ", and ".join(strip_markdown(describe_finding(finding)) for finding in late)
+    return f"accurate but late on {len(late)} of {sequences}: {reasons}"
 
 
 @dataclass(frozen=True)
@@ -99,7 +149,7 @@ class Tuning:
 
     @property
     def table(self) -> Table:
-        """Table of step time and error of presets, own and best settings on each sequence."""
+        """Table of step time, error and result of presets, own and best settings by sequence."""
         limit = self.solver.requirements
         rows = [
             (
@@ -108,18 +158,20 @@ class Tuning:
                 name,
                 _format_step_time(run),
                 format_error(run.error_move_max),
-                "yes" if is_right_on_every_step(run, limit) else "no",
+                role.describe_result(run, limit),
             )
             for role in self.roles
             for runs in zip(*role.runs.values(), strict=True)
             for name, run in zip(role.runs, runs, strict=True)
         ]
         title = f"Settings of {self._call}"
-        heads = ("", "sequence", "settings", "time", "error", "accurate")
+        heads = ("", "sequence", "settings", "time", "error", "result")
         note = (
             "Time: p99 of the steps, each the fastest of its rounds; where a sequence is too short "
             "for it the p95 or p50, named next to it. Error: of the first move, at most "
-            f"{limit.error_move:g} of the maximum increment."
+            f"{limit.error_move:g} of the maximum increment. Late: a p99, or p95 without one, "
+            f"above the limit of {limit.p99_ms:g} ms, also without waits for the processor core and by "
+            "more than the uncertainty of the times."
         )
         return Table(heads, tuple(rows), title, note, text_columns=3)
 
@@ -133,7 +185,7 @@ class Tuning:
         """The result in words: the best settings, and what they gain on either kind of sequence."""
         edges = [
             f"the best is at the edge of the searched range, {text}"
-            for text in self.request.space.describe_edges(self.best.options)
+            for text in list_edges(self.solver.name, self.request.space, self.best.options)
         ]
         if self.path is None:
             return [
@@ -146,8 +198,14 @@ class Tuning:
             ]
         found = "best so far, of" if self.is_interrupted else "best of"
         lines = [f"{found} {self.trials} settings of {self._call}: {self.best.name}", *edges]
+        if self.best.score.late:
+            lines.append(
+                "no accurate settings that were tried are in time on the training sequences"
+            )
         lines.append("no other call mode was measured: --route, --policy")
-        lines += [*self.request.searched, *self._measured, *self._cautions, *self._not_done]
+        lines += [*self.request.searched, *self._iterations, *self._measured]
+        lines += [line for role in self.roles for line in role.describe_failed_steps()]
+        lines += [*self._cautions, *self._not_done]
         runs = f"; runs: {self.request.folder / FINAL}" if self.roles else ""
         return [*lines, f"settings: {self.path}{runs}"]
 
@@ -157,13 +215,28 @@ class Tuning:
         if not self.roles:
             ratio = significant(self.best.score.ratio)
             names = ", ".join(problem.name for problem in self.request.training)
+            known = _describe_accuracy(self.best.score.late, len(self.request.training))
             return [
-                f"training sequences ({names}): accurate; {ratio} times the step time of default"
+                f"training sequences ({names}): {known}; {ratio} times the step time of default"
             ]
         return [
             f"{role.title} sequences ({', '.join(run.sequence for run in role.runs[BEST])}): "
             f"{role.summarise_best_settings(self.solver.requirements)}"
             for role in self.roles
+        ]
+
+    @property
+    def _iterations(self) -> list[str]:
+        """Line on the largest number of iterations of the best settings if near their limit."""
+        limit = self.request.find_iteration_limit(self.best.options)
+        runs = [run for role in self.roles for run in role.runs[BEST]]
+        worst = max(runs, key=lambda run: np.nan_to_num(run.iterations_max), default=None)
+        if limit is None or worst is None or not worst.iterations_max > NEAR * limit[1]:
+            return []
+        name, most = limit
+        return [
+            f"iterations of the best: up to {worst.iterations_max:.0f} of {name} = {most:g}, in "
+            f"{worst.sequence}"
         ]
 
     @cached_property
@@ -223,6 +296,7 @@ class Tuning:
             f"Settings of {solver.name} in the call mode of their search; found by "
             "`dpbench tune-solver`.",
             *self.request.searched,
+            *self._iterations,
             *self._measured,
             *filter(None, [self._largest_error]),
             *self._not_done,
@@ -339,7 +413,7 @@ def tune_solver(
         solver_module=solver_module,
     )
     bar = _SearchProgress(progress or Silent(), request)
-    for remark in request.remarks:
+    for remark in (forecast_search(request).summary, *request.remarks):
         bar.remark(remark)
     search = _make_search(request, bar, wait_s)
     roles: tuple[TunedRole, ...] = ()
@@ -368,8 +442,8 @@ def _make_search(
         place = request.folder / f"batch-{next(numbers):02d}"
         progress.plan(len(settings) + 1)
         own, presets = split_off_presets(tuned.name, settings)
-        runs = measure_settings(tuned, problems, own, place, progress, presets, wait_s=wait_s)
-        return score_settings(tuned, settings, group_runs_by_settings(runs, problems))
+        measured = measure_settings(tuned, problems, own, place, progress, presets, wait_s=wait_s)
+        return score_settings(tuned, settings, measured, problems)
 
     return SettingsSearch(request.space, evaluate, request.seed)
 
@@ -380,7 +454,7 @@ def _measure_roles(
     """Time presets, own and best settings side by side; return their training and test runs."""
     presets, named = request.presets, request.name_settings(best)
     progress.plan(len(presets) + len(named), with_test=True)
-    runs = measure_settings(
+    measured = measure_settings(
         request.solver,
         [*request.training, *request.test],
         named,
@@ -391,13 +465,13 @@ def _measure_roles(
     )
     roles = []
     for title, problems in (("training", request.training), ("test", request.test)):
-        found = group_runs_by_settings(runs, problems)
+        found = group_runs_by_settings(measured.runs, problems)
         # Of two names with equal options the results have one, a preset's before one's own.
         of_presets = {name: find_options_of_preset(name, request.solver.name) for name in presets}
         known = of_presets | named
-        measured = {
+        alike = {
             format_options_as_toml(known[name]): found[name] for name in known if name in found
         }
-        own = {name: measured[format_options_as_toml(options)] for name, options in named.items()}
-        roles.append(TunedRole(title, {name: found[name] for name in presets} | own))
+        own = {name: alike[format_options_as_toml(options)] for name, options in named.items()}
+        roles.append(TunedRole(title, {name: found[name] for name in presets} | own, measured))
     return tuple(roles)

@@ -17,6 +17,7 @@ from dpbench.bench.record.schema import convert_to_run_columns
 from dpbench.solvers.own_settings import parse_options_of_choice
 from dpbench.tuning.campaigns import (
     FAILED,
+    MeasuredRuns,
     TunedProblem,
     TunedSolver,
     format_suite_as_toml,
@@ -45,7 +46,9 @@ def _run(settings: str, sequence: str, time_ns: float, **columns: Any) -> RunRec
 def _score(*runs: RunRecord) -> Any:
     by_settings = {"default": [_run("default", "a", 100.0), _run("default", "b", 400.0)]}
     by_settings["rho=2"] = list(runs)
-    (score,) = score_settings(SOLVER, [{"rho": 2}], by_settings)
+    measured = MeasuredRuns([run for own in by_settings.values() for run in own])
+    problems = [TunedProblem(name, {}) for name in ("a", "b")]
+    (score,) = score_settings(SOLVER, [{"rho": 2}], measured, problems)
     return score
 
 
@@ -86,12 +89,12 @@ def test_settings_timed_in_two_commands_are_timed_again_together(tmp_path: Path)
     solver = TunedSolver("daqp", "native", "warm", LIMIT)
     problem = TunedProblem("paper", {"kind": "replay", "scenario": "paper", "steps": 3})
     own = {"strict": {"primal_tol": 1e-9}}
-    first = measure_settings(solver, [problem], {}, tmp_path / "a", Silent())
-    both = measure_settings(solver, [problem], own, tmp_path / "a", Silent())
+    first = measure_settings(solver, [problem], {}, tmp_path / "a", Silent()).runs
+    both = measure_settings(solver, [problem], own, tmp_path / "a", Silent()).runs
     assert {run.settings for run in both} == {"default", "strict"}
     assert len({run.campaign_utc for run in both}) == len({run.turns for run in both}) == 1
     assert both[0].campaign_utc != first[0].campaign_utc
-    again = measure_settings(solver, [problem], own, tmp_path / "a", Silent())
+    again = measure_settings(solver, [problem], own, tmp_path / "a", Silent()).runs
     assert {run.campaign_utc for run in again} == {both[0].campaign_utc}
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dpbench.analysis.verdict.requirements import Finding
 from dpbench.errors import InputError
 from dpbench.solvers.contract import Options
 from dpbench.solvers.settings import resolve_settings_to_options
@@ -71,13 +72,20 @@ def test_as_many_settings_are_tried_as_asked(trials: int) -> None:
     assert len(batches) >= min(2, trials)
 
 
+def _late(time_ms: float) -> Finding:
+    return Finding("p99 late", value=1e6 * time_ms, limit=3e6)
+
+
 def test_accuracy_comes_before_time() -> None:
     """Inaccurate settings rank by their distance from the requirement; a run without a time comes
-    last."""
+    after those with one, and late ones after those in time, by number and time."""
     first_to_last = [
         Score(0, 0.0, 0.5),
         Score(0, 0.0, 2.0),
         Score(0, 0.0, math.nan),
+        Score(0, 0.0, 0.3, (_late(4.0),)),
+        Score(0, 0.0, 0.1, (_late(9.0),)),
+        Score(0, 0.0, 0.1, (_late(4.0), _late(4.0))),
         Score(1, 0.1, math.nan),
         Score(1, 3.0, math.nan),
         Score(2, 0.1, math.nan),

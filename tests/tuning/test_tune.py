@@ -3,7 +3,7 @@
 import re
 import shlex
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import pytest
 
 from dpbench import load_results
 from dpbench.analysis.records.run_record import RunRecord, build_run_records
+from dpbench.analysis.verdict.requirements import Finding
 from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.schema import convert_to_run_columns
@@ -19,9 +20,11 @@ from dpbench.cli.main import main
 from dpbench.errors import InputError, SettingsError
 from dpbench.solvers.contract import Options
 from dpbench.solvers.own_settings import format_options_as_toml
+from dpbench.solvers.settings import find_options_of_preset
 from dpbench.tuning import tune
-from dpbench.tuning.campaigns import TunedProblem
-from dpbench.tuning.request import estimate_tuning, make_request
+from dpbench.tuning.campaigns import MeasuredRuns, TunedProblem
+from dpbench.tuning.request import estimate_tuning, list_edges, make_request
+from dpbench.tuning.search import make_space
 from dpbench.tuning.tune import tune_solver
 
 
@@ -52,8 +55,16 @@ def test_a_mistake_is_found_before_anything_runs(
 class _Campaigns:
     """Campaigns in which every setting is accurate and faster than the one before it."""
 
-    def __init__(self, *, interrupted_at: int, error: float = 1e-9) -> None:
+    def __init__(
+        self,
+        *,
+        interrupted_at: int,
+        error: float = 1e-9,
+        fault: Callable[[RunRecord], list[Finding]] = lambda _: [],
+        iterations: int = 10,
+    ) -> None:
         self.batches, self._error = list[int](), error
+        self._fault, self._iterations = fault, iterations
         self._interrupted_at, self._runs = interrupted_at, 0
         self.presets = list[list[str]]()
 
@@ -67,7 +78,7 @@ class _Campaigns:
         presets: Sequence[str] = ("default",),
         *,
         wait_s: float | None = None,
-    ) -> list[RunRecord]:
+    ) -> MeasuredRuns:
         self.batches.append(len(settings))
         self.presets.append([*presets])
         if len(self.batches) == self._interrupted_at:
@@ -79,10 +90,19 @@ class _Campaigns:
         named = isinstance(settings, dict)
         for name in [*presets, *(settings if named else map(format_options_as_toml, settings))]:
             self._runs += 1
-            run = {"settings": name, "run_id": name, "algo_p50_ns": 1e6 / self._runs}
+            run = {"settings": name, "algo_p50_ns": 1e6 / self._runs}
+            run["iterations_max"] = self._iterations
             accurate = {"failed_steps": 0, "error_move_max": self._error}
-            rows += [done | run | accurate | {"sequence": one.name} for one in problems]
-        return build_run_records(convert_to_run_columns(pd.DataFrame(rows)))
+            rows += [
+                done | run | accurate | {"sequence": one.name, "run_id": f"{name} {one.name}"}
+                for one in problems
+            ]
+        runs = build_run_records(convert_to_run_columns(pd.DataFrame(rows)))
+        return MeasuredRuns(runs, self._find_faults(runs))
+
+    def _find_faults(self, runs: Sequence[RunRecord]) -> dict[str, list[Finding]]:
+        """Return what is wrong with each run; nothing, unless told."""
+        return {run.run_id: self._fault(run) for run in runs if self._fault(run)}
 
 
 @pytest.mark.parametrize(("at", "tried", "left"), [(2, 8, "4 of 12 settings to try"), (3, 12, "")])
@@ -108,6 +128,117 @@ def test_an_interrupted_search_writes_the_best_so_far(
         assert "the measurement on test sequences" in written
     assert "dpbench: interrupted; finished cells are kept" in said.err
     assert set(tomllib.loads(text)["settings"]["tuned"]) == {"route", "policy", "osqp"}
+
+
+def _late_p95(run: RunRecord) -> list[Finding]:
+    """A p95 above 3 ms, by the rule of verdicts."""
+    return [Finding("p95 late", (run,), 9.74e6, limit=3e6, factor=1.05)]
+
+
+def test_a_best_that_is_late_says_where_and_by_which_percentile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the table, on training and test sequences, and in the file; a p95 is called a p95."""
+    monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=0, fault=_late_p95))
+    monkeypatch.setattr(tune, "find_step_of_largest_error", lambda *_: 0)
+    words = "--train calm --test move --steps 75 --trials 3"
+    assert main(["tune-solver", "osqp", *words.split(), "--out", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    shown, text = " ".join(out.split()), (tmp_path / "tuned.toml").read_text()
+    rows = [row for row in out.splitlines() if "│ best " in row]
+    assert [row.split("│")[-1].strip() for row in rows] == ["late", "late"]
+    assert "no accurate settings that were tried are in time on the training sequences" in shown
+    for written in (shown, " ".join(text.split())):
+        for role, sequence in (("training", "calm"), ("test", "move")):
+            reason = rf"p95 is [a-z ]*9.74 ms in the replay of {sequence}, above .*?3.00 ms"
+            assert re.search(rf"{role} sequences .*?late on 1 of 1: its {reason}", written)
+        assert "times the step time of default, which is late on 1 of 1" in written
+
+
+def test_settings_in_time_are_found_before_faster_ones_that_are_late(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All but one of the presets are late; the later trials are faster."""
+
+    def fault(run: RunRecord) -> list[Finding]:
+        return [] if run.settings in ("low", "best") else _late_p95(run)
+
+    monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=0, fault=fault))
+    monkeypatch.setattr(tune, "find_step_of_largest_error", lambda *_: 0)
+    found = tune_solver("osqp", training=["calm"], test=["move"], steps=75, trials=8, out=tmp_path)
+    assert found.best.options == find_options_of_preset("low", "osqp")
+    assert not found.best.score.late
+    summaries = [role.summarise_best_settings(found.solver.requirements) for role in found.roles]
+    assert all(summary.startswith("accurate; ") for summary in summaries)
+
+
+def test_failed_steps_have_a_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The row has their number, a line the number of all steps and the status."""
+
+    def fault(run: RunRecord) -> list[Finding]:
+        status = Finding("failed", (run,), 30, 6, status="MAX_ITERATIONS")
+        return [status] if run.settings == "high" and run.sequence == "move" else []
+
+    monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=0, fault=fault))
+    monkeypatch.setattr(tune, "find_step_of_largest_error", lambda *_: 0)
+    words = "--train calm --test move --steps 75 --trials 3"
+    assert main(["tune-solver", "osqp", *words.split(), "--out", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    (row,) = (row for row in out.splitlines() if "│ high" in row and "move" in row)
+    assert row.split("│")[-1].strip() == "6 failed"
+    reason = "high: 6 of 75 steps fail in the replay of move, as the solver reaches its iteration"
+    assert reason in " ".join(out.split())
+
+
+@pytest.mark.parametrize(("iterations", "shown"), [(3886, True), (1900, False)])
+def test_iterations_near_their_limit_are_named(
+    iterations: int, shown: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaigns = _Campaigns(interrupted_at=0, iterations=iterations)
+    monkeypatch.setattr(tune, "measure_settings", campaigns)
+    monkeypatch.setattr(tune, "find_step_of_largest_error", lambda *_: 0)
+    found = tune_solver(
+        "osqp[max_iter=4000]", training=["calm"], test=["move"], steps=75, trials=3, out=tmp_path
+    )
+    line = "iterations of the best: up to 3886 of max_iter = 4000, in calm"
+    for text in ("\n".join(found.lines), found.toml):
+        assert (line in text) == shown
+
+
+class _RemarkingProgress(Silent):
+    """Progress that keeps the remarks."""
+
+    def __init__(self) -> None:
+        self.remarks = list[str]()
+
+    def remark(self, text: str) -> None:
+        self.remarks.append(text)
+
+
+def test_the_expected_time_is_shown_before_the_first_batch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=1))
+    progress = _RemarkingProgress()
+    with pytest.raises(KeyboardInterrupt):
+        tune_solver(
+            "osqp", training=["calm"], test=["move"], steps=75, out=tmp_path, progress=progress
+        )
+    first = progress.remarks[0]
+    assert re.match(r"48 settings of osqp in 6 batches, then the .* best: about \d+ (s|min)", first)
+
+
+@pytest.mark.parametrize(("eps_rel", "advised"), [(1.22e-6, False), (1e-8, True)])
+def test_no_wider_range_of_a_tolerance_that_another_dominates(
+    eps_rel: float, advised: bool
+) -> None:
+    """A solve ends by the larger of two tolerances."""
+    options = {"eps_abs": 1e-9, "eps_rel": eps_rel, "rho": 100.0}
+    edges = list_edges("osqp", make_space("osqp"), options)
+    assert any(edge.startswith("eps_abs") for edge in edges) == advised
+    assert any(edge.startswith("rho") for edge in edges)
 
 
 class _CountingProgress(Silent):
@@ -212,7 +343,7 @@ def test_a_search_interrupted_in_its_first_batch_has_no_best(
     monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=1))
     words = "--train calm-30-5 --test move-30-5"
     assert main(["tune-solver", "osqp", *words.split(), "--out", str(tmp_path)]) == 130
-    assert capsys.readouterr().out.count("best") == 0
+    assert not re.search("best (so far|of)", capsys.readouterr().out)
     assert not (tmp_path / "tuned.toml").exists()
 
 

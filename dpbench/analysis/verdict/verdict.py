@@ -197,7 +197,7 @@ def judge_configuration(
     late, unsure, near = ([f for f in times if f.kind in kinds] for kinds in (LATE, DOUBTS, NEAR))
     own_doing = {kind: tuple(run for run in ran if run.outcome == kind) for kind in OWN_DOING}
     ended = [Finding(kind, of_kind) for kind, of_kind in own_doing.items() if of_kind]
-    causes = [*_find_wrong_answers(records, ran, requirements), *ended, *late]
+    causes = [*find_wrong_answers(records, ran, requirements), *ended, *late]
     doubts, gaps = [*_find_unfinished(ran), *unsure], _find_missing_runs(runs, asked)
     return Verdict(
         configuration,
@@ -260,7 +260,7 @@ def _find_missing_runs(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) ->
     return [Finding("absent", tuple(absent)), *gaps] if absent else gaps
 
 
-def _find_wrong_answers(
+def find_wrong_answers(
     records: Records, runs: Sequence[RunRecord], requirements: Requirements
 ) -> list[Finding]:
     """Return findings on answers missing, inaccurate or failed by more than requirements allow."""
