@@ -16,13 +16,14 @@ import numpy as np
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import SEPARATE, RunRecord, group_by_key
+from dpbench.analysis.verdict.lateness import estimate_uncertainty
 from dpbench.analysis.verdict.requirements import (
     LATE,
     Finding,
     Requirements,
     is_right_on_every_step,
 )
-from dpbench.analysis.verdict.time_findings import estimate_uncertainty, judge_replay_times
+from dpbench.analysis.verdict.time_findings import judge_replay_times
 from dpbench.analysis.verdict.verdict import find_wrong_answers
 from dpbench.bench.campaign import run_campaign
 from dpbench.bench.plan.cells import PlannedCell
