@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dpbench.analysis.records.run_record import group_by_key
 from dpbench.analysis.verdict.verdict import (
     ACCURATE,
+    ALIKE,
     MOST_OWN,
     Verdict,
     Verdicts,
@@ -22,13 +23,17 @@ from dpbench.report.formats import (
     plural,
     strip_markdown,
 )
+from dpbench.report.page.data import PageData
 from dpbench.report.verdict_text import (
     describe_finding,
     describe_kinds_of_reasons,
     format_usual_time,
 )
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
-from dpbench.solvers.settings import list_tolerances_left_at_default
+from dpbench.solvers.settings import (
+    list_tolerances_left_at_default,
+    resolve_settings_with_fixed_options,
+)
 
 SIMILAR = 2.0
 """Factor below which largest errors differ little, so that a wider grid would hardly help."""
@@ -45,6 +50,22 @@ def describe_own_settings(verdicts: Verdicts) -> list[str]:
     others = len(own) - MOST_OWN
     more = [f"{others} more settings: tables/verdicts.csv."] if others > 0 else []
     return [*lines, *more, *describe_best_of_grids(own)]
+
+
+def describe_own_settings_in_si(data: PageData) -> list[str]:
+    """Return a line on custom settings that fail in SI units, which do not count in verdicts."""
+    unscaled = [p for p in data.judged_experiment_indices if data.experiments[p].units == "si"]
+    own = [c for c, configuration in enumerate(data.configurations) if configuration.options]
+    states = {c: {data.get_state_in_experiment(c, p) for p in unscaled} - {"not run"} for c in own}
+    ran = [c for c, known in states.items() if known]
+    failing = [c for c in ran if "fail" in states[c]]
+    if not failing:
+        return []
+    return [
+        f"In SI units (N, N·m) {len(failing)} of {len(ran)} custom settings "
+        f"{'fails' if len(ran) == 1 else 'fail'}: scale the QP. These runs do not count in the "
+        "verdicts."
+    ]
 
 
 def _name_own_settings(verdict: Verdict) -> str:
@@ -99,20 +120,68 @@ def describe_best_of_grids(own: Sequence[Verdict]) -> list[str]:
     or time alone have a topic of their own.
     """
     grids = group_by_key(own, lambda v: (v.configuration.solver, tuple(_format_options_by_name(v))))
-    return [
+    best = [
         _describe_best_of_grid(points)
         for points in grids.values()
         if len(points) >= LEAST_POINTS and not _differ_in_limit_alone(points)
     ]
+    adapted = (_describe_adapted_options(points) for points in grids.values())
+    return [*best, *dict.fromkeys(filter(None, adapted))]
+
+
+def _list_varied_options(points: Sequence[Verdict]) -> set[str]:
+    """Return the names of the options in which settings differ that set the same options."""
+    options = [_format_options_by_name(verdict) for verdict in points]
+    return {name for name in options[0] if len({own[name] for own in options}) > 1}
+
+
+def _describe_adapted_options(points: Sequence[Verdict]) -> str:
+    """Return a sentence on varied options that the solver adapts from a first value; or ""."""
+    c = points[0].configuration
+    record = find_solver_record_or_none(c.solver)
+    if record is None:
+        return ""
+    varied = sorted(_list_varied_options(points) & set(record.adapted))
+    set_to = [
+        resolve_settings_with_fixed_options(v.configuration.solver_settings, c.solver)
+        for v in points
+    ]
+    texts = [
+        f"{name} is only an initial value in {c.solver}, as {switch} is on"
+        for name in varied
+        if all(own.get(switch := record.adapted[name]) for own in set_to)
+    ]
+    return f"{'; '.join(texts)}." if texts else ""
 
 
 def _differ_in_limit_alone(points: Sequence[Verdict]) -> bool:
     """Return whether settings of a solver are the same but for its limit of iterations or time."""
     record = find_solver_record_or_none(points[0].configuration.solver)
     limits = () if record is None else (record.iteration_limit, record.time_limit)
-    options = [_format_options_by_name(verdict) for verdict in points]
-    varied = {name for name in options[0] if len({own[name] for own in options}) > 1}
+    varied = _list_varied_options(points)
     return any(varied == {limit} for limit in limits)
+
+
+def _changes_result(option: str, best: Verdict, points: Sequence[Verdict]) -> bool:
+    """Return whether another value of an option, all others equal, gives another result.
+
+    True also where no settings differ in this option alone.
+    """
+    own = _format_options_by_name(best)
+    others = [
+        verdict
+        for verdict in points
+        if {name for name, value in _format_options_by_name(verdict).items() if value != own[name]}
+        == {option}
+    ]
+    return not others or any(not _has_same_result(best, verdict) for verdict in others)
+
+
+def _has_same_result(one: Verdict, other: Verdict) -> bool:
+    """Return whether two verdicts have the same state, error and, but for noise, p99."""
+    if one.state != other.state or format_error(one.error_move) != format_error(other.error_move):
+        return False
+    return not abs(one.p99_ns - other.p99_ns) > ALIKE * one.p99_ns
 
 
 def _format_options_by_name(verdict: Verdict) -> dict[str, str]:
@@ -130,14 +199,17 @@ def _describe_best_of_grid(points: Sequence[Verdict]) -> str:
         at = as_float(value)
         # No option takes a value below zero: a zero is the least that is allowed.
         ends = {min(tried), max(tried)} if len(tried) >= LEAST_POINTS else set()
-        if at in ends and not at == min(tried) <= 0.0:
+        is_bound = at == min(tried, default=at) <= 0.0
+        if at in ends and not is_bound and _changes_result(option, best, points):
             edges.append(option)
-    edge = f", at the edge of the grid in {join_with_and(edges)}: widen it" if edges else ""
+    edge = f", at the edge of the grid in {join_with_and(edges)}" if edges else ""
     errors = [verdict.error_move for verdict in points]
     least, largest = min(errors), max(errors)
     if all(verdict.state == "fail" for verdict in points) and largest < SIMILAR * least:
         similar = f"{format_error(least)} to {format_error(largest)}"
-        edge = f"; all fail, with similar errors ({similar})"
+        edge += f"; all fail, with similar errors ({similar})"
+    elif edges:
+        edge += ": widen it"
     solver, by = best.configuration.solver, ""
     if best.state not in ACCURATE:
         by = f" by largest error ({format_error(best.error_move)})"

@@ -47,7 +47,7 @@ from dpbench.report.commands_text import describe_machine_states
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import Table, escape_markdown, strip_markdown
 from dpbench.report.open_losses import find_open_losses
-from dpbench.report.own_settings_text import describe_own_settings
+from dpbench.report.own_settings_text import describe_own_settings, describe_own_settings_in_si
 from dpbench.report.page.data import PageData
 from dpbench.report.page.live import draw_section_charts, select_static_charts
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
@@ -153,7 +153,8 @@ class Report:
             rows += [("not counted", line.removeprefix("Not counted: ")) for line in missing]
         if verdicts.of:
             rows.append(("solvers", describe_which_solvers_pass(verdicts)))
-            rows += [("options", line) for line in describe_own_settings(verdicts)]
+            own = [*describe_own_settings(verdicts), *describe_own_settings_in_si(self.data)]
+            rows += [("options", line) for line in own]
         records = self.data.records
         timed = select_timed_replays(records) or select_delayed_loops(records)
         if sum_disturbances(timed).seconds > 0:

@@ -47,6 +47,7 @@ from dpbench.report.formats import (
     strip_markdown,
 )
 from dpbench.report.words import read_words
+from dpbench.solvers.contract import DEFAULT
 
 MOST_NAMED = 3
 """Configurations that are named with their number of runs; of the others their number is."""
@@ -112,11 +113,20 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
     for state, (verb, verbs) in _VERBS.items():
         alike = by_state.get(state, [])
         wording += [
-            f"`{verdict.configuration.solver}` {verb}: {describe_main_reason(verdict)}"
+            f"{_name_solver_with_settings(verdicts, verdict)} {verb}: "
+            f"{describe_main_reason(verdict)}"
             for verdict in alike[:MOST_NAMED]
         ]
         wording += _count_others(len(alike), f" {verbs}")
     return ". ".join(wording) + "."
+
+
+def _name_solver_with_settings(verdicts: Verdicts, verdict: Verdict) -> str:
+    """Return a solver's name, with the settings of a verdict where custom ones were run, too."""
+    c = verdict.configuration
+    if not any(v.configuration.options for v in verdicts.of.get(c.solver, ())):
+        return f"`{c.solver}`"
+    return f"`{c.solver}` with default settings" if c.settings == DEFAULT else c.marked_label
 
 
 def _describe_defaults_that_do_not_pass(verdicts: Verdicts, solvers: Sequence[str]) -> list[str]:
@@ -387,6 +397,9 @@ def describe_finding(finding: Finding) -> str:
     elif kind == "failed" and first.mode == "replay":
         # Failures in all rounds and the warm-up: their number may exceed that of steps.
         kind = "failed answers"
+    all_steps = plural(first.steps_done, "step")
+    over = f", above the limit in {format_count(finding.steps)} of {all_steps}"
+    over *= finding.steps > 0
     return _WORDS[kind].format(
         **words,
         where=name_experiment(first),
@@ -412,7 +425,8 @@ def describe_finding(finding: Finding) -> str:
         high=format_time(finding.value * finding.factor),
         also=f" (also in {also})" if also else "",
         some_also=f" (some also in {also})" if also else "",
-        also_over=f" (above the limit also in {also})" if also else "",
+        over=over,
+        also_over=f" ({'' if over else 'above the limit '}also in {also})" if also else "",
     )
 
 
@@ -463,13 +477,16 @@ def name_experiment(row: RunRecord) -> str:
 
 def _name_experiments(rows: Sequence[RunRecord]) -> str:
     """Return the names of scenarios and replays of some runs as one text."""
-    loops = [f"`{row.scenario}`" for row in rows if row.mode != "replay"]
-    windows = [f"`{row.scenario}`" for row in rows if row.steps_searched_for_hardest]
-    replays = [
-        describe_range_of_steps(row.sequence)
-        for row in rows
-        if row.mode == "replay" and not row.steps_searched_for_hardest
-    ]
+    loops, windows, replays = list[str](), list[str](), list[str]()
+    for row in rows:
+        if row.steps_searched_for_hardest:
+            windows.append(f"`{row.scenario}`")
+        elif row.mode == "replay":
+            replays.append(describe_range_of_steps(row.sequence))
+        else:
+            loops.append(f"`{row.scenario}`")
+    # A scenario may have several windows.
+    loops, windows, replays = (list(dict.fromkeys(names)) for names in (loops, windows, replays))
     if replays:
         word = "replay" if len(replays) == 1 else "replays"
         loops.append(f"the {word} of {join_with_and(replays)}")

@@ -313,6 +313,8 @@ class SolverRecord:
     time_limit : its option that ends a solve after so many seconds; "" without one.
     iteration_limit : its option that ends a solve after so many iterations with the last iterate,
         "" without one; limits_outer_iterations : whether that counts the outer ones alone.
+    adapted : options that are only the first value of what the solver adapts while another option
+        is on, by that other option's name.
     known_failures : what is known of failing steps by the status reported, SOLVED for claims that
         do not hold; shown where such a step is.
     keeps_answers : whether it keeps what it found for a QP it may meet again; unknown of a plug-in.
@@ -336,6 +338,7 @@ class SolverRecord:
     time_limit: str = ""
     iteration_limit: str = ""
     limits_outer_iterations: bool = False
+    adapted: Mapping[str, str] = field(default_factory=dict)
     known_failures: Mapping[Status, str] = field(default_factory=dict)
     keeps_answers: bool = False
     choose_instead: str = ""

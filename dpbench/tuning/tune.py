@@ -170,8 +170,8 @@ class Tuning:
             "Time: p99 of the steps, each the fastest of its rounds; where a sequence is too short "
             "for it the p95 or p50, named next to it. Error: of the first move, at most "
             f"{limit.error_move:g} of the maximum increment. Late: a p99, or p95 without one, "
-            f"above the limit of {limit.p99_ms:g} ms, also without waits for the processor core and "
-            "by more than the uncertainty of the times."
+            f"above the limit of {limit.p99_ms:g} ms, also without waits for the processor core "
+            "and by more than the uncertainty of the times."
         )
         return Table(heads, tuple(rows), title, note, text_columns=3)
 

@@ -126,6 +126,14 @@ class Records:
                 found[str(run_id)] = steps["k"].nunique(), str(steps["status"].mode()[0])
         return found
 
+    def count_inaccurate_steps(self, run: RunRecord, limit: float) -> int:
+        """Return how many steps of a run have an error of the first move above a limit, any round.
+
+        0 where the folder has no steps.
+        """
+        steps = self.read_step_table(run, ("k", "error_move"))
+        return int(steps["k"][steps["error_move"] > limit].nunique())
+
     def select_runs(self, **wanted: object) -> list[RunRecord]:
         """Return the runs of this folder whose columns equal given values, or one of a tuple."""
         allowed = {name: v if isinstance(v, tuple) else (v,) for name, v in wanted.items()}

@@ -28,6 +28,7 @@ from dpbench.analysis.times.paired_times import (
 from dpbench.analysis.verdict.requirements import STATES
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import (
+    MOST_OWN,
     Verdict,
     Verdicts,
     find_solver_family,
@@ -255,16 +256,19 @@ def _list_timed_best_fastest_first(verdicts: Verdicts) -> list[Verdict]:
 def compare_own_settings_with_fastest(
     records: Records, verdicts: Verdicts
 ) -> list[PairedComparison]:
-    """Return step time ratios of each other solver's best custom settings to the fastest solver."""
+    """Return step time ratios of other solvers' custom settings to the fastest solver.
+
+    The best settings of each solver come first; `MOST_OWN` settings at most are compared.
+    """
     own = [v for v in list_best_verdict_of_own_settings(verdicts) if v.timed_on]
+    own.sort(key=make_sort_key_of_settings)
+    best = map_first_by_key(own, lambda v: v.configuration.solver).values()
+    ordered = [*best, *(verdict for verdict in own if verdict not in best)][:MOST_OWN]
     fastest = next(iter(_list_timed_best_fastest_first(verdicts)), None)
-    best = map_first_by_key(
-        sorted(own, key=make_sort_key_of_settings), lambda v: v.configuration.solver
-    )
     return [
         one
-        for solver, verdict in best.items()
-        if fastest is not None and solver != fastest.configuration.solver
+        for verdict in ordered
+        if fastest is not None and verdict.configuration.solver != fastest.configuration.solver
         for one in compare_paired_times(records, fastest, verdict)
     ]
 
@@ -272,7 +276,7 @@ def compare_own_settings_with_fastest(
 def tabulate_time_ratios(matrix: RunMatrix) -> pd.DataFrame:
     """Return a table of step time ratios, one row for each two configurations and size of QP.
 
-    Each solver's best configuration and best custom settings over the fastest's, then each solver's
+    Each solver's best configuration and custom settings over the fastest's, then each solver's
     settings over the first.
     """
     records, verdicts = matrix.records, matrix.verdicts

@@ -271,9 +271,11 @@ def find_wrong_answers(
     failing = [run for run in runs if run.failed_steps > requirements.failed_steps]
     failed = make_finding_on_worst_runs("failed", failing, lambda run: run.failed_steps)
     counts = [records.failed_steps_by_run.get(f.runs[0].run_id, (0, "")) for f in failed]
+    inaccurate = make_finding_on_worst_runs("inaccurate", wrong, lambda run: run.error_move_max)
+    limit = requirements.error_move
     return [
         *no_answer,
-        *make_finding_on_worst_runs("inaccurate", wrong, lambda run: run.error_move_max),
+        *(replace(f, steps=records.count_inaccurate_steps(f.runs[0], limit)) for f in inaccurate),
         *(
             replace(f, steps=n, status=status)
             for f, (n, status) in zip(failed, counts, strict=True)

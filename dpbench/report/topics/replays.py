@@ -35,7 +35,7 @@ from dpbench.analysis.verdict.requirements import (
     is_right_on_every_step,
     is_right_to_the_end,
 )
-from dpbench.analysis.verdict.verdict import Verdicts
+from dpbench.analysis.verdict.verdict import Verdicts, list_best_verdict_of_own_settings
 from dpbench.bench.judge.rules import median_of_known
 from dpbench.bench.record.cell import sort_key_of_settings
 from dpbench.report.formats import (
@@ -48,6 +48,7 @@ from dpbench.report.formats import (
     plural,
     significant,
 )
+from dpbench.report.own_settings_text import describe_best_of_grids
 from dpbench.report.page.section import Topic
 from dpbench.report.verdict_text import describe_answer, describe_paired_times, format_p99_interval
 
@@ -161,7 +162,7 @@ MOST_PAIRS = 3
 def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     """Return the report's part on settings of one solver timed side by side; None without two.
 
-    The best custom settings of each solver against the fastest solver come first.
+    Custom settings against the fastest solver come first, the best of each solver before others.
     """
     found = compare_settings_of_solvers(records)
     own = {run.configuration.label for run in records.runs if run.options}
@@ -169,8 +170,8 @@ def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     if not found or (not named and len(found) > MOST_RATIOS):
         return None
     against = compare_own_settings_with_fastest(records, verdicts)
-    best = {one.second for one in against}
-    named.sort(key=lambda one: one.second not in best)
+    ranks = {label: i for i, label in enumerate(dict.fromkeys(one.second for one in against))}
+    named.sort(key=lambda one: ranks.get(one.second, len(ranks)))
     found = [*against, *found]
     pairs = group_by_key(
         [*against, *named] if named else found, lambda one: (one.second, one.first)
@@ -196,10 +197,11 @@ def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     windows = any(run.steps_searched_for_hardest for run in records.runs)
     texts += ["Windows of hardest steps are not counted."] if windows else []
     table = Table.from_rows(rows, text_columns=2)
+    grids = describe_best_of_grids(list_best_verdict_of_own_settings(verdicts))
     return Topic(
         "settings",
         "Two settings of one solver",
-        (" ".join(texts), note),
+        (" ".join(texts), *grids, note),
         (),
         (table,),
         short="Settings",

@@ -74,6 +74,7 @@ RECORD = SolverRecord(
         ),
     ),
     iteration_limit="max_iter",
+    adapted={"rho": "adaptive_rho"},
     build=lambda: Build(f"algebra {import_module('osqp').default_algebra()}"),
     time_limit="time_limit",
 )

@@ -341,7 +341,8 @@ def test_high_settings_rescue(records: Any) -> None:
     assert describe_which_solvers_pass(verdicts) == (
         "1 of 1 solver passes: `osqp`. `osqp` (qpsolvers fresh, high) passes only outside its "
         "default configuration. In its default configuration, `osqp` fails: the error of its first "
-        "move reaches 0.40 times the maximum increment in `paper`."
+        "move reaches 0.40 times the maximum increment in `paper`, above the limit in 120 of 120 "
+        "steps."
     )
 
 
@@ -392,8 +393,9 @@ def test_summary_counts_everybody_once(records: Any) -> None:
     said = describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
     assert said == (
         "1 of 3 solvers pass: `daqp`. `osqp` fails: the error of its first move reaches 0.40 times "
-        "the maximum increment in `paper`. `scs` is inconclusive: `paper` was stopped at its time "
-        "limit (10 of 120 steps). `qpax` was not run: not installed."
+        "the maximum increment in `paper`, above the limit in 120 of 120 steps. `scs` is "
+        "inconclusive: `paper` was stopped at its time limit (10 of 120 steps). `qpax` was not "
+        "run: not installed."
     )
 
 

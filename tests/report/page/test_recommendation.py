@@ -183,7 +183,8 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
     )
     best = "Best of 3 settings of osqp by largest error (0.22): rho=16.0"
     best += ", at the edge of the grid in rho: widen it."
-    assert lines[3:] == [best]
+    initial = "rho is only an initial value in osqp, as adaptive_rho is on."
+    assert lines[3:] == [best, initial]
     text = make_report_markdown(report)
     assert best in text and "| osqp | native warm, rho=1.6 | fail |" in text
 
@@ -281,7 +282,7 @@ def test_a_grid_whose_best_is_inside_needs_no_wider_one(records: Any) -> None:
 
 
 def test_a_grid_that_fails_everywhere_alike_is_not_to_be_widened(records: Any) -> None:
-    """The ratio of the best settings to the fastest solver is the first of three pairs."""
+    """The edge is named all the same, on the page too; ratios to the fastest solver are first."""
     for solver, us in (("daqp", 20.0), ("osqp", 40.0)):
         records.loop(solver)
         records.replay(solver, median_us=us)
@@ -290,21 +291,98 @@ def test_a_grid_that_fails_everywhere_alike_is_not_to_be_widened(records: Any) -
         records.loop("osqp", error=error, **options)
         records.replay("osqp", error=error, median_us=80.0, **options)
     report = Report.from_results(records.results())
-    best = "Best of 4 settings of osqp by largest error (0.040): rho=6.4; all fail, with similar "
+    best = (
+        "Best of 4 settings of osqp by largest error (0.040): rho=6.4, at the edge of the grid in "
+    )
+    best += "rho; all fail, with similar errors (0.040 to 0.059)."
     rows = report.summary_rows()
-    assert ("options", f"{best}errors (0.040 to 0.059).") in rows
+    assert ("options", best) in rows
+    (topic,) = (topic for topic in report.topics if topic.id == "settings")
+    assert best in topic.lines and any("rho is only an initial" in text for text in topic.lines)
     settings = dict(rows)["settings"]
     own = "osqp (qpsolvers fresh, rho=6.4) against"
     assert settings.startswith(f"{own} daqp (qpsolvers fresh): ")
-    assert f" {own} osqp (qpsolvers fresh): " in settings
-    assert settings.endswith(" 2 more pairs: tables/paired_ratios.csv.")
+    assert settings.count(" against daqp (qpsolvers fresh): ") == 3
+    assert "against osqp" not in settings
+    assert settings.endswith(" 5 more pairs: tables/paired_ratios.csv.")
     ratios = report.tables["paired_ratios"]
     pairs = list(zip(ratios["first"], ratios["second"], strict=True))
     assert ("daqp (qpsolvers fresh)", "osqp (qpsolvers fresh, rho=6.4)") in pairs
-    assert len(pairs) == len(set(pairs)) == 6
+    assert len(pairs) == len(set(pairs)) == 9
     assert "\n\nVerdicts on `daqp` (qpsolvers fresh): pass in `paper`" in make_report_markdown(
         report
     )
+
+
+def test_an_option_that_changes_nothing_is_not_to_be_widened(records: Any) -> None:
+    """Another option of the grid does."""
+    for rho, error in ((0.1, 0.2), (1.0, 0.5), (10.0, 0.9)):
+        for eps in (1e-9, 1e-8, 1e-7):
+            own = {"eps_abs": eps, "rho": rho}
+            options = {"settings": f"eps_abs={eps},rho={rho}", "options": json.dumps(own)}
+            records.loop("osqp", error=error, **options)
+            records.replay("osqp", error=error, spread=0.0, **options)
+    (line,) = (
+        text
+        for about, text in Report.from_results(records.results()).summary_rows()
+        if about == "options" and text.startswith("Best of 9")
+    )
+    assert line.endswith(", at the edge of the grid in rho: widen it.")
+
+
+def test_a_fixed_rho_is_no_initial_value(records: Any) -> None:
+    for rho in (0.1, 1.0):
+        own = {"adaptive_rho": 0, "rho": rho}
+        options = {"settings": f"rho={rho}", "options": json.dumps(own)}
+        records.loop("osqp", **options)
+        records.replay("osqp", **options)
+    rows = Report.from_results(records.results()).summary_rows()
+    assert not any("initial value" in text for _, text in rows)
+
+
+def test_own_settings_that_fail_in_si_units_are_counted(records: Any) -> None:
+    """They have no part in the verdicts."""
+    for rho, error in ((0.1, 1e-9), (1.0, 0.5)):
+        options = {"settings": f"rho={rho}", "options": json.dumps({"rho": rho})}
+        records.loop("osqp", **options)
+        records.replay("osqp", **options)
+        records.loop("osqp", units="si", error=error, **options)
+    rows = Report.from_results(records.results()).summary_rows()
+    line = "In SI units (N, N·m) 1 of 2 custom settings fail: scale the QP. These runs do not count"
+    assert any(about == "options" and text.startswith(line) for about, text in rows)
+
+
+def test_steps_above_the_limit_are_counted(records: Any) -> None:
+    """Of all steps of the worst run."""
+    records.loop("osqp")
+    records.replay("osqp", steps=450)
+    errors = np.full(450, 1e-9)
+    errors[:54] = 0.3
+    steps = records._steps[-1]
+    steps["error_move"] = errors[steps["k"].to_numpy(dtype=int)]
+    records._runs[-1]["error_move_max"] = 0.3
+    counted = ", above the limit in 54 of 450 steps"
+    assert f"in the replay of paper{counted}." in records.ending()["solvers"]
+
+
+def test_windows_of_one_scenario_are_named_once(records: Any) -> None:
+    own = {"settings": "mine", "options": '{"rho": 1.6}'}
+    records.loop("osqp", error=0.3, **own)
+    for n in (15, 30):
+        source = {"kind": "hardest", "name": f"paper hardest {n}", "of": 450}
+        cell = json.dumps({"source": source})
+        records.replay("osqp", f"paper hardest {n}", steps=n, error=0.2, cell=cell, **own)
+    assert " (also in the hardest steps of paper)." in records.ending()["options"]
+
+
+def test_the_settings_of_a_solver_with_several_are_named(records: Any) -> None:
+    own = {"settings": "mine", "options": '{"rho": 1.6}'}
+    records.loop("osqp", error=0.3)
+    records.replay("osqp", error=0.3)
+    assert " osqp fails: " in records.ending()["solvers"]
+    records.loop("osqp", error=0.4, **own)
+    records.replay("osqp", error=0.4, **own)
+    assert " osqp with default settings fails: " in records.ending()["solvers"]
 
 
 def test_chips_say_of_each_experiment_what_the_first_did_there(records: Any) -> None:
