@@ -88,13 +88,24 @@ def describe_losses_held(analysis: ConsequenceAnalysis) -> str:
     return f"In {analysis.name}{loop} {'; '.join(held)} ({describe_required_force(analysis)})."
 
 
+def describe_analysed_window(analysis: ConsequenceAnalysis) -> str:
+    """Return in words the scenario of an analysis, and its steps where they are a part."""
+    name = f"`{analysis.name.partition('[')[0]}`"
+    steps = re.search(r"\[(\d+):(\d+)\]$", analysis.name)
+    return f"steps {steps[1]} to {int(steps[2]) - 1} of {name}" if steps else name
+
+
 def _describe_analysed_loop(analysis: ConsequenceAnalysis) -> str:
-    """Return in brackets the steps of an analysis, and where their weather comes from; or ""."""
+    """Return in brackets the steps of an analysis, and its wind or weather direction; or ""."""
     facts = []
     if steps := re.search(r"\[(\d+):(\d+)\]$", analysis.name):
         facts.append(f"steps {steps[1]} to {int(steps[2]) - 1}")
+    files = (analysis.run.scenario_documents if analysis.run else None) or {}
+    wind = (files.get("scenario", {}).get("environment") or {}).get("wind")
     from_deg = find_weather_direction([analysis.run] if analysis.run else [])
-    if not math.isnan(from_deg):
+    if wind:
+        facts.append(f"wind {wind['speed_mps']:g} m/s from {wind['from_deg']:g}°")
+    elif not math.isnan(from_deg):
         facts.append(f"weather from {from_deg:g}°")
     return f" ({', '.join(facts)})" if facts else ""
 

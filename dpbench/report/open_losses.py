@@ -1,20 +1,24 @@
 """Losses of thrusters that a folder lists, and of which no closed loop shows that they are held.
 
 A loss is listed by a capability plot or a consequence analysis. A plot is level 1 of DNV-ST-0111:
-the largest wind held from the direction of a scenario's wind.
+the largest wind held from the direction of a scenario's wind. Each weather has its own verdict.
 """
 
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import pandas as pd
+
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import group_by_key
 from dpbench.analysis.suites.capability import LOST, CapabilityResult, ConsequenceAnalysis
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.capability.frontier import FROM_DEG, INTACT
-from dpbench.report.capability_text import describe_time_held
-from dpbench.report.formats import format_rounded_down, significant
-from dpbench.report.ship_text import list_losses
+from dpbench.report.capability_text import describe_analysed_window, describe_time_held
+from dpbench.report.formats import format_rounded_down, join_with_and, plural, significant
+from dpbench.report.ship_text import MOST_NAMED, list_losses
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import ThrusterSet
 
@@ -48,30 +52,130 @@ def find_open_losses(
     if not plots and not analyses:
         return OpenLosses()
     known = [scenario for scenario in map(records.build_scenario, records.scenarios) if scenario]
-    by_vessel = {s.vessel.id: s.vessel.thrusters for s in known if s.vessel.thrusters is not None}
+    by_vessel = group_by_key(known, lambda scenario: scenario.vessel.id)
     not_held, not_simulated = [], []
-    for vessel, thrusters in by_vessel.items():
-        own = [scenario for scenario in known if scenario.vessel.id == vessel]
+    for vessel, own in by_vessel.items():
+        thrusters = own[0].vessel.thrusters
+        if thrusters is None:
+            continue
         names = [scenario.name for scenario in own]
         of_ship = [ship for ship in ships if ship.run.scenario in names]
+        plots_of_ship = [plot for plot in plots if plot.vessel == vessel]
+        weathers = list(group_by_key(own, _make_weather_key).values())
         for group in _list_groups(vessel, thrusters, names, plots, analyses):
-            lasting_s = _longest_simulation_s(group, thrusters, of_ship)
-            why = [
-                *_level_1_findings(group, own, [plot for plot in plots if plot.vessel == vessel]),
-                *_analysis_findings(group, names, analyses),
+            losses = [*_losses_of_group(group, thrusters, of_ship)]
+            of_weather = [
+                _WeatherLoss(group, alike, losses, plots_of_ship, analyses) for alike in weathers
             ]
-            if why and not _has_left_after(group, thrusters, of_ship):
-                simulated = (
-                    "not simulated"
-                    if math.isnan(lasting_s)
-                    else f"on station for the {significant(lasting_s)} s that are simulated"
-                )
-                not_held.append(f"Loss of {group}: not held ({simulated}: {'; '.join(why)}).")
-            elif math.isnan(lasting_s):
+            found = [one for one in of_weather if one.findings]
+            not_held += [one.sentence for one in found if not one.has_ship_left]
+            if not found and not losses:
                 not_simulated.append(group)
     others = " or of ".join(not_simulated)
     sentence = f"Loss of {others}: not simulated, so not shown to be held." if not_simulated else ""
     return OpenLosses(tuple(not_held), sentence)
+
+
+class _WeatherLoss:
+    """Loss of a thruster group in one weather: what level 1, analyses and loops find of it.
+
+    alike : scenarios of a ship with this weather; losses : of the group in closed loops of the
+    ship in any weather, with their times [s].
+    """
+
+    def __init__(
+        self,
+        group: str,
+        alike: Sequence[Scenario],
+        losses: Sequence[tuple[float, ShipResult]],
+        plots: Sequence[CapabilityResult],
+        analyses: Sequence[ConsequenceAnalysis],
+    ) -> None:
+        self._group, self._alike = group, alike
+        names = [scenario.name for scenario in alike]
+        self._losses = [loss for loss in losses if loss[1].run.scenario in names]
+        self._analyses = [
+            analysis
+            for analysis in analyses
+            if _scenario_of(analysis) in names
+            and (_spans_of(analysis, group)["state"] == LOST).any()
+        ]
+        self.findings = [*self._level_1_findings(plots), *self._analysis_findings()]
+        """In words, what finds that the loss is not held."""
+
+    @property
+    def has_ship_left(self) -> bool:
+        """True if a ship leaves its station after the loss, as its own result states."""
+        return any(
+            ship.has_left_station and ship.run.exact_left_s >= at_s for at_s, ship in self._losses
+        )
+
+    @property
+    def sentence(self) -> str:
+        """Verdict on the loss: scenario and wind, what finds it not held, how it was simulated."""
+        longest = max(self._losses, key=_simulated_s, default=None)
+        if longest is not None:
+            where = [longest[1].name]
+            end = f"simulated: on station for {significant(_simulated_s(longest))} s after the loss"
+        else:
+            analysed = [_scenario_of(analysis) for analysis in self._analyses]
+            where = [*dict.fromkeys(analysed)] or [scenario.name for scenario in self._alike]
+            end = "not simulated in this weather"
+        more = [plural(len(where) - MOST_NAMED, "more scenario")] * (len(where) > MOST_NAMED)
+        named = join_with_and([*(f"`{name}`" for name in where[:MOST_NAMED]), *more])
+        wind = _find_wind(self._alike[0])
+        weather = f" (wind {wind['speed_mps']:g} m/s from {wind['from_deg']:g}°)" if wind else ""
+        by = " and not by ".join(self.findings)
+        return f"Loss of {self._group} in {named}{weather}: not held by {by}; {end}."
+
+    def _level_1_findings(self, plots: Sequence[CapabilityResult]) -> Iterator[str]:
+        """Yield in words the wind held without the group, by each plot where it is too little."""
+        scenario, wind = self._alike[0], _find_wind(self._alike[0])
+        for plot in plots if wind else ():
+            held_mps = _held_wind_by_direction(plot, self._group)
+            if not held_mps:
+                continue
+            relative_deg = wind["from_deg"] - math.degrees(float(scenario.reference[2]))
+            from_deg = min(held_mps, key=lambda at: abs((at - relative_deg + 180.0) % 360 - 180.0))
+            if held_mps[from_deg] < wind["speed_mps"]:
+                most = f"{format_rounded_down(held_mps[from_deg])} m/s"
+                least = "no wind" if held_mps[from_deg] == 0.0 else f"at most {most}"
+                yield (
+                    f"level 1 of DNV-ST-0111, by which the thrusters then hold {least} from "
+                    f"{from_deg:g}° off the bow"
+                )
+
+    def _analysis_findings(self) -> Iterator[str]:
+        """Yield in words when each analysis that once finds the loss not held finds it held."""
+        for analysis in self._analyses:
+            when = describe_time_held(_spans_of(analysis, self._group))
+            yield (
+                f"the consequence analysis of {describe_analysed_window(analysis)}, by which it "
+                f"can be held {when}"
+            )
+
+
+def _make_weather_key(scenario: Scenario) -> str:
+    """Return a text that is equal for scenarios with the same weather, seeds apart, and heading."""
+    environment = dict(scenario.files["scenario"].get("environment") or {})
+    environment.pop("seed", None)
+    return json.dumps([environment, float(scenario.reference[2])], sort_keys=True)
+
+
+def _find_wind(scenario: Scenario) -> Mapping[str, float]:
+    """Return the wind of a scenario's document: `speed_mps`, `from_deg`; empty without wind."""
+    return (scenario.files["scenario"].get("environment") or {}).get("wind") or {}
+
+
+def _simulated_s(loss: tuple[float, ShipResult]) -> float:
+    """Return how long a closed loop goes on after a loss in it [s]."""
+    at_s, ship = loss
+    return float(ship.run.exact_steps * ship.run.sample_s - at_s)
+
+
+def _spans_of(analysis: ConsequenceAnalysis, group: str) -> pd.DataFrame:
+    """Return an analysis' spans of time in which the loss of a group is held or not."""
+    return analysis.spans[analysis.spans["group"] == group]
 
 
 def _list_groups(
@@ -106,59 +210,8 @@ def _losses_of_group(
                 yield at_s, ship
 
 
-def _longest_simulation_s(group: str, thrusters: ThrusterSet, ships: Sequence[ShipResult]) -> float:
-    """Return how long a closed loop goes on after the loss of a group [s]; NaN without one."""
-    return max(
-        (
-            ship.run.exact_steps * ship.run.sample_s - at_s
-            for at_s, ship in _losses_of_group(group, thrusters, ships)
-        ),
-        default=math.nan,
-    )
-
-
-def _has_left_after(group: str, thrusters: ThrusterSet, ships: Sequence[ShipResult]) -> bool:
-    """Return whether a ship leaves its station after the loss of a group, as its result states."""
-    return any(
-        ship.has_left_station and ship.run.exact_left_s >= at_s
-        for at_s, ship in _losses_of_group(group, thrusters, ships)
-    )
-
-
-def _level_1_findings(
-    group: str, scenarios: Sequence[Scenario], plots: Sequence[CapabilityResult]
-) -> Iterator[str]:
-    """Yield in words the winds held without a thruster group that are below a scenario's."""
-    seen = set()
-    for plot in plots:
-        held_mps = _held_wind_by_direction(plot, group)
-        for scenario in scenarios:
-            wind = (scenario.files["scenario"].get("environment") or {}).get("wind")
-            if not wind or not held_mps:
-                continue
-            relative_deg = wind["from_deg"] - math.degrees(float(scenario.reference[2]))
-            from_deg = min(held_mps, key=lambda at: abs((at - relative_deg + 180.0) % 360 - 180.0))
-            if held_mps[from_deg] < wind["speed_mps"]:
-                seen.add((held_mps[from_deg], from_deg, wind["speed_mps"]))
-    for most_mps, from_deg, wind_mps in sorted(seen):
-        yield (
-            f"by level 1 the thrusters then hold {format_rounded_down(most_mps)} m/s of wind from "
-            f"{from_deg:g}°, and the scenario has {wind_mps:g} m/s"
-        )
-
-
 def _held_wind_by_direction(plot: CapabilityResult, group: str) -> Mapping[float, float]:
     """Return the largest wind held [m/s] without a group by direction [°]; empty if one lacks."""
     own = plot.edges[plot.edges["case"] == group]
     held = dict(zip(own["from_deg"].astype(float), own["wind_mps"].astype(float), strict=True))
     return held if len(held) == len(FROM_DEG) else {}
-
-
-def _analysis_findings(
-    group: str, scenarios: Sequence[str], analyses: Sequence[ConsequenceAnalysis]
-) -> Iterator[str]:
-    """Yield in words when a loss is held, for each consequence analysis that once finds it not."""
-    for analysis in analyses:
-        own = analysis.spans[analysis.spans["group"] == group]
-        if _scenario_of(analysis) in scenarios and (own["state"] == LOST).any():
-            yield f"by the consequence analysis it can be held {describe_time_held(own)}"

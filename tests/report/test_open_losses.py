@@ -4,6 +4,7 @@
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,8 +60,9 @@ def test_a_loss_that_level_1_does_not_hold_is_not_held_though_another_is_simulat
     records.loop("daqp", "thrusters_loss", **LONG)
     found = find(records, [plot(board_A=14.0, board_B=1.29)])
     assert found.summary == (
-        "Loss of board B: not held (not simulated: by level 1 the thrusters then hold 1.29 m/s of "
-        "wind from 40°, and the scenario has 13.8 m/s)."
+        "Loss of board B in `thrusters_loss` (wind 13.8 m/s from 40°): not held by level 1 of "
+        "DNV-ST-0111, by which the thrusters then hold at most 1.29 m/s from 40° off the bow; not "
+        "simulated in this weather."
     )
 
 
@@ -96,8 +98,33 @@ def test_a_loss_that_is_held_but_not_simulated_is_not_shown(records: Any) -> Non
 def test_a_ship_on_station_until_a_short_run_ends_is_not_held(records: Any) -> None:
     records.loop("daqp", "thrusters_loss", **LONG)
     (sentence,) = find(records, [plot(board_A=2.0)]).not_held
-    assert sentence.startswith(
-        "Loss of board A: not held (on station for the 60.0 s that are simulated: by level 1 the "
+    assert sentence.endswith(
+        "hold at most 2.00 m/s from 40° off the bow; simulated: on station for 60.0 s after the "
+        "loss."
+    )
+    (sentence,) = find(records, [plot(board_A=0.0)]).not_held
+    assert "by which the thrusters then hold no wind from 40° off the bow;" in sentence
+
+
+def test_a_loss_has_one_verdict_in_each_weather(records: Any) -> None:
+    """In `other_weather` no thruster is lost, and the wind is stronger than in `thrusters_loss`."""
+    records.loop("daqp", "thrusters_loss", **LONG)
+    view = records.view()
+    quiet = view.build_scenario("thrusters_loss")
+    scenario = quiet.files["scenario"]
+    wind = scenario["environment"]["wind"] | {"speed_mps": 20.7, "from_deg": 30.0}
+    files = quiet.files | {
+        "scenario": scenario
+        | {"environment": scenario["environment"] | {"wind": wind}, "faults": []}
+    }
+    view._scenarios["other_weather"] = replace(quiet, name="other_weather", files=files)
+    view.__dict__["scenarios"] = ["thrusters_loss", "other_weather"]
+    ships = find_ship_results(view)
+    found = find_open_losses(view, ships, [plot(board_A=14.0)], [analysis([(0.0, 30.0, HELD)])])
+    assert found.not_held == (
+        "Loss of board A in `other_weather` (wind 20.7 m/s from 30°): not held by level 1 of "
+        "DNV-ST-0111, by which the thrusters then hold at most 13.0 m/s from 30° off the bow; not "
+        "simulated in this weather.",
     )
 
 
@@ -119,6 +146,7 @@ def test_a_consequence_analysis_that_finds_a_loss_not_held(
     records.loop("daqp", "thrusters_loss", **LONG)
     assert find(records, [], analysis([(0.0, 30.0, HELD)])).not_held == ()
     assert find(records, [], analysis(span)).not_held == (
-        "Loss of board B: not held (not simulated: by the consequence analysis it can be held "
-        f"{said}).",
+        "Loss of board B in `thrusters_loss` (wind 13.8 m/s from 40°): not held by the consequence "
+        f"analysis of steps 0 to 99 of `thrusters_loss`, by which it can be held {said}; not "
+        "simulated in this weather.",
     )

@@ -281,7 +281,8 @@ def _describe_held(
     lines = [
         " ".join([*describe_capability(plot), describe_answers_at_edge(plot)]) for plot in plots
     ]
-    return [*lines, *map(describe_losses_held, analyses), *cautions]
+    of_analyses = [f"Consequence analysis: {describe_losses_held(one)}" for one in analyses]
+    return [*lines, *of_analyses, *cautions]
 
 
 def _render_svg(lines: Iterable[TextLine], picture: LoopPicture | None) -> str:
