@@ -1,7 +1,8 @@
 """Solvers of controllers that command thrusters, beside those of three forces."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import isfinite, nan
 from typing import Literal
 
@@ -16,6 +17,12 @@ from dpbench.analysis.verdict.requirements import (
     is_right_to_the_end,
 )
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, judge_solvers
+
+TIME_FIELDS = (
+    *("p50_ns", "p99_ns", "p99_interval", "p99_run", "timed_on", "rounds_ns", "replay_p99_ns"),
+    *("raw_p99_ns", "algo_max_ns", "max_run", "raw_max_ns", "of_sequences"),
+)
+"""Fields of a verdict that are step times, or name where they were measured."""
 
 Fault = Literal["too late", "wrong", "too late or wrong"]
 
@@ -54,13 +61,42 @@ def is_mostly_thruster_control(records: Records) -> bool:
     return 2 * sum(loops.values()) > len(loops)
 
 
+@lru_cache(maxsize=2)
+def judge_thruster_control(records: Records, requirements: Requirements) -> Verdicts:
+    """Return verdicts on solvers by the runs alone in which the MPC commands thrusters."""
+    runs = [run for run in records.runs if run.commands_thrusters]
+    return judge_solvers(records, requirements, runs)
+
+
+def has_times_of_both(records: Records) -> bool:
+    """Return whether most loops command thrusters, and replays have QPs of both controllers."""
+    replays = {run.commands_thrusters for run in records.select_runs(mode="replay")}
+    return len(replays) == 2 and is_mostly_thruster_control(records)
+
+
+def copy_with_thruster_times(
+    records: Records, requirements: Requirements, verdict: Verdict
+) -> Verdict:
+    """Return a verdict with the step times of thruster QPs alone, in a folder about thrusters.
+
+    Unchanged where most loops command forces, where all replays are of one kind, or where none of
+    the configuration's replays has QPs of thrusters.
+    """
+    if not has_times_of_both(records):
+        return verdict
+    own = judge_thruster_control(records, requirements).of.get(verdict.configuration.solver, ())
+    alike = [v for v in own if v.configuration == verdict.configuration and v.timed_on]
+    if not alike:
+        return verdict
+    return replace(verdict, **{name: getattr(alike[0], name) for name in TIME_FIELDS})
+
+
 def compare_thrusters_with_forces(records: Records, requirements: Requirements) -> ThrusterVerdicts:
     """Return verdicts on solvers where MPC commands thrusters and where three forces."""
-    of_thrusters = [run for run in records.runs if run.commands_thrusters]
     of_forces = [
         run for run in records.runs if run.scenario_documents and not run.commands_thrusters
     ]
-    verdicts = judge_solvers(records, requirements, of_thrusters)
+    verdicts = judge_thruster_control(records, requirements)
     return ThrusterVerdicts(
         tuple(dict.fromkeys(run.scenario for run in of_forces)),
         _find_best_state_by_solver(judge_solvers(records, requirements, of_forces)),

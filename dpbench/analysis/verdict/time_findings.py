@@ -175,6 +175,16 @@ def judge_replay_times(
         "algo_max_ns": hardest.algo.max_ns,
         "max_run": hardest.run,
         "raw_max_ns": max(one.raw_max_ns for one in figures),
+        "of_sequences": {
+            one.run.sequence: {
+                "p50_ns": one.algo.p50_ns,
+                "timed_on": one.run.sequence,
+                "rounds_ns": one.rounds_ns,
+                "replay_p99_ns": one.algo.p99_ns,
+                "raw_p99_ns": one.run.raw_p99_ns,
+            }
+            for one in whole
+        },
     }
 
 
@@ -366,14 +376,21 @@ class SpeedMargin:
         return min(self.deadline, self.p99_limit)
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=4)
 def compute_speed_margins(
-    records: Records, requirements: Requirements
+    records: Records, requirements: Requirements, *, of_thrusters: bool = False
 ) -> Mapping[Configuration, SpeedMargin]:
-    """Return, by timed configuration, how much slower a computer may be; empty without limits."""
+    """Return, by timed configuration, how much slower a computer may be; empty without limits.
+
+    of_thrusters : whether only replays count in which the MPC commands thrusters.
+    """
     if not requirements.judges_step_times:
         return {}
-    replays = [run for run in records.select_runs(mode="replay", units="scaled") if run.has_steps]
+    replays = [
+        run
+        for run in records.select_runs(mode="replay", units="scaled")
+        if run.has_steps and (run.commands_thrusters or not of_thrusters)
+    ]
     of_configuration = group_by_key(
         replays, lambda run: run.configuration.moved_to_common_formulation
     )

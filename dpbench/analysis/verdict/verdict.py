@@ -16,7 +16,7 @@ The fastest of all may exist only as this benchmark's own Python code; it is nam
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -56,10 +56,11 @@ class Verdict:
     steps : the steps with a judged answer; error_move : their largest error of the first move.
     p99_ns : largest p99 of the algorithmic step time, in the replay or window `p99_run`, with
         `p99_interval` [ns]; unknown in a window, whose other steps were not timed.
-    p50_ns : on the sequence `timed_on`, of those replayed whole the one of the worst p99, or of the
-        worst p50 where none supports a p99.
+    p50_ns : on the sequence `timed_on`, of those replayed whole one that all timed configurations
+        have in common, else that of the worst p99, or of the worst p50 where none supports a p99.
     rounds_ns, replay_p99_ns, raw_p99_ns : there, median of the fastest and of the slowest round,
         p99 of the algorithmic step time, and of the single timings.
+    of_sequences : these times by sequence, of all that can be `timed_on`.
     algo_max_ns, raw_max_ns : largest step time, in the replay or window `max_run`, and largest
         single timing of all sequences.
     """
@@ -89,6 +90,9 @@ class Verdict:
     algo_max_ns: float = math.nan
     max_run: RunRecord | None = None
     raw_max_ns: float = math.nan
+    of_sequences: Mapping[str, Mapping[str, Any]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
     @property
     def sequence_of_largest_p99(self) -> str:
@@ -148,7 +152,40 @@ def judge_solvers(
             judge_configuration(records, configuration, runs, asked, requirements)
             for configuration, runs in ordered
         ]
-    return Verdicts(requirements, verdicts)
+    return Verdicts(requirements, _time_on_common_sequence(verdicts))
+
+
+def _time_on_common_sequence(
+    verdicts: Mapping[str, Sequence[Verdict]],
+) -> Mapping[str, Sequence[Verdict]]:
+    """Return verdicts whose `timed_on` is one sequence, where all timed configurations share one.
+
+    Of several, those with a p99 first, the one with the largest median step time, as geometric
+    mean over configurations.
+    """
+    timed = [verdict for own in verdicts.values() for verdict in own if verdict.timed_on]
+    if len({verdict.timed_on for verdict in timed}) < 2:
+        return verdicts
+    common = [
+        name
+        for name in timed[0].of_sequences
+        if all(name in verdict.of_sequences for verdict in timed)
+    ]
+    if not common:
+        return verdicts
+    with_p99 = [
+        name
+        for name in common
+        if all(math.isfinite(verdict.of_sequences[name]["replay_p99_ns"]) for verdict in timed)
+    ]
+    sequence = max(
+        with_p99 or common,
+        key=lambda name: sum(math.log(verdict.of_sequences[name]["p50_ns"]) for verdict in timed),
+    )
+    return {
+        solver: [replace(v, **v.of_sequences[sequence]) if v.timed_on else v for v in own]
+        for solver, own in verdicts.items()
+    }
 
 
 def _select_longest_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:

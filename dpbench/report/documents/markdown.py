@@ -39,6 +39,7 @@ from dpbench.report.formats import (
     join_with_and,
     make_markdown_table,
     one_line,
+    plural,
 )
 from dpbench.report.own_settings_text import describe_best_of_grids
 from dpbench.report.page.data import PageData
@@ -62,6 +63,8 @@ MOST_BYTES = 8000
 """Largest size of the report [B]: one or two screens."""
 MOST_ROWS = 24
 """Configurations up to which the report lists all of them, not only the best of each solver."""
+MOST_EXCEPTIONS = 3
+"""Configurations that a remark names; more are counted."""
 MOST_STUDY_ROWS = 8
 """Rows of each table of a study in the report."""
 HEAD = (
@@ -213,7 +216,7 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
         if not math.isnan(v.p99_ns)
     }
     hardest = {label: _where(v.max_run) for label, v in zip(labels, timed, strict=True)}
-    if len({*usual.values()}) > 1:
+    if len({*usual.values()}) > 1 or any(verdict.replays > 1 for verdict in timed):
         yield f"p50 and p99 are {_most_and_others(usual, 'from')}."
     if any(v.p99_run is not None and v.p99_run.steps_searched_for_hardest for v in timed):
         yield "A p99 of hardest steps has no interval, because the other steps were not timed."
@@ -235,7 +238,7 @@ def _where(run: RunRecord | None) -> str:
 
 
 def _most_and_others(names: Mapping[str, str], preposition: str) -> str:
-    """Return the name that most labels have, and the others with their labels.
+    """Return the name that most labels have, and the others with their labels or their number.
 
     Examples
     --------
@@ -244,6 +247,11 @@ def _most_and_others(names: Mapping[str, str], preposition: str) -> str:
     """
     of_name = group_by_key(names, lambda label: names[label])
     most, *others = sorted(of_name, key=lambda name: -len(of_name[name]))
+    if sum(len(of_name[name]) for name in others) > MOST_EXCEPTIONS:
+        counts = [
+            f"{name} ({plural(len(of_name[name]), 'configuration')})" for name in (most, *others)
+        ]
+        return f"{preposition} {join_with_and(counts)}"
     texts = [f"for {join_with_and(of_name[name])}, {preposition} {name}" for name in others]
     return "; ".join([f"{preposition} {most}", *texts])
 

@@ -21,6 +21,7 @@ from dpbench.analysis.suites.capability import (
 )
 from dpbench.analysis.times.machine import select_timed_replays
 from dpbench.analysis.verdict.ship_results import ShipResult
+from dpbench.analysis.verdict.thruster_verdicts import copy_with_thruster_times
 from dpbench.analysis.verdict.verdict import (
     Verdict,
     choose_solver,
@@ -206,6 +207,7 @@ def _fill_statement(
     options = resolve_settings_with_fixed_options(c.solver_settings, c.solver)
     by_solver = results.runs.groupby("solver")["solver_version"]
     versions = {name: ", ".join(sorted({str(v) for v in own if v})) for name, own in by_solver}
+    timed = copy_with_thruster_times(records, data.requirements, chosen)
     vessels = {s.vessel.id: s.vessel for s in known}
     files = list({s.vessel.id: s.files["vessel"] for s in known}.values())
     return render_document(
@@ -246,7 +248,8 @@ def _fill_statement(
         turns=describe_turns(records),
         c=c,
         v=chosen,
-        wait=describe_hardest_wait(records, chosen.max_run),
+        timed=timed,
+        wait=describe_hardest_wait(records, timed.max_run),
         judged_runs_text=describe_judged_runs(chosen),
         version=versions[c.solver],
         numbers=", ".join(f"{key} = {value!r}" for key, value in options.items())

@@ -13,8 +13,13 @@ from dpbench.analysis.times.paired_times import (
     count_common_window_steps,
     find_faster_inconclusive,
 )
+from dpbench.analysis.verdict.thruster_verdicts import (
+    copy_with_thruster_times,
+    has_times_of_both,
+)
 from dpbench.analysis.verdict.time_findings import (
     SlowStep,
+    compute_speed_margins,
     find_largest_stall_ns,
 )
 from dpbench.analysis.verdict.verdict import (
@@ -185,10 +190,11 @@ def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> t
         opening = f"{heads.get(chosen.state, 'Nothing contradicts')} {call}"
     lacks = "" if chosen.state == "pass" else f": {Recommendation.why(chosen)}"
     both = describe_consequence_solver(data.records, c.solver)
+    timed = copy_with_thruster_times(data.records, data.requirements, chosen)
     return (
         f"{both + ' ' if both else ''}{opening}{lacks}.",
         f"It was correct on every step of {describe_judged_runs(chosen)}"
-        f"{_describe_infeasible_steps(data, c)}. Step time: {format_usual_time(chosen)}. "
+        f"{_describe_infeasible_steps(data, c)}. Step time: {format_usual_time(timed)}. "
         f"The largest error of the first move was {format_error(chosen.error_move)} times the "
         "maximum increment.",
     )
@@ -255,7 +261,8 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
         beside = describe_paired_times(
             compare_paired_times(*pair), count_common_window_steps(*pair)
         )
-        label, time = found.runner_up.configuration.marked_label, format_usual_time(found.runner_up)
+        timed = copy_with_thruster_times(data.records, data.requirements, found.runner_up)
+        label, time = found.runner_up.configuration.marked_label, format_usual_time(timed)
         first = chosen.configuration.marked_label
         yield "next", f"Next: {label}, {time}. Compared with {first}: {beside}."
     for verdict in filter(None, (chosen, found.runner_up)):
@@ -290,20 +297,32 @@ def _yield_inconclusive_notes(data: PageData, found: SolverChoice) -> Iterator[t
 
 
 def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
-    """Return sentences: how much slower a computer may be for a solver, and its limiting steps."""
-    margin, requirements = data.get_speed_margin(chosen.configuration), data.requirements
-    if margin is None:
+    """Return sentences: how much slower a computer may be for a solver, and its limiting steps.
+
+    Those of thruster QPs in a folder about thrusters; the margin over all replays is named too.
+    """
+    of_all, requirements = data.get_speed_margin(chosen.configuration), data.requirements
+    if of_all is None:
         return []
+    margin, controller, also = of_all, "", ""
+    if has_times_of_both(data.records):
+        of_thrusters = compute_speed_margins(data.records, requirements, of_thrusters=True)
+        margin = of_thrusters.get(chosen.configuration, of_all)
+    if margin is not of_all:
+        chosen = copy_with_thruster_times(data.records, requirements, chosen)
+        least = format_rounded_down(of_all.allowed_slowness_factor)
+        controller, also = "With commanded thrusters, ", f" (× {least} over all replays)"
     wait = describe_hardest_wait(data.records, margin.hardest.run)
     hardest = p99 = _describe_slow_step(margin.hardest, wait)
     if margin.p99.time_ns != margin.hardest.time_ns:
         p99 = _describe_slow_step(margin.p99)
     time = "p99" if isfinite(chosen.p99_ns) else "largest step time (in place of a p99)"
     is_of_own_plant = any(run.is_of_own_plant for run in data.records.runs)
-    computer = "The computer" if is_of_own_plant else "The ship's computer"
+    computer = "the computer" if is_of_own_plant else "the ship's computer"
+    opening = f"{controller}{computer}"
     parts = [
-        f"{computer} may be up to "
-        f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this one.",
+        f"{opening[0].upper()}{opening[1:]} may be up to "
+        f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this one{also}.",
         f"The solver's {time} is {p99} and reaches the limit of {requirements.p99_ms:g} ms at × "
         f"{format_rounded_down(margin.p99_limit)}.",
         f"Its hardest step takes {hardest} and reaches the deadline of "

@@ -130,7 +130,7 @@ def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None
     commanded = compare_thrusters_with_forces(records, requirements)
     if not commanded.with_thrusters:
         return None
-    margins = compute_speed_margins(records, requirements)
+    margins = compute_speed_margins(records, requirements, of_thrusters=True)
     margin = None if chosen is None else margins.get(chosen.configuration)
     is_alone = sum(state != "not run" for state in commanded.with_thrusters.values()) == 1
     first = [
@@ -161,7 +161,7 @@ def _describe_solver_to_use(
     elif chosen.state != "pass":
         label = f"Nothing contradicts {c.label}"
     if margin is None:
-        return f"{label}."
+        return f"{label}; no replay times its QPs."
     step, share = margin.hardest, format_sample_share(1.0 / margin.deadline)
     where = f"k {step.k} of the replay of {step.run.sequence}"
     wait = describe_hardest_wait(records, step.run)

@@ -402,6 +402,7 @@ def test_the_figures_are_of_the_replay_with_the_worst_p99(records: Any) -> None:
     assert figures.pop("p99_run").sequence == "turn hardest"
     assert figures.pop("max_run").sequence == "rough"
     assert figures.pop("p99_interval") is UNKNOWN
+    assert list(figures.pop("of_sequences")) == ["paper", "calm", "rough"]
     assert figures == {
         "p50_ns": 20e3,
         "p99_ns": 50e3,

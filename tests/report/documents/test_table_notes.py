@@ -4,7 +4,10 @@ import math
 from types import SimpleNamespace
 from typing import Any
 
-from dpbench.analysis.verdict.verdict import Verdict
+import pytest
+
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
 from dpbench.bench.record.cell import Configuration
 from dpbench.report.documents.markdown import yield_table_remarks
 
@@ -54,6 +57,31 @@ def test_the_replays_of_worst_p99_and_hardest_step_are_named() -> None:
         f"The worst p99 occurs {turn}.",
         f"The hardest step occurs {turn}; {rough}.",
     ]
+
+
+def test_times_of_all_rows_are_of_one_sequence_that_all_have(records: Any) -> None:
+    """Each solver has its larger p99 in another replay; together `turn` takes longer."""
+    for solver, turn_us, move_us in (("daqp", 90.0, 40.0), ("osqp", 60.0, 70.0)):
+        records.loop(solver, "paper")
+        records.replay(solver, "turn", median_us=turn_us)
+        records.replay(solver, "paper", median_us=move_us)
+    view = records.view()
+    verdicts = judge_solvers(view, Requirements()).all_verdicts
+    assert {verdict.timed_on for verdict in verdicts} == {"turn"}
+    assert [verdict.p50_ns / 1e3 for verdict in verdicts] == pytest.approx([90, 60], rel=0.05)
+    assert {v.p99_run.sequence for v in verdicts if v.p99_run} == {"turn", "paper"}
+    usual, *_ = yield_table_remarks(verdicts)
+    assert usual == "p50 and p99 are from the replay of `turn`."
+
+
+def test_more_than_three_exceptions_are_counted() -> None:
+    solvers = ("scs", "piqp", "osqp", "proxqp")
+    other = [_verdict(name, "move", window="rough") for name in solvers]
+    (*_, hardest) = yield_table_remarks([*(_verdict(f"d{i}", "move") for i in range(5)), *other])
+    assert hardest == (
+        "The hardest step occurs in the replay of `move` (5 configurations) and the hardest steps "
+        "of `rough` (4 configurations)."
+    )
 
 
 def test_nothing_is_said_of_one_replay_with_presets() -> None:

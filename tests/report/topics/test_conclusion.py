@@ -101,3 +101,20 @@ def test_a_suite_about_other_things_says_nothing(records: Any, scenarios: tuple[
         records.loop("daqp", name, **WARM)
     records.replay("daqp", scenarios[-1], **WARM)
     assert output(records) == ()
+
+
+def test_times_for_thrusters_are_those_of_thruster_qps(records: Any) -> None:
+    """Though the QPs of three forces take longer here."""
+    for name in ("thrusters", "thrusters_loss"):
+        records.loop("daqp", name, steps=500, tail_m=0.275, **WARM)
+    records.replay("daqp", "thrusters", median_us=40.0, **WARM)
+    records.loop("daqp", "three_forces", **WARM)
+    records.replay("daqp", "three_forces", median_us=90.0, **WARM)
+    first, *_ = output(records)
+    assert " of the replay of thrusters, takes " in first
+    recommendation = Report.from_results(records.results()).recommendation
+    assert "in the replay of `thrusters`." in recommendation.sentence
+    margin = dict(recommendation.notes)["slower"]
+    assert margin.startswith("With commanded thrusters, the ship's computer may be up to ")
+    assert " over all replays). " in margin and "in step " in margin
+    assert "three_forces" not in margin
