@@ -44,6 +44,7 @@ from dpbench.bench.workers.jobs import CellJob, Result, count_steps, group_by_so
 from dpbench.bench.workers.scratch import clear_scratch_folders
 from dpbench.bench.workers.worker import make_source
 from dpbench.errors import InputError, ResultsError, require_lists_of_names, require_name_or_file
+from dpbench.files.regular_files import write_text_atomically
 from dpbench.locks import WaitLimit
 from dpbench.solvers.table import find_solver_availability
 
@@ -222,6 +223,7 @@ class Campaign:
         rows = {"run_rows": len(runs), "step_rows": step_rows}
         write_json(self._out / "machine.json", self.machine)
         write_json(self._out / "suite.json", suite | rows)
+        write_text_atomically(self._out / "suite.toml", self._plan.format_suite())
         self._write_capability_plots()
 
     def _write_capability_plots(self) -> None:

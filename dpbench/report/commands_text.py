@@ -6,6 +6,7 @@ from typing import Any
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances_by_campaign
+from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import SuiteDescription
 from dpbench.report.formats import join_with_and, plural
 from dpbench.report.verdict_text import describe_disturbance
@@ -44,6 +45,31 @@ def describe_versions(
     return (
         f"Versions: {', '.join(versions)}; suite {suite.get('name', '')}, "
         f"dpbench {suite.get('harness_version', '')}."
+    )
+
+
+def describe_how_results_were_made(
+    records: Records, suite: SuiteDescription, machine: Mapping[str, Any]
+) -> str:
+    """Return a paragraph for a paper: suite, runs, steps, versions, machine, Python."""
+    runs = [run for run in (*records.runs, *records.study) if run.solver not in CALIBRATION]
+    of_solver = group_by_key(runs, lambda run: run.solver)
+    solvers = [
+        " ".join([solver, *dict.fromkeys(run.solver_version for run in own)])
+        for solver, own in of_solver.items()
+    ]
+    steps = sum(int(run.steps_done) for run in runs)
+    numpy = machine.get("versions", {}).get("numpy", "")
+    computer = (
+        f"{machine.get('cpu_model', 'an unnamed CPU')}, {plural(machine.get('cores', 0), 'core')}, "
+        f"{machine.get('memory_GiB', '?')} GiB of memory, {machine.get('kernel', '')}"
+    )
+    software = ", ".join([machine.get("python", ""), *[f"NumPy {numpy}"] * bool(numpy)])
+    return (
+        f"The suite {suite.get('name', '')} was run with {describe_version(suite)}: "
+        f"{plural(len(runs), 'run')} with {plural(steps, 'step')}, "
+        f"{describe_commands(runs, suite.get('started_utc', ''))}. "
+        f"Solvers: {', '.join(solvers)}. Machine: {computer}; {software}."
     )
 
 

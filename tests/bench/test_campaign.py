@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from dpbench import load_results, run_campaign
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.record.cell import Cell
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import AXIS_FORCES, RUN_COLUMNS, STEP_COLUMNS
@@ -41,6 +42,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def results(folder: Path) -> Results:
     return load_results(folder)
+
+
+def test_the_folder_has_the_suite_that_runs_it_again(folder: Path, results: Results) -> None:
+    plan = RunRequest(str(folder / "suite.toml")).make_plan()
+    again = {planned.cell.to_json() for planned in plan.cells}
+    assert again == set(results.runs["cell"])
 
 
 def test_tables_have_exactly_the_columns_of_the_schema(results: Results) -> None:

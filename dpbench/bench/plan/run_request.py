@@ -24,6 +24,7 @@ from dpbench.bench.plan.suite import (
 from dpbench.bench.sequences.source import read_sequence
 from dpbench.errors import InputError, PolicyError, require_integer_at_least
 from dpbench.scenario.problem_files import resolve_sequence_path
+from dpbench.scenario.variation import format_as_toml
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Policy, Route, SolverRecord
 from dpbench.solvers.own_settings import (
@@ -48,7 +49,8 @@ class Plan:
     """All planned runs that a user's request means, with the suite they come from.
 
     `document` is the requested content of the suite; `part` tells whether it is less than all;
-    `remarks` are lines on what does not run as requested, or cannot be measured.
+    `remarks` are lines on what does not run as requested, or cannot be measured; `solvers` and
+    `scenarios` are the names to which the request restricts the suite.
     """
 
     name: str
@@ -57,6 +59,21 @@ class Plan:
     cells: list[PlannedCell]
     part: bool
     remarks: Sequence[str]
+    solvers: Sequence[str] = ()
+    scenarios: Sequence[str] = ()
+
+    def format_suite(self) -> str:
+        """Return the suite as it is run, as TOML that runs it again; keys at defaults are left out.
+
+        Its comment has the options that the file cannot contain.
+        """
+        document = self.document
+        if self.solvers:
+            update = {"solvers": list(self.solvers), "baseline_law": False, "calibration": False}
+            document = _copy_table_with(document, **update)
+        options = "".join(f" --scenario {name}" for name in self.scenarios)
+        text = format_as_toml(document.model_dump(mode="json", exclude_defaults=True))
+        return f"# Run again: dpbench run suite.toml{options}\n{text}"
 
     @cached_property
     def digest(self) -> str:
@@ -109,9 +126,9 @@ class RunRequest:
             if self.steps is not None:
                 remarks += list_runs_of_other_length(cells, self.steps)
         part = bool(self.solvers or self.scenarios or keys or self.steps is not None)
-        return Plan(
-            name, path, document, cells, part, [*remarks, *_list_remarks(cells, choices, is_timed)]
-        )
+        remarks += _list_remarks(cells, choices, is_timed)
+        chosen_names = tuple(self.solvers or ()), tuple(self.scenarios or ())
+        return Plan(name, path, document, cells, part, remarks, *chosen_names)
 
     @property
     def _suite_file(self) -> Path | None:

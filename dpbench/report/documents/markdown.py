@@ -24,7 +24,7 @@ from dpbench.analysis.verdict.verdict import (
     sort_fastest_first,
 )
 from dpbench.errors import UnknownNameError, format_allowed_names
-from dpbench.report.commands_text import describe_versions
+from dpbench.report.commands_text import describe_how_results_were_made, describe_versions
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import (
     MISSING,
@@ -67,6 +67,8 @@ MOST_EXCEPTIONS = 3
 """Configurations that a remark names; more are counted."""
 MOST_STUDY_ROWS = 8
 """Rows of each table of a study in the report."""
+HOW_MADE = "How these results were made"
+"""Heading of the last paragraph, which a paper can copy."""
 HEAD = (
     *("solver", "call mode", "verdict", "p50", "p99", "p99 of timings", "worst p99"),
     *("hardest step", "speed margin", "largest error", "failed answers"),
@@ -105,9 +107,14 @@ def make_report_markdown(report: Report) -> str:
         "`runs.parquet`, `steps.parquet`.",
     ]
     text = "\n\n".join(part for part in parts if part) + "\n"
-    if len(text.encode()) > MOST_BYTES and counts:
+    made = describe_how_results_were_made(
+        data.records, report.results.suite, report.results.machine
+    )
+    ending = f"\n## {HOW_MADE}\n\n{escape_markdown_paragraph(made)}\n"
+    most_bytes = MOST_BYTES - len(ending.encode())
+    if len(text.encode()) > most_bytes and counts:
         text = text.replace("\n\n".join(counts), "Instruction counts: `tables/embedded.csv`.")
-    return truncate_text(text, MOST_BYTES, "report.html")
+    return truncate_text(text, most_bytes, "report.html") + ending
 
 
 def _yield_verdicts_by_scenario(data: PageData, recommendation: Recommendation) -> Iterator[str]:

@@ -25,6 +25,7 @@ from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.report.charts import style
 from dpbench.report.charts.render import FORMATS, compile_vega, render_svg
+from dpbench.report.commands_text import describe_how_results_were_made
 from dpbench.report.embedded_text import (
     CLOCK_MHZ,
     CYCLES,
@@ -207,7 +208,8 @@ FILES = {
     "embedded.parquet": "one row per step of a solver's C code on an embedded core",
     "capability.parquet": "one row per QP at the edge of the capability plot",
     "machine.json": "description of the machine, with versions",
-    "suite.json": "the suite that was run",
+    "suite.json": "the suite that was run, with start, duration and revision of dpbench",
+    "suite.toml": "the suite alone, to run it again: `dpbench run suite.toml`",
     "tables/runs.csv": "the runs as CSV; README.md in the same folder describes all tables",
 }
 VARIABLES = {
@@ -292,6 +294,7 @@ def make_page_html(
         holds=FILES,
         kinds=[kind for kind in FORMATS[1:] if any((folder / "figures").glob(f"*.{kind}"))],
         cite=format_citations(results),
+        made=describe_how_results_were_made(data.records, results.suite, results.machine),
         experiments=experiments,
         terms=Terms([*WORDS, *glossary()["Solvers and configurations"]]),
         footer=f"{describe_version(results.suite)}, run {started}; numpy {numpy}.",

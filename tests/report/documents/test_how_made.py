@@ -1,0 +1,40 @@
+"""The last paragraph of the report: what was run, by which versions, on which machine."""
+
+from pathlib import Path
+from typing import Any
+
+from dpbench.report.documents.markdown import HOW_MADE, MOST_BYTES, make_report_markdown
+from dpbench.report.report import Report
+from dpbench.report.write import write_report
+from tests.conftest import MACHINE
+
+
+def _paragraph(text: str) -> str:
+    return text.split(f"## {HOW_MADE}\n\n")[1]
+
+
+def test_the_report_ends_with_how_it_was_made(records: Any, tmp_path: Path) -> None:
+    """Runs of a study are counted as well as those beside it."""
+    records.loop("daqp", "calm", steps=40)
+    for sea in (1, 2):
+        records.sea("osqp", 0, sea, {"start.east_m": 1.0})
+    results = records.results()
+    versions = results.runs.groupby("solver")["solver_version"].first()
+    steps = int(results.runs["steps_done"].sum())
+    report = Report.from_results(results)
+    text = make_report_markdown(report)
+    made = _paragraph(text)
+    assert made.count("\n") == 1 and f"3 runs with {steps} steps" in made
+    for solver in ("daqp", "osqp"):
+        assert f"{solver} {versions[solver]}" in made
+    assert str(MACHINE["python"]) in made and str(MACHINE["cpu_model"]) in made
+    folder = records.write(tmp_path / "out")
+    page = write_report(folder).read_text("utf-8")
+    assert made.strip() in page.replace("&#39;", "'") and len(text.encode()) <= MOST_BYTES
+
+
+def test_a_long_report_keeps_the_paragraph(records: Any, monkeypatch: Any) -> None:
+    monkeypatch.setattr("dpbench.report.documents.markdown.MOST_BYTES", 900)
+    records.loop("daqp", "calm", steps=40)
+    text = make_report_markdown(Report.from_results(records.results()))
+    assert len(text.encode()) <= 900 and "daqp" in _paragraph(text)
