@@ -28,6 +28,9 @@ LEAST_VARIANCE = 0.25
 """Least variance of a share over parts, in variances of independent steps: less is chance."""
 SKEW_SHARE = 1.5
 """Factor on the skewness found: few values show too little of it."""
+MARKED_WIDENING = 1.5
+"""Width over that of Student's interval from which an interval is marked as widened: below it, a
+fifth of the intervals of 10 symmetric values would be."""
 LEAST_SKEW_DF = 2.5
 """Least degrees of freedom with which skewness is estimated."""
 TAILS = (0.025, 0.975)
@@ -82,6 +85,20 @@ class MeanEstimate:
         return Interval(
             self.value, self.value - self.error * below, self.value + self.error * above
         )
+
+    @property
+    def widening(self) -> float:
+        """Width of the interval over that of Student's, 1 or more; NaN without an interval."""
+        if not self.has_error_estimate:
+            return math.nan
+        interval = self.confidence_interval
+        students = 2.0 * self.error * float(stdtrit(self.df, TAILS[1]))
+        return max(1.0, (interval.high - interval.low) / students)
+
+    @property
+    def is_clearly_widened(self) -> bool:
+        """True if skewness widens the interval so much that it is marked."""
+        return self.widening >= MARKED_WIDENING
 
     def compute_p_value_of_mean_above(self, bound: float) -> float:
         """Return the one-sided p-value of "the mean is larger than `bound`"; 1 if unsupported."""

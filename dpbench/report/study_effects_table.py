@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pandas as pd
 
+from dpbench.analysis.statistics import MARKED_WIDENING
 from dpbench.analysis.suites.study import NOTHING, Study
 from dpbench.analysis.suites.study_effects import (
     MEASURES,
@@ -26,14 +27,17 @@ _Compute = Callable[[Study], Sequence[Effect]]
 _INTERVALS = (
     "Intervals hold at 95 % for each cell alone and not for all at once: without any effect, 1 in "
     "20 leaves out zero. The units are the realisations, or the points where each is run once; in "
-    "10 of 10: all have one sign. "
+    "10 of 10: all have one sign. Skewed: widened: the differences are so skewed that the interval "
+    f"is {MARKED_WIDENING:g} times as wide as Student's or wider; more realisations narrow it. "
 )
+WIDENED = " (skewed: widened)"
+"""Mark of an interval that skewness widens."""
 _KEYS = ("factor", "levels", "configuration")
 _WHAT = {"raw_p99_ns": "p99 step time", "raw_p50_ns": "median step time"}
 COLUMNS = (
     *("study", "configuration", "factor", "levels", "from", "to", "measure", "unit"),
-    *("effect", "low", "high", "interval", "median", "same_sign", "realisations"),
-    *("pairs", "points"),
+    *("effect", "low", "high", "interval", "widening", "median", "same_sign"),
+    *("realisations", "pairs", "points"),
 )
 
 
@@ -58,8 +62,8 @@ def _build_table(studies: Sequence[Study], compute: _Compute) -> pd.DataFrame:
                 effect.measure.unit,
                 *convert_effect_and_interval(effect),
             ),
-            *(_interval_text(effect), effect.measure.convert(effect.measured.median_change)),
-            *(effect.measured.count_with_sign_of_median, _count_units(effect)),
+            *(_interval_text(effect), _get_widening(effect), *_get_median_and_agreement(effect)),
+            _count_units(effect),
             *(effect.mean_difference.pairs, effect.mean_difference.points),
         )
         for study in studies
@@ -76,7 +80,7 @@ def tabulate_effects(study: Study) -> Table | None:
         f"realisation together. {_INTERVALS}"
         "Step times are of closed loops, which "
         "are measured beside each other: take a difference of a few percent from a replay, and one "
-        "that has no interval, which is left out here."
+        "that is disturbed or has no interval, which is left out here."
     )
     title = f"{study.name}: what each factor changes"
     return _tabulate(study, compute_study_effects, title, note, "study_effects")
@@ -126,14 +130,16 @@ def convert_effect_and_interval(effect: Effect) -> tuple[float, float, float]:
     """Return an effect and the ends of its interval in the unit of its measure; NaN for none.
 
     An effect that is the same in every realisation has no interval: its width would be that of
-    `NOTHING`. Nor has one on the step times of a disturbed machine, which may change with the
-    factor by chance.
+    `NOTHING`. An effect on the step times of a disturbed machine has no value either, as these may
+    change with the factor by chance.
     """
     mean, convert = effect.mean_difference.mean_interval, effect.measure.convert
+    if effect.is_disturbed:
+        return np.nan, np.nan, np.nan
     if effect.mean_difference.is_constant:
         value = 0.0 if abs(mean.value) <= NOTHING else mean.value
         return convert(value), np.nan, np.nan
-    if effect.is_disturbed or not np.isfinite(mean.low):
+    if not np.isfinite(mean.low):
         return convert(mean.value), np.nan, np.nan
     return convert(mean.value), convert(mean.low), convert(mean.high)
 
@@ -147,6 +153,20 @@ def _interval_text(effect: Effect) -> str:
     return "in every realisation" if effect.mean_difference.is_constant else "95 %"
 
 
+def _get_widening(effect: Effect) -> float:
+    """Return an interval's width over that of Student's; NaN where there is no interval."""
+    has_interval = _interval_text(effect) == "95 %"
+    return effect.mean_difference.estimate.widening if has_interval else np.nan
+
+
+def _get_median_and_agreement(effect: Effect) -> tuple[float, float]:
+    """Return the median effect, and in how many realisations its sign is found; NaN: disturbed."""
+    if effect.is_disturbed:
+        return np.nan, np.nan
+    measured = effect.measured
+    return effect.measure.convert(measured.median_change), measured.count_with_sign_of_median
+
+
 def _count_units(effect: Effect) -> int:
     """Return how many realisations an interval is over, or points where each is run once."""
     return len(effect.measured.units) or effect.mean_difference.points
@@ -154,11 +174,11 @@ def _count_units(effect: Effect) -> int:
 
 def _format_effect(effect: Effect, units: str) -> str:
     """Return an effect with its interval as text, in its unit, and if all `units` agree."""
+    if effect.is_disturbed:
+        return "disturbed"
     value, low, high = (
         significant(0.0 if abs(n) < 1e-4 else n, 2) for n in convert_effect_and_interval(effect)
     )
-    if effect.is_disturbed:
-        return f"{value} (disturbed, no interval)"
     if not np.isfinite(effect.mean_difference.mean_interval.low):
         return f"{value} (no interval)"
     if effect.mean_difference.is_constant:
@@ -169,4 +189,5 @@ def _format_effect(effect: Effect, units: str) -> str:
         if effect.measured.count_with_sign_of_median == count
         else ""
     )
-    return f"{value} [{low}, {high}]{agreed}"
+    widened = WIDENED if effect.mean_difference.estimate.is_clearly_widened else ""
+    return f"{value} [{low}, {high}]{agreed}{widened}"

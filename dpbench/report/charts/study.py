@@ -15,6 +15,8 @@ TRIED = ("tried", "front", "own", "chosen")
 _LOOKS = [STATES.index(state) for state in ("pass", "inconclusive", "fail")]
 """States with the same looks."""
 _SIDE = 110
+MOST_TICKS = 6
+"""Values of a parameter up to which an axis labels just these."""
 _WITHIN = "share of realisations within the radius"
 _CHOSEN = "datum.chosen"
 
@@ -53,9 +55,12 @@ def draw_within_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: 
 def draw_within_lines(table: pd.DataFrame, title: str, x: str) -> Any:
     """Return a chart of shares within the radius by one parameter, a line per solver."""
     share: dict[str, Any] = {"axis": alt.Axis(format=".0%"), "scale": alt.Scale(domain=[0.0, 1.0])}
+    values = sorted(table["x"].unique().tolist())
+    # Labels that only do not touch read as one number.
+    axis = alt.Axis(values=values, format="~g") if len(values) <= MOST_TICKS else alt.Undefined
     chart = alt.Chart(table).mark_line(point=True)
     chart = chart.encode(
-        x=alt.X("x:Q", title=x, scale=alt.Scale(zero=False)),
+        x=alt.X("x:Q", title=x, scale=alt.Scale(zero=False), axis=axis),
         y=alt.Y("within:Q", title=_WITHIN, **share),
         color=alt.Color("configuration:N", title=None, legend=style.legend_below()),
         tooltip=style.tooltips(
@@ -70,8 +75,12 @@ def draw_excess_errors(table: pd.DataFrame, seas: pd.DataFrame, title: str, smal
 
     table : name and `mean_cm`, in the order of the rows.
     seas : name, error_excess_cm, point, replicate.
-    small_cm : half the width of the band of small differences.
+    small_cm : half the width of the band of small differences, which is cut off at the axis.
     """
+    known = [table[name].astype(float) for name in ("mean_cm", "low_cm", "high_cm")]
+    ends = pd.concat([*known, seas["error_excess_cm"]]).dropna()
+    low, high = min(float(ends.min()), 0.0), max(float(ends.max()), 0.0)
+    axis = alt.Scale(domain=[low, high] if high > low else [-small_cm, small_cm], padding=8)
     rows = style.named_rows("name", table["name"].tolist(), grid=True, labelLimit=260)
     across = "95 % radial error over the reference, same realisation [cm]"
     dots = alt.Chart(seas).mark_point(filled=True, size=14, opacity=0.35, color=style.SOFT)
@@ -83,7 +92,7 @@ def draw_excess_errors(table: pd.DataFrame, seas: pd.DataFrame, title: str, smal
     )
     bars, means = _draw_mean_errors(alt.Chart(table))
     parts = (
-        _draw_small_error_band(small_cm, alt.X("low:Q", title=across)),
+        _draw_small_error_band(small_cm, alt.X("low:Q", title=across, scale=axis), clip=True),
         dots,
         bars.encode(y=rows),
         means.encode(y=rows, tooltip=style.tooltips("name:N", *_MEAN_TIPS)),
@@ -96,6 +105,15 @@ def draw_effects(table: pd.DataFrame, title: str, names: Sequence[str]) -> Any:
 
     table : columns measure, effect, configuration, value, low, high; names : configurations.
     """
+    panels = [
+        _draw_effects_on_measure(rows, str(measure), names)
+        for measure, rows in table.groupby("measure", sort=False)
+    ]
+    return style.set_style(alt.vconcat(*panels), title, title)
+
+
+def _draw_effects_on_measure(table: pd.DataFrame, measure: str, names: Sequence[str]) -> Any:
+    """Return a chart layer of the effects on one measure, whose name has its unit."""
     rows = alt.Y("effect:N", title=None, sort=None, axis=alt.Axis(labelLimit=260, grid=True))
     hues = style.PALETTE[: len(names)]
     base = alt.Chart(table).encode(
@@ -111,17 +129,12 @@ def draw_effects(table: pd.DataFrame, title: str, names: Sequence[str]) -> Any:
     parts = (
         zero.encode(x=alt.datum(0)),
         base.mark_rule(strokeWidth=2.5).encode(
-            x=alt.X("low:Q", title="change"), x2=alt.X2("high:Q")
+            x=alt.X("low:Q", title=f"change of {measure}"), x2=alt.X2("high:Q")
         ),
         base.mark_point(filled=True, size=45, opacity=1).encode(x=alt.X("value:Q")),
     )
     step: Any = {"step": max(16, 9 * len(names)), "for": "position"}
-    chart = alt.layer(*parts, width=290, height=step)
-    above = alt.Header(labelOrient="top", labelAngle=0, labelAnchor="start", labelFontSize=12)
-    each = alt.Row(
-        "measure:N", title=None, sort=list(dict.fromkeys(table["measure"])), header=above
-    )
-    return style.set_style(chart.facet(row=each).resolve_scale(x="independent"), title, title)
+    return alt.layer(*parts, width=290, height=step)
 
 
 _MEAN_TIPS = (

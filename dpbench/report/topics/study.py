@@ -40,6 +40,7 @@ from dpbench.report.formats import (
 )
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.study_effects_table import (
+    WIDENED,
     convert_effect_and_interval,
     make_head_of_measure,
     tabulate_effects,
@@ -140,7 +141,7 @@ def yield_disturbance_sentences(studies: Sequence[Study]) -> Iterator[str]:
             yield (
                 f"{study.name}: other work disturbed the machine: "
                 f"{join_with_and(study.disturbance.complaints())}. Effects on step times may be "
-                "those of the machine and have no interval."
+                "those of the machine and are not given."
             )
 
 
@@ -257,7 +258,7 @@ def _draw_study_figures(study: Study) -> Iterator[Figure]:
         of = "" if len(seas) == seas_all else f", {len(seas)} of {seas_all} at even ranks"
         caption = (
             f"Dot: one realisation{of}; line: mean with its 95 % interval, if any; band: 1 cm to "
-            "either side."
+            "either side, cut off at the axis."
         )
         yield Figure(f"study-excess-{name}", chart, caption)
 
@@ -326,7 +327,8 @@ def _format_difference(difference: PairedDifference, scale: float) -> str:
         value = 0.0 if abs(mean.value) <= NOTHING else scale * mean.value
         return f"{significant(value, 2)} in all {difference.pairs}"
     low, high = (significant(scale * value, 2) for value in (mean.low, mean.high))
-    return f"{significant(scale * mean.value, 2)} [{low}, {high}]"
+    widened = WIDENED if difference.estimate.is_clearly_widened else ""
+    return f"{significant(scale * mean.value, 2)} [{low}, {high}]{widened}"
 
 
 def draw_effect_figures(study: Study, name: str) -> Iterator[Figure]:
@@ -340,7 +342,7 @@ def draw_effect_figures(study: Study, name: str) -> Iterator[Figure]:
             **dict(zip(("value", "low", "high"), convert_effect_and_interval(effect), strict=True)),
         }
         for effect in compute_study_effects(study)
-        if effect.configuration in names and effect.measure in DRAWN
+        if effect.configuration in names and effect.measure in DRAWN and not effect.is_disturbed
     ]
     table = pd.DataFrame(rows)
     if len(table) and np.isfinite(table["value"]).any():
@@ -348,6 +350,7 @@ def draw_effect_figures(study: Study, name: str) -> Iterator[Figure]:
         caption = (
             "Change of each factor, with its 95 % interval where there is one; zero: no effect."
             + (f" {left} more configurations are in the table." if left > 0 else "")
+            + (" Step times are not drawn: they are disturbed." if study.is_disturbed else "")
         )
         chart = draw_effects(table, f"Effect of each factor, {study.name}", names)
         yield Figure(f"study-effects-{name}", chart, caption)

@@ -132,7 +132,7 @@ def test_a_disturbed_machine_is_said_of_a_study(records: Any, switches: int) -> 
     said = [line for line in found.lines if "other work disturbed the machine" in line]
     expected = (
         "seas: other work disturbed the machine: 10 involuntary context switches a second. "
-        "Effects on step times may be those of the machine and have no interval."
+        "Effects on step times may be those of the machine and are not given."
     )
     assert said == ([expected] if switches == 101 else [])
     assert records.ending().get("times") == (expected if switches == 101 else None)
@@ -141,7 +141,7 @@ def test_a_disturbed_machine_is_said_of_a_study(records: Any, switches: int) -> 
 
 
 @pytest.mark.parametrize("switches", [99, 101])
-def test_a_step_time_of_a_disturbed_machine_has_no_interval(records: Any, switches: int) -> None:
+def test_a_step_time_of_a_disturbed_machine_has_no_number(records: Any, switches: int) -> None:
     """The error keeps its own: other work changes no answer."""
     for sea in range(1, 7):
         for point, east in enumerate((0.0, 3.0)):
@@ -153,12 +153,40 @@ def test_a_step_time_of_a_disturbed_machine_has_no_interval(records: Any, switch
     whole = build_effects_table([study]).set_index("measure")
     ends = whole[["low", "high"]].notna().all(axis=1)
     assert ends["95 % radial error"] and ends["median step time"] == (switches == 99)
-    assert whole.loc["median step time", "effect"] == pytest.approx(23.5, abs=0.1)
+    numbers = whole.loc["median step time", ["effect", "median", "same_sign"]]
+    if switches == 99:
+        assert numbers["effect"] == pytest.approx(23.5, abs=0.1) and numbers["same_sign"] == 6
+    else:
+        assert numbers.isna().all()
     assert whole.loc["median step time", "interval"] == ("95 %" if switches == 99 else "disturbed")
     table = tabulate_effects(study)
     assert table is not None
     (text,) = (row[3] for row in table.rows)
-    assert ("(disturbed, no interval)" in text) == (switches == 101)
+    assert (text == "disturbed") == (switches == 101)
+    (figure,) = topic.draw_effect_figures(study, "seas")
+    measures = {row["measure"] for row in compile_rows(figure)}
+    assert ("median step time [%]" in measures) == (switches == 99)
+    assert ("not drawn: they are disturbed" in figure.caption) == (switches == 101)
+
+
+def test_a_skewed_difference_is_marked(records: Any) -> None:
+    """Nine realisations near 1 cm and one of 90 cm; of the other solver, 1 to 10 cm evenly."""
+    for sea in range(10):
+        for solver, change in (("daqp", 0.9 if sea == 9 else 0.01 + 1e-4 * sea), ("osqp", sea)):
+            for point, east in enumerate((0.0, 3.0)):
+                more = change if solver == "daqp" else 0.01 * (1 + change)
+                records.sea(solver, point, sea, {EAST: east}, r_95_m=0.5 + point * more)
+    (study,) = find_studies(records.view())
+    table = tabulate_effects(study)
+    assert table is not None
+    texts = {row[2]: row[table.heads.index("95 % radial error [cm]")] for row in table.rows}
+    assert texts["daqp"].endswith(" (skewed: widened)") and "widened" not in texts["osqp"]
+    assert "1.5 times as wide as Student's" in table.note
+    whole = build_effects_table([study])
+    rows = whole[whole["measure"] == "95 % radial error"].set_index("configuration")
+    assert rows.loc["daqp", "widening"] >= 1.5 > rows.loc["osqp", "widening"] >= 1.0
+    excess = next(iter(topic._make_study_tables(study)))
+    assert any("(skewed: widened)" in cell for row in excess.rows for cell in row)
 
 
 def test_settings_without_an_effect_have_one_row(records: Any) -> None:
