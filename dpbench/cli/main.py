@@ -235,6 +235,8 @@ def _gather_shards(arguments: argparse.Namespace) -> int:
 
 def _rewrite_report(arguments: argparse.Namespace) -> int:
     """Write the report of a result folder anew (`dpbench report`); return the exit code."""
+    if arguments.columns and not arguments.latex:
+        raise SituationError("--columns", "add --latex TABLE, the table to print")
     if arguments.tables or arguments.latex:
         return _print_tables(arguments)
     from dpbench.bench.record.cell_store import count_batches_newer_than_tables
@@ -249,7 +251,7 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
         raise SituationError(
             "--statement", f"{interrupted}; finish it by the same `dpbench run` in {arguments.dir}"
         )
-    options = _collect_options(arguments, "dir", "tables", "latex", *HOW_TO_END)
+    options = _collect_options(arguments, "dir", "tables", "latex", "columns", *HOW_TO_END)
     with ProgressBar(transient=True, quiet=arguments.quiet or arguments.json) as bar:
         bar.start(0)
         page, ending = write_report_with_summary(arguments.dir, **options, progress=bar)
@@ -268,7 +270,8 @@ def _print_tables(arguments: argparse.Namespace) -> int:
     if arguments.latex:
         from dpbench.notebook.results import load_results
 
-        print(load_results(arguments.dir).to_latex(arguments.latex), end="")
+        columns = [name.strip() for name in (arguments.columns or "").split(",") if name.strip()]
+        print(load_results(arguments.dir).to_latex(arguments.latex, columns or None), end="")
     else:
         print_wrapped(list_tables_of_folder(Path(arguments.dir)))
     return 0

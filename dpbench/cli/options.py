@@ -134,6 +134,7 @@ def add_report_options(report: Command) -> None:
     _option(more, "--send", "FOLDER", "write a folder to submit to results/community")
     _flag(more, "--tables", "list the tables of the folder and their contents instead")
     _option(more, "--latex", "TABLE", "print a table as a LaTeX tabular (booktabs) instead")
+    _option(more, "--columns", "A,B,C", "with --latex: only these columns, in this order")
     add_ending_options(report.add_argument_group("output"))
 
 

@@ -1,5 +1,6 @@
 """Tables as LaTeX: text escaped, numbers and signs as math, nothing but ASCII."""
 
+import math
 import re
 from numbers import Integral, Real
 
@@ -72,8 +73,9 @@ _HEAD_NAMES = {"p_differs": "p-value"}
 def make_tabular(table: pd.DataFrame) -> str:
     r"""Return a table as a LaTeX `tabular` with the rules of `booktabs`, one line a row.
 
-    Numbers have three digits and stand to the right; a missing value is an empty cell. Heads are
-    column names with spaces and the unit in brackets.
+    Numbers have three digits, with trailing zeros, and stand to the right; a column of whole
+    numbers has no decimals. A missing value is an empty cell. Heads are column names with spaces
+    and the unit in brackets.
 
     Examples
     --------
@@ -89,7 +91,14 @@ def make_tabular(table: pd.DataFrame) -> str:
     """
     align = "".join("r" if _has_only_numbers(table[name]) else "l" for name in table)
     heads = (escape_latex(make_table_head(str(name))) for name in table)
-    rows = [map(format_latex_cell, row) for row in table.itertuples(index=False, name=None)]
+    whole = [_has_only_whole_numbers(table[name]) for name in table]
+    rows = [
+        [
+            format_latex_cell(int(value) if is_whole and pd.notna(value) else value)
+            for value, is_whole in zip(row, whole, strict=True)
+        ]
+        for row in table.itertuples(index=False, name=None)
+    ]
     head, *body = (" & ".join(cells) + r" \\" for cells in (heads, *rows))
     lines = [r"\toprule", head, r"\midrule", *body, r"\bottomrule"]
     return "\n".join((f"\\begin{{tabular}}{{{align}}}", *lines, r"\end{tabular}", ""))
@@ -122,8 +131,16 @@ def _has_only_numbers(column: pd.Series) -> bool:
     return is_numeric_dtype(column) and not is_bool_dtype(column)
 
 
+def _has_only_whole_numbers(column: pd.Series) -> bool:
+    """Return whether the known values of a column are finite whole numbers below 1e7."""
+    if not _has_only_numbers(column):
+        return False
+    known = column.dropna().astype(float)
+    return bool(len(known)) and bool(((known % 1.0 == 0.0) & (known.abs() < 1e7)).all())
+
+
 def format_latex_cell(value: object) -> str:
-    """Format a value as a cell of LaTeX: a number to three digits, anything else as text."""
+    """Format a value as a cell of LaTeX: a float to three digits, anything else as text."""
     if value is None or value is pd.NA or value != value:  # NaN alone differs from itself
         return ""
     if isinstance(value, Real) and not isinstance(value, Integral):
@@ -142,13 +159,16 @@ def escape_latex(text: str) -> str:
 
 
 def _format_number(value: float) -> str:
-    """Return a number as LaTeX of three digits, without exponent from 1e-4 to 1e7."""
+    """Return a number as LaTeX of three digits, without exponent from 1e-4 to 1e7; 0 as it is."""
     if abs(value) == float("inf"):
         return r"$\infty$" if value > 0.0 else r"$-\infty$"
+    if value == 0.0:
+        return "0"
     rounded = float(f"{value:.{_DIGITS}g}")
-    if rounded != 0.0 and not 1e-4 <= abs(rounded) < 1e7:
-        return _format_power_of_ten(f"{value:.{_DIGITS}g}")
-    text = f"{rounded:.10g}"
+    if not 1e-4 <= abs(rounded) < 1e7:
+        return _format_power_of_ten(f"{value:.{_DIGITS - 1}e}")
+    decimals = max(0, _DIGITS - 1 - math.floor(math.log10(abs(rounded))))
+    text = f"{rounded:.{decimals}f}"
     return f"${text}$" if rounded < 0.0 else text
 
 

@@ -21,7 +21,7 @@ from dpbench.display import make_html_table
 from dpbench.embedded.table import load_counted_steps_of_folder
 from dpbench.errors import InputError, ResultsError, format_allowed_names, require_lists_of_names
 from dpbench.files.regular_files import make_folder_if_missing
-from dpbench.notebook.latex import make_tabular
+from dpbench.notebook.latex import escape_latex, make_tabular
 from dpbench.notebook.plots import ResultPlots
 from dpbench.report.commands_text import describe_disturbed_times
 from dpbench.report.formats import plural
@@ -29,6 +29,9 @@ from dpbench.report.formats import plural
 if TYPE_CHECKING:
     from dpbench.report.report import Report
 
+_TIME_ENDINGS = ("_us", "_ms", "_ns")
+_OF_UNIT = ("effect", "low", "high", "median")
+"""Columns of a table whose unit is in its column `unit`."""
 VERDICT_COLUMNS = (
     *("solver", "route", "policy", "settings", "verdict"),
     *("error_move", "p50_us", "p99_us"),
@@ -142,7 +145,9 @@ class Results(result_folder.Results):
     ) -> str:
         """Return a table of the report as a LaTeX `tabular`, numbers to three digits.
 
-        The document needs the package `booktabs`. A ratio of one run to itself is an empty cell.
+        The document needs the package `booktabs`. A ratio of one run to itself is an empty cell. A
+        last line, a comment, has a caption: contents, and rounds and steps of the replays. If all
+        rows have one `unit`, it is in the heads of the values.
 
         table : a name in `tables`, or a data frame, such as some rows of one. columns : some of its
         columns, by default all; of "verdicts" those that identify a configuration, its verdict,
@@ -170,7 +175,25 @@ class Results(result_folder.Results):
             frame.loc[frame["finding"] == "one run", values] = math.nan
         are_verdicts = isinstance(table, str) and table == "verdicts"
         usual = [name for name in frame if not are_verdicts or name in VERDICT_COLUMNS]
-        return make_tabular(frame[list(columns or usual)])
+        frame = frame[list(columns or usual)].rename(columns=_find_heads_with_unit(frame))
+        caption = self._describe_table(table) if isinstance(table, str) else ""
+        return make_tabular(frame) + (f"% Caption: {escape_latex(caption)}\n" if caption else "")
+
+    def _describe_table(self, name: str) -> str:
+        """Return a caption of a table: its contents, and how step times were measured."""
+        # The report draws, and Altair takes its time.
+        from dpbench.report.report import TABLES
+
+        caption = TABLES.get(name, "")
+        is_timed = any(column.endswith(_TIME_ENDINGS) for column in self.tables[name].columns)
+        runs = self.runs[(self.runs["mode"] == "replay") & (self.runs["rounds"] > 0)]
+        if not (is_timed and len(runs)):
+            return caption
+        rounds, steps = (
+            " to ".join(dict.fromkeys((str(int(n.min())), str(int(n.max())))))
+            for n in (runs["rounds"], runs["steps_done"])
+        )
+        return f"{caption} Replays: {steps} steps, each step's fastest of {rounds} rounds."
 
     def to_csv(self, folder: str | Path) -> None:
         """Write all tables of the report that have rows as CSV files into a folder.
@@ -238,6 +261,14 @@ class _StoredTables(dict[str, pd.DataFrame]):
         """Raise ResultsError that names the table and those that are there."""
         path, stored = self._folder / f"{name}.csv", ", ".join(self) or "steps.parquet to make it"
         raise ResultsError(str(path), "", "no such file, and no steps.parquet", stored)
+
+
+def _find_heads_with_unit(frame: pd.DataFrame) -> dict[str, str]:
+    """Return heads with the unit of a table whose rows all have the same; none for several."""
+    units = frame["unit"].unique() if "unit" in frame else []
+    if len(units) != 1:
+        return {}
+    return {name: f"{name} [{units[0]}]" for name in _OF_UNIT if name in frame}
 
 
 def _refuse_unknown_name(key: str, name: str, known: Iterable[str]) -> None:

@@ -98,12 +98,14 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
     passing = [verdict.configuration.solver for verdict in good]
     named = [*(f"`{solver}`" for solver in passing[:MOST_NAMED]), *_count_others(len(passing), "")]
     wording = [f"{len(good)} of {plural(run, 'solver')} {'passes' if run == 1 else 'pass'}"]
-    wording[0] += " (lateness not judged)" * (not verdicts.requirements.judges_step_times)
-    wording[0] += f": {join_with_and(named)}" * bool(good)
     by_default = {
         v.configuration.solver for v in verdicts.verdicts_on_references if v.state == "pass"
     }
-    if otherwise := [v.configuration for v in good if v.configuration.solver not in by_default]:
+    otherwise = [v.configuration for v in good if v.configuration.solver not in by_default]
+    wording[0] += " in at least one configuration" * bool(otherwise)
+    wording[0] += " (lateness not judged)" * (not verdicts.requirements.judges_step_times)
+    wording[0] += f": {join_with_and(named)}" * bool(good)
+    if otherwise:
         labels = join_with_and([configuration.marked_label for configuration in otherwise])
         outside = "passes only outside its default configuration"
         many = "pass only outside their default configurations"
@@ -284,8 +286,10 @@ def describe_paired_times(by_size: Sequence[PairedComparison], in_windows: int =
     if not by_size:
         return "no step was replayed by both"
     shown = (by_size[0], by_size[-1]) if len(by_size) > 1 else by_size
+    more = len(by_size) - len(shown)
     sizes = [f"at {one.variables:.0f} variables, " * (len(by_size) > 1) for one in shown]
     ratios = [size + _describe_time_ratio(one) for size, one in zip(sizes, shown, strict=True)]
+    ratios += [f"{plural(more, 'more size')} in the table `paired_ratios`"] * (more > 0)
     return "; ".join([*ratios, *["windows of hardest steps do not count"] * (in_windows > 0)])
 
 

@@ -11,15 +11,18 @@ from dpbench.notebook.latex import escape_latex, format_latex_cell, make_table_h
 @pytest.mark.parametrize(
     ("value", "cell"),
     [
-        (1.2e-12, r"$1.2\cdot 10^{-12}$"),
+        (1.2e-12, r"$1.20\cdot 10^{-12}$"),
         (-3.456e-7, r"$-3.46\cdot 10^{-7}$"),
-        (1e-10, "$10^{-10}$"),
-        (2.5e9, r"$2.5\cdot 10^{9}$"),
+        (1e-10, r"$1.00\cdot 10^{-10}$"),
+        (2.5e9, r"$2.50\cdot 10^{9}$"),
         (8326.389, "8330"),
         (0.000615, "0.000615"),
-        (9.9999e-5, "0.0001"),
+        (9.9999e-5, "0.000100"),
         (0.0, "0"),
-        (-0.25, "$-0.25$"),
+        (-0.25, "$-0.250$"),
+        (2.0, "2.00"),
+        (9.999, "10.0"),
+        (100.0, "100"),
         (math.inf, r"$\infty$"),
         (-math.inf, r"$-\infty$"),
         (math.nan, ""),
@@ -57,7 +60,14 @@ def test_numbers_are_to_the_right_of_a_table() -> None:
     table = pd.DataFrame({"a_b": ["x"], "n": [2], "is": [True], "t": [0.5]})
     lines = make_tabular(table).splitlines()
     assert lines[0] == r"\begin{tabular}{lrlr}" and lines[2] == r"a b & n & is & t \\"
-    assert lines[4] == r"x & 2 & True & 0.5 \\" and lines[-1] == r"\end{tabular}"
+    assert lines[4] == r"x & 2 & True & 0.500 \\" and lines[-1] == r"\end{tabular}"
+
+
+def test_a_column_of_whole_numbers_has_no_decimals() -> None:
+    """Counts with gaps are floats; measured values keep their zeros."""
+    table = pd.DataFrame({"steps": [1000.0, float("nan")], "p50_us": [5.0, 4.25]})
+    rows = make_tabular(table).splitlines()[4:6]
+    assert rows == [r"1000 & 5.00 \\", r" & 4.25 \\"]
 
 
 @pytest.mark.parametrize(

@@ -115,6 +115,15 @@ def test_the_command_names_every_table_and_prints_one_in_latex(
     assert f"dpbench report {tmp_path} --latex NAME" in " ".join(text.split())
     assert main(["report", str(tmp_path), "--latex", "verdicts"]) == 0
     assert capsys.readouterr().out.startswith("\\begin{tabular}")
+    words = ["report", str(tmp_path), "--latex", "verdicts", "--columns", "solver, p50_us"]
+    assert main(words) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[2] == r"solver & p50 [$\mu$s] \\" and printed[-1].startswith("% Caption: ")
+    assert re.search(r"each step's fastest of \d+ rounds\.$", printed[-1])
+    assert main([*words[:-1], "solvr"]) == 2
+    assert "solver" in capsys.readouterr().err
+    assert main(["report", str(tmp_path), "--columns", "solver"]) == 2
+    assert "--latex" in capsys.readouterr().err
     assert main(["report", str(tmp_path), "--latex", "verdict"]) == 2
     assert "found 'verdict'" in capsys.readouterr().err
 

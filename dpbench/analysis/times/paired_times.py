@@ -96,7 +96,7 @@ class PairedComparison:
         """Table row: names of both configurations, time ratio with interval, and the finding."""
         ratio = {"ratio": self.ratio.value, "low": self.ratio.low, "high": self.ratio.high}
         names = {"first": self.first, "second": self.second}
-        size = {"variables": self.variables}
+        size = {"variables": self.variables, "sequences": ";".join(self.sequences)}
         times = {"first_us": self.first_ns / 1e3, "second_us": self.second_ns / 1e3}
         return names | size | ratio | times | {"steps": self.steps, "finding": self.finding_text}
 

@@ -24,6 +24,7 @@ from dpbench.bench.plan.suite import (
 from dpbench.bench.sequences.source import read_sequence
 from dpbench.errors import InputError, PolicyError, require_integer_at_least
 from dpbench.scenario.problem_files import resolve_sequence_path
+from dpbench.scenario.scenario import load_scenario
 from dpbench.scenario.variation import format_as_toml
 from dpbench.solvers.calibration import CALIBRATION
 from dpbench.solvers.contract import Policy, Route, SolverRecord
@@ -126,6 +127,7 @@ class RunRequest:
             if self.steps is not None:
                 remarks += list_runs_of_other_length(cells, self.steps)
         part = bool(self.solvers or self.scenarios or keys or self.steps is not None)
+        remarks += list_replays_of_other_horizons(document, cells, path.parent)
         remarks += _list_remarks(cells, choices, is_timed)
         chosen_names = tuple(self.solvers or ()), tuple(self.scenarios or ())
         return Plan(name, path, document, cells, part, remarks, *chosen_names)
@@ -227,6 +229,31 @@ def list_tables_left_out(suite: SuiteFile) -> list[str]:
     of_none = ("study", "recorded", "random", "capability")
     tables = [f"[[{name}]]" for name in of_none if getattr(suite, name)]
     return [f"not run, because scenarios are selected: {', '.join(tables)}"] if tables else []
+
+
+def list_replays_of_other_horizons(
+    suite: SuiteFile, planned: Sequence[PlannedCell], beside: Path
+) -> list[str]:
+    """Return remarks on replays whose prediction horizons are none of the loops' of a scenario."""
+    remarks: dict[str, None] = {}
+    for table in suite.replay:
+        replayed = sorted({pair[0] for pair in table.horizon_pairs if pair is not None})
+        if not replayed or not any(p.cell.mode == "replay" for p in planned):
+            continue
+        name = table.scenario
+        studies = {study.name or study.base for study in suite.study if study.base == name}
+        steered = {
+            int(p.cell.scenario["scenario"]["controller"]["prediction_horizon"])
+            for p in planned
+            if p.cell.study is not None and p.cell.study.name in studies
+        }
+        if any(name in closed.scenario_list for closed in suite.closed_loop):
+            own = load_scenario(name, beside=beside).files["scenario"]["controller"]
+            steered.add(int(own["prediction_horizon"]))
+        if steered and not steered.intersection(replayed):
+            loops, others = (" and ".join(map(str, sorted(n))) for n in (steered, replayed))
+            remarks[f"{name} has N_p = {loops}; the replay uses {others}"] = None
+    return list(remarks)
 
 
 def list_runs_of_other_length(planned: Sequence[PlannedCell], steps: int) -> list[str]:

@@ -1,6 +1,7 @@
 """Tables of solvers, level points and paired comparisons: exact cases."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -148,6 +149,17 @@ def test_qps_of_different_sizes_are_not_pooled(records: Any) -> None:
     records.loop("other")
     table = tabulate_time_ratios(_matrix(records))
     assert table[["variables", "steps"]].to_numpy().tolist() == [[15, 1000], [120, 1000]]
+    assert table["sequences"].tolist() == ["paper", "calm"]
+    said = describe_paired_times([small, replace(small, variables=30), large])
+    assert said.endswith("; 1 more size in the table `paired_ratios`")
+
+
+def test_the_pooled_sequences_of_a_ratio_are_in_its_row(records: Any) -> None:
+    for solver, median_us in (("base", 10.0), ("other", 20.0)):
+        for sequence in ("paper", "calm"):
+            records.replay(solver, sequence, median_us=median_us, **EXACT)
+        records.loop(solver)
+    assert tabulate_time_ratios(_matrix(records))["sequences"].tolist() == ["paper;calm"]
 
 
 def test_sequences_weigh_the_same_in_a_ratio(records: Any) -> None:

@@ -15,6 +15,7 @@ from dpbench import (
     run_campaign as run,
 )
 from dpbench.bench.plan.plan import plan_suite
+from dpbench.bench.plan.run_request import RunRequest
 from dpbench.bench.plan.suite import ReplayTable, SuiteFile, load_path_and_suite
 from dpbench.bench.run.exact_loop import ExactLoop, rebuild_sequence, solve_loop_exactly
 from dpbench.cli.main import main
@@ -121,3 +122,42 @@ def test_loops_keep_their_optima(tmp_path: Path, name: str, pair: tuple[int, int
         assert np.isfinite(optimum.bound) and np.isfinite(again.bound)
         assert np.abs(optimum.z - again.z).max() <= optimum.bound + again.bound
         np.testing.assert_array_equal(optimum.z, exact.z[k])
+
+
+@pytest.mark.parametrize(
+    ("horizons", "product", "cautions"),
+    [
+        ("30/5", {}, ["weather has N_p = 60; the replay uses 30"]),
+        ("60/5", {}, []),
+        ("30/5", {"controller.prediction_horizon": [30, 40]}, []),
+        (
+            "20/5",
+            {"controller.prediction_horizon": [30, 40]},
+            ["weather has N_p = 30 and 40; the replay uses 20"],
+        ),
+    ],
+)
+def test_a_replay_of_other_horizons_than_the_study_is_said(
+    horizons: str,
+    product: dict[str, list[int]],
+    cautions: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The suite is run as it is; `run` and `check` print one line."""
+    varied = product or {"controller.control_horizon": [3, 5]}
+    study = {"base": "weather", "steps": 12, "product": varied}
+    replay = {"scenario": "weather", "steps": 12, "horizons": [horizons]}
+    path = suite_file(tmp_path, suite_toml(study=[study], replay=[replay]))
+    remarks = RunRequest(str(path)).make_plan().remarks
+    assert [line for line in remarks if "N_p" in line] == cautions
+    assert main(["check", str(path)]) == 0
+    printed = capsys.readouterr().out
+    assert all(caution in printed for caution in cautions) and ("N_p" in printed) == bool(cautions)
+
+
+def test_a_replay_of_other_horizons_than_a_closed_loop_is_said(tmp_path: Path) -> None:
+    loop, replay = {"scenarios": ["paper"]}, {"scenario": "paper", "horizons": ["60/5", "90/5"]}
+    path = suite_file(tmp_path, suite_toml(closed_loop=[loop], replay=[replay]))
+    remarks = RunRequest(str(path)).make_plan().remarks
+    assert "paper has N_p = 30; the replay uses 60 and 90" in remarks
