@@ -31,12 +31,15 @@ class NativeAdapter:
         they are those of `make_settings`, or are unknown and not checked.
     make_settings : a new settings object of the library that takes options as attributes, None
         where it takes them otherwise.
+    format_call : writes Python code that calls the library without dpbench, from a policy and
+        validated options, as `workspace` does; None where there is none to show.
     """
 
     record: SolverRecord
     workspace: OpenWorkspace
     list_options: Callable[[], Iterable[str]] | None = None
     make_settings: Callable[[], Any] | None = None
+    format_call: Callable[[Policy, Options], str] | None = None
 
 
 class ClaimedStatus(NamedTuple):
@@ -129,9 +132,15 @@ class QpsolversAdapter:
         """The solver's name in the qpsolvers package."""
         return self.qpsolvers_name or self.record.name
 
-    def make_native_adapter(self, workspace: OpenWorkspace) -> NativeAdapter:
+    def make_native_adapter(
+        self,
+        workspace: OpenWorkspace,
+        format_call: Callable[[Policy, Options], str] | None = None,
+    ) -> NativeAdapter:
         """Return the adapter of this solver's own interface, with the same facts and options."""
-        return NativeAdapter(self.record, workspace, self.list_options, self.make_settings)
+        return NativeAdapter(
+            self.record, workspace, self.list_options, self.make_settings, format_call
+        )
 
     def read_claim_from_qpsolvers_solution(self, answer: Any, options: Options) -> Claim:
         """Return the status, iterations and time that a `qpsolvers.Solution` reports."""

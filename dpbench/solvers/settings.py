@@ -8,10 +8,19 @@ from collections.abc import Iterable, Mapping
 from numbers import Real
 from typing import Any
 
-from dpbench.errors import SettingsError, format_allowed_names
+from dpbench.errors import SettingsError, find_nearest_names
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_public_settings_attributes
-from dpbench.solvers.contract import DEFAULT, HIGH, LEVELS, MID, TOLERANCES, Options, Settings
-from dpbench.solvers.table import find_solver_record
+from dpbench.solvers.contract import (
+    DEFAULT,
+    HIGH,
+    LEVELS,
+    MID,
+    TOLERANCES,
+    Options,
+    Policy,
+    Settings,
+)
+from dpbench.solvers.table import find_solver_record, get_native_adapter
 
 
 def has_distinct_tolerance_presets(solver: str) -> bool:
@@ -49,6 +58,28 @@ def resolve_settings_with_fixed_options(settings: Settings, solver: str) -> Opti
     if isinstance(settings, str):
         return find_options_of_preset(settings, solver)
     return {**find_solver_record(solver).levels.get(DEFAULT, {}), **settings}
+
+
+IN_SCALED_UNITS = """\
+# P, q, A, l, u: the scaled QP. Its variables are control increments divided by the maximum
+# increments, not in N or N·m; A has the identity below the rows, l and u have the bounds there."""
+
+
+def format_library_call(solver: str, route: str, policy: Policy, settings: Settings) -> str:
+    """Return Python code that calls a solver's library without dpbench, as the adapter does.
+
+    "" on route qpsolvers, for an adapter that has no such code, and without the library.
+    """
+    if route != "native" or "native" not in find_solver_record(solver).routes:
+        return ""
+    adapter = get_native_adapter(solver)
+    if adapter.format_call is None:
+        return ""
+    options = resolve_settings_with_fixed_options(settings, solver)
+    try:
+        return f"{IN_SCALED_UNITS}\n{adapter.format_call(policy, options)}"
+    except ImportError:
+        return ""
 
 
 def list_preset_names(solver: str) -> tuple[str, ...]:
@@ -126,7 +157,10 @@ def refuse_unknown_option_names(
         keys = [f"{name}.{member}" for member in value] if isinstance(value, Mapping) else [name]
         for key in keys:
             if key not in known:
-                allowed = format_allowed_names(key, known) if known else "no settings"
+                near = find_nearest_names(key, known)
+                # No command lists them.
+                others = [name for name in known if name not in near]
+                allowed = ", ".join([*near, *others]) or "no settings"
                 raise SettingsError(f"settings of {solver}", key[:80], "an unknown key", allowed)
 
 

@@ -43,7 +43,7 @@ from dpbench.scenario.problem_files import (
     resolve_sequence_path,
 )
 from dpbench.scenario.scenario import load_scenario
-from dpbench.solvers.contract import DEFAULT, LEVELS, Options
+from dpbench.solvers.contract import DEFAULT, LEVELS, Options, Policy, Route
 from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.solvers.settings import find_options_of_preset
 from dpbench.tuning.search import Score
@@ -158,8 +158,8 @@ class TunedSolver:
     """The solver whose settings are measured, how it is called, and what is required of it."""
 
     name: str
-    route: str
-    policy: str
+    route: Route
+    policy: Policy
     requirements: Requirements
     solver_module: str | None = None
 

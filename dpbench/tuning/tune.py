@@ -35,7 +35,7 @@ from dpbench.report.formats import (
 from dpbench.report.verdict_text import describe_finding
 from dpbench.solvers.contract import Options, Policy, Route
 from dpbench.solvers.own_settings import format_options_as_toml
-from dpbench.solvers.settings import find_options_of_preset
+from dpbench.solvers.settings import find_options_of_preset, format_library_call
 from dpbench.tuning.campaigns import (
     MeasuredRuns,
     TunedSolver,
@@ -207,7 +207,11 @@ class Tuning:
         lines += [line for role in self.roles for line in role.describe_failed_steps()]
         lines += [*self._cautions, *self._not_done]
         runs = f"; runs: {self.request.folder / FINAL}" if self.roles else ""
-        return [*lines, f"settings: {self.path}{runs}"]
+        code = format_library_call(
+            self.solver.name, self.solver.route, self.solver.policy, self.best.options
+        )
+        with_code = " (with the library's own call in Python)" if code else ""
+        return [*lines, f"settings: {self.path}{with_code}{runs}"]
 
     @property
     def _measured(self) -> list[str]:
@@ -304,7 +308,12 @@ class Tuning:
         options = format_options_as_toml(self.best.options).replace(",", ", ").replace("=", " = ")
         head = "".join(f"# {line}\n" for line in comments)
         mode = f'route = "{solver.route}"\npolicy = "{solver.policy}"\n'
-        return f"{head}[settings.{name}]\n{mode}{solver.name} = {{ {options} }}\n"
+        table = f"[settings.{name}]\n{mode}{solver.name} = {{ {options} }}\n"
+        call = format_library_call(
+            solver.name, solver.route, solver.policy, self.best.options
+        ).splitlines()
+        code = ["", "Without dpbench:", *call] if call else []
+        return head + table + "".join(f"# {line}".rstrip() + "\n" for line in code)
 
 
 def _format_step_time(run: RunRecord) -> str:

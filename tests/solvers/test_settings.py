@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.sparse import csc_matrix
 
 from dpbench.errors import SettingsError
 from dpbench.qp.referee.referee import certify
@@ -12,6 +13,7 @@ from dpbench.solvers.open import open_workspace
 from dpbench.solvers.settings import (
     describe_option_presets,
     find_options_of_preset,
+    format_library_call,
     has_distinct_tolerance_presets,
     list_preset_names,
     resolve_settings_to_options,
@@ -111,6 +113,42 @@ def test_the_levels_are_described_in_words(installed):
         assert "1e-09" in lines[3]
     else:
         assert "no tolerance to set" in lines[3]
+
+
+@pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
+@pytest.mark.parametrize("settings", ["default", "high_polished", {"rho": 1.6, "eps_abs": 1e-5}])
+def test_the_call_of_the_library_gives_the_answer_of_the_workspace(policy, settings, sequence):
+    """The same iterations and the same bits, by code without dpbench, and the same settings."""
+    qp = sequence.base
+    workspace = open_workspace("osqp", route="native", policy=policy, settings=settings)
+    answer = solve_qp(workspace, qp)
+    names = {
+        "P": csc_matrix(qp.P),
+        "q": qp.q,
+        "A": csc_matrix(np.vstack([qp.A, np.eye(qp.n)])),
+        "l": np.append(qp.l, qp.lb),
+        "u": np.append(qp.u, qp.ub),
+    }
+    code = format_library_call("osqp", "native", policy, settings)
+    exec(compile(code, "call", "exec"), names)
+    result = names["m"].solve(raise_error=False)
+    assert result.info.iter == answer.iterations
+    assert result.x.tolist() == answer.z.tolist()
+    assert "scaled QP" in code and "adaptive_rho_interval=50" in code
+
+
+def test_there_is_no_call_of_a_library_that_no_adapter_writes():
+    assert format_library_call("daqp", "native", "warm", "default") == ""
+    assert format_library_call("osqp", "qpsolvers", "warm", "default") == ""
+
+
+def test_all_options_are_named_beside_an_unknown_one():
+    """The nearest first."""
+    with pytest.raises(SettingsError) as caught:
+        open_workspace("osqp", settings={"rhoo": 1.0})
+    assert caught.value.allowed.startswith("rho, rho_is_vec, adaptive_rho, ")
+    named = set(caught.value.allowed.split(", "))
+    assert {"max_iter", "eps_abs", "scaling", "delta", "sigma"} <= named
 
 
 def test_osqp_adapts_its_penalty_by_iterations_at_every_level():

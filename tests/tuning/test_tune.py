@@ -20,7 +20,7 @@ from dpbench.cli.main import main
 from dpbench.errors import InputError, SettingsError
 from dpbench.solvers.contract import Options
 from dpbench.solvers.own_settings import format_options_as_toml
-from dpbench.solvers.settings import find_options_of_preset
+from dpbench.solvers.settings import find_options_of_preset, format_library_call
 from dpbench.tuning import tune
 from dpbench.tuning.campaigns import MeasuredRuns, TunedProblem
 from dpbench.tuning.request import estimate_tuning, list_edges, make_request
@@ -205,6 +205,22 @@ def test_iterations_near_their_limit_are_named(
     line = "iterations of the best: up to 3886 of max_iter = 4000, in calm"
     for text in ("\n".join(found.lines), found.toml):
         assert (line in text) == shown
+
+
+def test_the_file_ends_with_the_call_of_the_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As comments, so that it is still a table of a suite."""
+    monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=0))
+    monkeypatch.setattr(tune, "find_step_of_largest_error", lambda *_: 0)
+    found = tune_solver(
+        "osqp", training=["calm"], test=["move"], steps=75, trials=3, policy="warm", out=tmp_path
+    )
+    call = format_library_call("osqp", "native", "warm", found.best.options)
+    assert "m.setup(P, q, A, l, u, " in call and "adaptive_rho_interval=50" in call
+    commented = "".join(f"# {line}\n" for line in call.splitlines())
+    assert found.toml.endswith(f"# Without dpbench:\n{commented}")
+    assert set(tomllib.loads(found.toml)["settings"]) == {"tuned"}
 
 
 class _RemarkingProgress(Silent):

@@ -56,7 +56,11 @@ from dpbench.report.verdict_text import (
     explain_no_recommendation,
     format_usual_time,
 )
-from dpbench.solvers.settings import has_preset_or_tolerance, resolve_settings_with_fixed_options
+from dpbench.solvers.settings import (
+    format_library_call,
+    has_preset_or_tolerance,
+    resolve_settings_with_fixed_options,
+)
 
 MOST_CHIPS = 16
 """More experiments are counted by state, and named only where they are at most `FEW`."""
@@ -408,7 +412,10 @@ def _describe_other_call_modes(data: PageData, chosen: Configuration, p: int) ->
 
 
 def format_python_call(c: Configuration) -> str:
-    """Return Python code to paste that opens a solver with its interface and settings."""
+    """Return Python code to paste that opens a solver with its interface and settings.
+
+    Also the call of its library without dpbench, where the adapter can write it.
+    """
     settings = repr(c.solver_settings) if c.options else f'"{c.settings}"'
     call = (
         "import dpbench\n"
@@ -420,7 +427,9 @@ def format_python_call(c: Configuration) -> str:
         return call
     options = resolve_settings_with_fixed_options(c.solver_settings, c.solver)
     keys = ", ".join(f"{key}={value!r}" for key, value in options.items())
-    return f"{call}\n# that is, {keys or 'the defaults of the library'}"
+    call = f"{call}\n# that is, {keys or 'the defaults of the library'}"
+    own = format_library_call(c.solver, c.route, c.policy, c.solver_settings)
+    return f"{call}\n\n# Without dpbench:\n{own}" if own else call
 
 
 def _make_snippets(c: Configuration) -> Iterator[tuple[str, str]]:

@@ -12,6 +12,7 @@ from dpbench.qp.solution import Status
 from dpbench.solvers.adapter import (
     Claim,
     QpsolversAdapter,
+    list_public_settings_attributes,
     make_reader_of_library_info,
     make_reader_of_qpsolvers_status,
 )
@@ -102,6 +103,36 @@ def make_default_settings_of_library() -> Any:
     return settings
 
 
+def make_settings_of_workspace(policy: Policy, options: Options) -> Any:
+    """Return OSQP's settings object with what a policy and options set."""
+    settings = make_default_settings_of_library()
+    settings.verbose, settings.warm_starting = False, policy == "warm"
+    for name, value in options.items():
+        setattr(settings, name, value)
+    return settings
+
+
+def format_osqp_call(policy: Policy, options: Options) -> str:
+    """Return Python code that calls OSQP with the settings that the workspace passes."""
+    settings, usual = (
+        make_settings_of_workspace(policy, options),
+        make_default_settings_of_library(),
+    )
+    names = ["verbose", *list_public_settings_attributes(settings)]
+    given = {"verbose", "warm_starting", *options}
+    own = [
+        name for name in names if name in given or getattr(settings, name) != getattr(usual, name)
+    ]
+    arguments = ", ".join(f"{name}={getattr(settings, name)!r}" for name in own)
+    step = {
+        "fresh": "# Each step: a new OSQP object.",
+        "reuse": "# Each step: m.update(q=q, l=l, u=u), m.solve(raise_error=False)",
+        "warm": "# Each step: m.update(q=q, l=l, u=u), m.warm_start(x=x, y=y) with the previous\n"
+        "# answer shifted by one control increment, m.solve(raise_error=False)",
+    }[policy]
+    return f"import osqp\nm = osqp.OSQP()\nm.setup(P, q, A, l, u, {arguments})\n{step}"
+
+
 # Without raise_error, osqp 1.1 raises a warning at every solve.
 THROUGH_QPSOLVERS = QpsolversAdapter(
     RECORD,
@@ -158,9 +189,7 @@ class OsqpWorkspace(NativeWorkspace):
 
     def _create_library_solver(self) -> None:
         """Store a new OSQP solver made of all data and options."""
-        settings = make_default_settings_of_library()
-        settings.verbose, settings.warm_starting = False, self._warm
-        self._set_options_on_library_settings(settings)
+        settings = make_settings_of_workspace(self.policy, self._options)
         self._write_clipped_row_limits(self._l, self._u)
         n, m = self._n, self._m
         P_upper, rows = map(self._library.CSC, self._sparse)
@@ -191,4 +220,4 @@ class OsqpWorkspace(NativeWorkspace):
         return z, y[:m], y[m:]
 
 
-NATIVE = THROUGH_QPSOLVERS.make_native_adapter(OsqpWorkspace)
+NATIVE = THROUGH_QPSOLVERS.make_native_adapter(OsqpWorkspace, format_osqp_call)
