@@ -424,6 +424,7 @@ def describe_finding(finding: Finding) -> str:
         timings=plural(finding.steps, "timing"),
         machine=format_share(finding.machine),
         net=format_time(finding.machine),
+        net_range=_describe_uncertain_part(finding),
         limit=format_time(finding.limit),
         low=format_time(finding.value / finding.factor),
         high=format_time(finding.value * finding.factor),
@@ -432,6 +433,14 @@ def describe_finding(finding: Finding) -> str:
         over=over,
         also_over=f" ({'' if over else 'above the limit '}also in {also})" if also else "",
     )
+
+
+def _describe_uncertain_part(finding: Finding) -> str:
+    """Return why a time without waits beyond the limit proves nothing; "" where it is below."""
+    if not finding.machine > finding.limit:
+        return ""
+    low, high = finding.machine / finding.factor, finding.machine * finding.factor
+    return f", and rounds differ by more ({format_time(low)} to {format_time(high)})"
 
 
 def _count_steps(run: RunRecord, finding: Finding) -> int:

@@ -107,8 +107,10 @@ Doubt = Literal[
     "no step",
     "no p99",
     "p99 waits",
+    "p95 waits",
     "deadline waits",
     "few timings",
+    "few p95 timings",
     "few deadline timings",
     "short slow loop",
     "late at random",
@@ -126,8 +128,9 @@ LATE: tuple[Cause, ...] = get_args(LateCause)
 DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
 NEAR: tuple[Near, ...] = get_args(Near)
 PERHAPS_BY_MACHINE: tuple[Doubt, ...] = (
-    *("remembered", "hidden work", "p99 waits", "deadline waits", "few timings"),
-    *("few deadline timings", "late at random", "late when disturbed"),
+    *("remembered", "hidden work", "p99 waits", "p95 waits", "deadline waits"),
+    *("few timings", "few p95 timings", "few deadline timings"),
+    *("late at random", "late when disturbed"),
     *("perhaps late timings", "perhaps past the deadline"),
 )
 """Doubts on the times of a solver that a disturbed machine may be the reason of."""

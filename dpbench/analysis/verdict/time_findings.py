@@ -324,7 +324,10 @@ def _compare_with_p99_limit(
     run, algo, own = (figures.run,), figures.algo, figures.own
     low_ns, high_ns = limit_ns / factor, limit_ns * factor
     if own.high_ns <= high_ns < algo.high_ns:
-        return figures.doubt("p99 waits", "few timings", algo.high_ns, own.high_ns)
+        kinds: tuple[Doubt, Doubt] = "p99 waits", "few timings"
+        if math.isnan(algo.p99_ns):
+            kinds = "p95 waits", "few p95 timings"
+        return figures.doubt(*kinds, algo.high_ns, own.high_ns)
     if algo.p99_ns > high_ns:
         kind: Cause = "window late" if figures.run.steps_searched_for_hardest else "p99 late"
         return Finding(kind, run, algo.p99_ns)

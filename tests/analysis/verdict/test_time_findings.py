@@ -21,6 +21,7 @@ from dpbench.analysis.verdict.time_findings import (
     find_work_in_other_threads,
     judge_replay_times,
 )
+from dpbench.report.verdict_text import describe_findings
 
 REQUIREMENTS = Requirements(p99_ms=1.0, deadline_ms=8.0)
 """Limits of 1e6 and 8e6 ns."""
@@ -285,6 +286,26 @@ def test_waits_for_the_core_prove_no_late_p99(
     own_ns = 9e6 - waits[0]
     machine = findings[-1].machine
     assert machine == own_ns if expected[0] == "p99 waits" else math.isnan(machine)
+
+
+@pytest.mark.parametrize(
+    ("waited_ns", "switches", "kind"),
+    [(8_700_000, None, "p95 waits"), (0, None, "few p95 timings")],
+)
+def test_too_few_steps_for_a_p99_are_judged_by_a_p95_of_that_name(
+    records: Any, waited_ns: int, switches: int | None, kind: str
+) -> None:
+    """Of 500 steps 30 take 9 ms: they are beyond the p95, and none is a p99."""
+    columns = {"involuntary_switches": switches}
+    _even_replay(records, 300_000, 500, slow=dict.fromkeys(range(30), 30.0), rounds=2, **columns)
+    if waited_ns:
+        records._steps[-1]["waited_ns"] = np.where(records._steps[-1]["k"] < 30, waited_ns, 0)
+    findings, figures = _judged(records)
+    (found,) = (one for one in findings if "deadline" not in one.kind)
+    assert (found.kind, found.value) == (kind, 9e6)
+    assert math.isnan(figures["p99_ns"])
+    text = describe_findings([found])
+    assert "its p95 of 9.00 ms" in text and "p99" not in text
 
 
 @pytest.mark.parametrize(
