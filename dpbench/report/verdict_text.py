@@ -253,8 +253,17 @@ def format_usual_time(verdict: Verdict) -> str:
     time, note = format_time(verdict.p99_ns), describe_p99_interval(verdict)
     if searched:
         steps = f"{plural(searched, 'step')} of `{verdict.p99_run.scenario}`"
-        return f"{name} {time} over {steps}{note}"
+        return f"{name} {time} over {steps}{note}{_describe_p99_bound(verdict)}"
     return f"{name} {time}{note} in {name_experiment(verdict.p99_run)}"
+
+
+def _describe_p99_bound(verdict: Verdict) -> str:
+    """Return what the p99 is with the iterations of the closed loop, if those are more; or ""."""
+    run = verdict.p99_bound_run
+    if run is None or not verdict.p99_bound_ns > verdict.p99_ns:
+        return ""
+    time = format_time(verdict.p99_bound_ns)
+    return f"; up to {time} by the iterations of the closed loop of `{run.scenario}`"
 
 
 def describe_p99_interval(verdict: Verdict) -> str:

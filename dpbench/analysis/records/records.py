@@ -19,6 +19,7 @@ from dpbench.analysis.records.run_steps import (
     yield_merged_steps_by_run,
     yield_step_times_by_run,
 )
+from dpbench.analysis.records.windows import relate_windows_to_closed_loops
 from dpbench.bench.judge.rules import has_comparable_times, mask_failed_steps
 from dpbench.bench.record.cell import COMMON_FORMULATION
 from dpbench.bench.record.recorded_steps import ALL_COLUMNS, find_row_ranges_by_label
@@ -59,6 +60,7 @@ class Records:
             replace(run, default_route=True) if run.route == routes[run.solver] else run
             for run in runs
         ]
+        self.all_runs = relate_windows_to_closed_loops(self.all_runs)
         self.delayed = [run for run in self.all_runs if run.slowdown > 0.0]
         self.random = [run for run in self.all_runs if run.family]
         self.consequence = [run for run in self.all_runs if run.lost_thruster_group]

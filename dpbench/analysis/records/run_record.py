@@ -44,6 +44,8 @@ class RunRecord:
     files : the documents of its scenario, or empty; first, fallback, backup : as in its cell.
     x : of a study, the values of its keys at the run's point.
     default_route : whether it runs on its solver's own route, set by `Records`.
+    untimed_iterations : of a window, the iterations that one in a hundred steps of its solver's
+        closed loop exceeds over those of the window, set by `Records`; at least 1.
     own_switches_a_step : involuntary switches a step of the configuration's own making, set by
         `machine.py` and then not among `involuntary_switches`; NaN for none.
     """
@@ -90,6 +92,7 @@ class RunRecord:
     undecided_steps: Count
     infeasible_steps: Count
     failed_steps: Count
+    iterations_p99: float
     iterations_max: float
     # timing: `TIMING_COLUMNS`
     rounds: Count
@@ -162,6 +165,7 @@ class RunRecord:
     x: Mapping[str, Any] = field(default_factory=dict)
     default_route: bool = False
     own_switches_a_step: float = np.nan
+    untimed_iterations: float = 1.0
 
     def copy_without_times(self) -> "RunRecord":
         """Return a copy of the run with all times set to NaN."""

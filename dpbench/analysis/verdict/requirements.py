@@ -106,6 +106,7 @@ Doubt = Literal[
     "not alone",
     "no step",
     "no p99",
+    "slow steps untimed",
     "p99 waits",
     "p95 waits",
     "deadline waits",

@@ -162,12 +162,15 @@ def judge_replay_times(
     known = [one for one in whole if math.isfinite(one.algo.p99_ns)]
     worst = max(known or whole, key=lambda one: one.algo.p99_ns if known else one.algo.p50_ns)
     p99 = max(figures, key=lambda one: np.nan_to_num(one.algo.p99_ns))
+    bound = max(figures, key=lambda one: np.nan_to_num(one.bound_ns))
     hardest = max(figures, key=lambda one: one.algo.max_ns)
     return findings, {
         "p50_ns": worst.algo.p50_ns,
         "p99_ns": p99.algo.p99_ns,
         "p99_interval": _estimate_p99_interval_ns(records, p99.run),
         "p99_run": p99.run,
+        "p99_bound_ns": bound.bound_ns,
+        "p99_bound_run": bound.run,
         "timed_on": worst.run.sequence,
         "rounds_ns": worst.rounds_ns,
         "replay_p99_ns": worst.algo.p99_ns,
@@ -199,7 +202,8 @@ def _estimate_p99_interval_ns(records: Records, run: RunRecord) -> Interval:
 def compute_p99_ns(run: RunRecord, algo_ns: Floats) -> float:
     """Return a replay's p99 step time, of each step's fastest repetition [ns], or NaN.
 
-    A window holds the hardest steps of a stretch, so those beyond the stretch's p99 are all in it.
+    Of a window, one in a hundred steps of its stretch exceeds it if those beyond are all in the
+    window; see `windows.py` for how far they are not.
     """
     if not run.steps_searched_for_hardest:
         return percentile_or_nan(algo_ns, 99)
@@ -279,6 +283,11 @@ class _ReplayTimes:
             len(times.k),
         )
 
+    @property
+    def bound_ns(self) -> float:
+        """The p99 [ns], of a window as much longer as the closed loop has more iterations."""
+        return self.algo.p99_ns * self.run.untimed_iterations
+
     def doubt(self, waits: Doubt, few: Doubt, time_ns: float, own_ns: float) -> Finding:
         """Return the finding on a time beyond a limit that other programs may have caused."""
         if self.has_waits:
@@ -333,6 +342,8 @@ def _compare_with_p99_limit(
         return Finding(kind, run, algo.p99_ns)
     if algo.p99_ns >= low_ns:
         return Finding("p99 borderline", run, algo.p99_ns)
+    if figures.bound_ns > high_ns:
+        return Finding("slow steps untimed", run, figures.bound_ns, machine=algo.p99_ns)
     if not math.isnan(algo.p99_ns):
         return None
     if algo.p95_ns > high_ns:
@@ -404,7 +415,7 @@ def compute_speed_margins(
         }
         if algo:
             hardest = max(algo, key=lambda run: float(algo[run].max()))
-            p99 = {run: compute_p99_ns(run, algo[run]) for run in algo}
+            p99 = {run: compute_p99_ns(run, algo[run]) * run.untimed_iterations for run in algo}
             known = [run for run in algo if not math.isnan(p99[run])]
             bounds[configuration] = hardest, max(known, key=lambda run: p99[run], default=hardest)
     steps = _find_longest_and_p99_steps(
@@ -413,7 +424,8 @@ def compute_speed_margins(
     margins = {}
     for configuration, (slowest, at_p99) in bounds.items():
         step, p99_step = steps[slowest.run_id][0], steps[at_p99.run_id][1]
-        factors = requirements.deadline_ns / step.time_ns, requirements.p99_ns / p99_step.time_ns
+        bound_ns = p99_step.time_ns * at_p99.untimed_iterations
+        factors = requirements.deadline_ns / step.time_ns, requirements.p99_ns / bound_ns
         margins[configuration] = SpeedMargin(step, p99_step, *factors)
     return margins
 

@@ -4,6 +4,7 @@ Columns of steps are plain arrays, as data frames would take ten times as long a
 hundred steps. A column that a run has not is left out; a missing integer is `MISSING_INT`.
 """
 
+import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
@@ -25,7 +26,13 @@ from dpbench.bench.judge.evaluation import (
 )
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.judge.timing import find_disturbed_rounds, make_deadline_columns
-from dpbench.bench.record.cell import CONFIGURATION_COLUMNS, Cell, Outcome
+from dpbench.bench.record.cell import (
+    CONFIGURATION_COLUMNS,
+    Cell,
+    HardestSource,
+    Outcome,
+    QPSource,
+)
 from dpbench.bench.record.raw_log import PHASES, SOLVER_PHASES
 from dpbench.bench.record.schema import (
     AXIS_FORCES,
@@ -238,7 +245,7 @@ def make_run_row(
     judged = rules.select_answered_steps(rules.select_step_rows(steps, counts), cell.slowdown)
     row |= evaluated.metrics | timing.compute_timing_percentiles(cell, evaluated, judged)
     if cell.solver not in CALIBRATION:
-        row |= _accuracy_columns(judged) | _worst_error_columns(
+        row |= _accuracy_columns(judged, cell.source) | _worst_error_columns(
             rules.select_answered_steps(steps, cell.slowdown)
         )
     if cell.mode == "closed_loop":
@@ -278,7 +285,7 @@ def _size_columns(cell: Cell, outcome: Outcome) -> dict[str, Any]:
     return {name: pd.NA if value is None else int(value) for name, value in sizes.items()}
 
 
-def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
+def _accuracy_columns(steps: StepColumns, source: QPSource) -> dict[str, Any]:
     """Return the shares of claimed and of correct answers, errors and iterations of a run."""
     known, undecided = rules.mask_decided_steps(steps), steps["certificate"] == rules.UNDECIDED
     charged = rules.select_step_rows(steps, ~undecided)
@@ -301,8 +308,24 @@ def _accuracy_columns(steps: StepColumns) -> dict[str, Any]:
         "undecided_steps": int(undecided.sum()),
         "infeasible_steps": int((steps["certificate"] == rules.INFEASIBLE).sum()),
         "iterations_p50": rules.median_of_known(iterations),
+        "iterations_p99": _find_iterations_of_slowest_hundredth(steps, source),
         "iterations_max": rules.maximum_of_known(iterations),
     }
+
+
+def _find_iterations_of_slowest_hundredth(steps: StepColumns, source: QPSource) -> float:
+    """Return the iterations that one in a hundred steps exceeds; NaN without a count.
+
+    Of a window, one in a hundred of the steps that it was chosen from, as `window_p99_ns` is.
+    """
+    known = steps["iterations"] > MISSING_INT
+    if not known.any():
+        return math.nan
+    _, at = np.unique(steps["k"][known], return_inverse=True)
+    by_step = np.zeros(at.max() + 1)
+    np.maximum.at(by_step, at, steps["iterations"][known])
+    searched = source.of if isinstance(source, HardestSource) else len(by_step)
+    return float(np.sort(by_step)[-1 - min(searched // 100, len(by_step) - 1)])
 
 
 def _worst_error_columns(steps: StepColumns) -> dict[str, Any]:

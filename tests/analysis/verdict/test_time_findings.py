@@ -15,6 +15,7 @@ from dpbench.analysis.verdict.lateness import LateTimings, Uncertainty
 from dpbench.analysis.verdict.requirements import Finding, Requirements
 from dpbench.analysis.verdict.time_findings import (
     compute_p99_ns,
+    compute_speed_margins,
     convert_late_timings_to_findings,
     find_own_times_ns,
     find_slow_loops,
@@ -358,6 +359,39 @@ def _window(records: Any, of: int, ns: float, steps: int = 30, **columns: Any) -
 
 
 @pytest.mark.parametrize(
+    ("of_loop", "bound_ns", "kinds"),
+    [(4.0, 4e5, []), (3.0, 4e5, []), (24.0, 2e6, []), (25.0, 2.08e6, ["slow steps untimed"])],
+)
+@pytest.mark.parametrize("policy", ["fresh", "warm"])
+def test_a_window_that_leaves_out_slow_steps_does_not_pass(
+    records: Any, of_loop: float, bound_ns: float, kinds: list[str], policy: str
+) -> None:
+    """Its steps take 400 µs and 4 iterations, 80 µs each with the step's own; the limit is 2 ms.
+
+    A closed loop of another call mode says nothing.
+    """
+    records.loop("daqp", "turn", iterations_p99=99.0, route="native", policy="warm")
+    records.loop("daqp", "turn", iterations_p99=of_loop, policy=policy)
+    _window(records, 450, 400_000, scenario="turn", iterations_p99=4.0, policy=policy)
+    findings, figures = _judged(records)
+    found = [one for one in findings if one.kind != "short slow loop"]
+    assert _kinds(found) == kinds
+    assert (figures["p99_ns"], figures["p99_bound_ns"]) == (4e5, pytest.approx(bound_ns))
+    if kinds:
+        text = describe_findings(found)
+        assert "its p99 is 400 µs in the hardest steps of `turn`, and 2.08 ms if it grows" in text
+    margins = compute_speed_margins(records.view(), REQUIREMENTS)
+    (margin,) = margins.values()
+    assert margin.p99_limit == pytest.approx(1e6 / bound_ns)
+
+
+def test_a_loop_without_iterations_leaves_a_window_as_it_was_timed(records: Any) -> None:
+    records.loop("daqp", "turn")
+    _window(records, 450, 400_000, scenario="turn", iterations_p99=4.0)
+    assert _judged(records)[1]["p99_bound_ns"] == 4e5
+
+
+@pytest.mark.parametrize(
     ("ns", "kinds"), [(2_000_001, ["window late"]), (2_000_000, ["p99 borderline"]), (400_000, [])]
 )
 def test_a_slow_window_has_its_own_cause(records: Any, ns: int, kinds: list[str]) -> None:
@@ -421,6 +455,8 @@ def test_the_figures_are_of_the_replay_with_the_worst_p99(records: Any) -> None:
     findings, figures = _judged(records)
     assert findings == []
     assert figures.pop("p99_run").sequence == "turn hardest"
+    assert figures.pop("p99_bound_run").sequence == "turn hardest"
+    assert figures.pop("p99_bound_ns") == 50e3
     assert figures.pop("max_run").sequence == "rough"
     assert figures.pop("p99_interval") is UNKNOWN
     assert list(figures.pop("of_sequences")) == ["paper", "calm", "rough"]

@@ -7,11 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench.bench.judge import timing
+from dpbench.bench.judge import rows, timing
 from dpbench.bench.judge.evaluation import EvaluatedCell
 from dpbench.bench.judge.rows import make_run_row, make_step_rows
 from dpbench.bench.judge.rules import has_comparable_times
-from dpbench.bench.record.cell import Cell, Outcome, RecordedSource
+from dpbench.bench.record.cell import CONTROLLER, Cell, HardestSource, Outcome, RecordedSource
 from dpbench.bench.record.schema import MISSING_INT
 from dpbench.bench.run.slow_computer import ComputationalDelay
 from dpbench.scenario.scenario import load_scenario
@@ -116,6 +116,20 @@ def test_accuracy_of_a_known_run() -> None:
     assert row["failed_steps"] == 2
     # Median of 2, 3, 4, 7, 8, 9, 10
     assert (row["iterations_p50"], row["iterations_max"]) == (7.0, 10.0)
+
+
+def test_the_iterations_of_the_slowest_hundredth_are_those_of_a_windows_stretch() -> None:
+    """One of 100 steps has more, three of 300; each step counts once, with its largest round."""
+    counts = np.arange(300)
+    steps = {"k": np.tile(counts, 2), "iterations": np.concatenate([counts, counts[::-1]])}
+    by_step = np.maximum(counts, counts[::-1])  # 150, 151, ..., 299, each twice
+    assert np.sort(by_step)[-4] == 298
+    find = rows._find_iterations_of_slowest_hundredth
+    assert find(steps, CONTROLLER) == 298.0
+    assert find(steps, HardestSource("turn", of=500)) == np.sort(by_step)[-6] == 297.0
+    assert find(steps, HardestSource("turn", of=50_000)) == 150.0
+    unknown = {"k": counts, "iterations": np.full(300, MISSING_INT)}
+    assert np.isnan(find(unknown, CONTROLLER))
 
 
 def test_the_median_error_is_one_that_occurred_and_an_infinite_one_counts() -> None:
