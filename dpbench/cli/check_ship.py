@@ -1,7 +1,7 @@
 """Text of `dpbench check` on a ship: its numbers, its weather, the offsets its controller holds."""
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,10 +17,23 @@ from dpbench.bench.design import (
 )
 from dpbench.bench.progress import Progress, Silent
 from dpbench.cli.terminal import WIDTH
-from dpbench.report.formats import format_rounded_down, format_rounded_up, significant
+from dpbench.report.formats import (
+    format_rounded_down,
+    format_rounded_up,
+    join_with_and,
+    significant,
+)
+from dpbench.scenario.own_ship import SPARE
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.ship import characteristics as ships
+from dpbench.ship.capability.loads import (
+    CALM,
+    CapabilityHull,
+    Condition,
+    compute_mean_environmental_loads,
+)
 from dpbench.ship.capability.losses import list_thruster_cautions
+from dpbench.ship.environment import Environment
 from dpbench.ship.froude import Froude
 from dpbench.ship.vessel import Vessel
 
@@ -33,6 +46,13 @@ _DEGREES = np.array([1.0, 1.0, np.degrees(1.0)])
 _KILO = np.array([1e3, 1e3, 1e3])
 _SAME = 1e-3
 """Relative difference of forces that counts as none: azimuths are polygons in a sector."""
+AXIS_NAMES = ("surge", "sway", "yaw")
+_WIDTHS = (22, 19, 19, 19)
+FACTOR = 2.0
+"""Ratio of a mean load in simulation to that of level 1 beyond which a caution is printed."""
+MATTERS = 0.05
+"""Share of the largest force above which a mean load is worth a caution."""
+CALM_PERIOD_S = CALM[2]
 _TRIALS = 2 * len(OFFSETS_M)
 
 
@@ -63,7 +83,8 @@ def describe_checked_scenario(
     """
     shown = name.name if isinstance(name, Path) else name
     first = f"{shown}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
-    about = [*format_limits_by_axis(scenario.vessel), _describe_weather_load(scenario)]
+    loads = compare_with_level_1(scenario) or [_describe_weather_load(scenario)]
+    about = [*format_limits_by_axis(scenario.vessel), *loads]
     return _join_lines(first, [*about, *_try_offsets([scenario], progress, quick=quick)])
 
 
@@ -188,6 +209,96 @@ def _describe_weather_load(scenario: Scenario) -> str:
         most = max(most, share)
     over = " - it cannot hold" if most > 1.0 else ""
     return f"simulated mean force: {shares} of the limits{together}{over}"
+
+
+def compare_with_level_1(scenario: Scenario) -> list[str]:
+    """Return lines of a table: the mean loads of a weather, simulated and by level 1.
+
+    None where level 1 has no loads: without the hull of `[capability]`, for a model ship, and in
+    weather without wind, current and waves. Slow forces of the scenario are in both.
+    """
+    vessel, weather = scenario.vessel, scenario.environment
+    heading_rad = float(scenario.reference[2])
+    is_model = float(scenario.files["vessel"]["model_scale"]) != 1.0
+    if vessel.capability is None or is_model or not _has_wind_waves_or_current(weather):
+        return []
+    simulated = ships.compute_mean_weather_force(vessel, weather, heading_rad)
+    slow = replace(weather, wind=None, current=None, drift=None)
+    level_1 = ships.compute_mean_weather_force(vessel, slow, heading_rad)
+    level_1 = level_1 + _compute_level_1_load(vessel.capability, weather, heading_rad)
+    reach = None if vessel.thrusters is None else ThrusterReach(vessel.thrusters)
+    pure = vessel if reach is None else _limit_to_pure_forces(vessel, reach)
+    loads = {"simulated": simulated, "level 1": level_1}
+    shares = {
+        name: np.abs(load) / np.where(load < 0.0, pure.tau_max, -pure.tau_min)
+        for name, load in loads.items()
+    }
+    unit, per = ("kN", 1e3) if vessel.tau_max[0] >= 1e3 else ("N", 1.0)
+    rows: list[tuple[str, ...]] = [("mean load", *AXIS_NAMES)]
+    for name, load in loads.items():
+        cells = zip(load / per, (unit, unit, f"{unit}·m"), shares[name], strict=True)
+        rows.append((name, *(f"{_format_number(n)} {u} ({share:.0%})" for n, u, share in cells)))
+    lines = [
+        "".join(f"{cell:<{at}}" for cell, at in zip(row, _WIDTHS, strict=True)) for row in rows
+    ]
+    most = float(shares["simulated"].max())
+    about = "% of the largest force"
+    if reach is not None:
+        taken = {name: reach.find_least_thrust_share(-load) for name, load in loads.items()}
+        # A force in one axis may make one in another easier.
+        most = taken["simulated"]
+        about += (
+            f"; all together {taken['simulated']:.0%} of the thrust simulated, "
+            f"{taken['level 1']:.0%} by level 1, which holds {SPARE:.0%} at most"
+        )
+    about += " - the simulated one cannot be held" if most > 1.0 else ""
+    notes = [about, *_caution_on_difference(loads, shares, has_current=weather.current is not None)]
+    wrapped = (line for note in notes for line in textwrap.wrap(note, WIDTH))
+    return [*(line.rstrip() for line in lines), *wrapped]
+
+
+def _has_wind_waves_or_current(weather: Environment) -> bool:
+    """Return whether a weather has wind, waves or current that is not zero."""
+    wind, current, drift = weather.wind, weather.current, weather.drift
+    return bool(
+        (wind and wind.speed_mps) or (current and current.speed_mps) or (drift and drift.sea.hs_m)
+    )
+
+
+def _compute_level_1_load(hull: CapabilityHull, weather: Environment, heading_rad: float) -> Vector:
+    """Return the mean load (3,) [N, N, N·m] of wind, current and waves by level 1."""
+    wind, current, drift = weather.wind, weather.current, weather.drift
+    sea = None if drift is None else drift.sea
+    condition = Condition(
+        0.0 if wind is None else wind.speed_mps,
+        0.0 if sea is None else sea.hs_m,
+        CALM_PERIOD_S if sea is None else sea.tp_s,
+        0.0 if current is None else current.speed_mps,
+    )
+    load: Vector = np.zeros(3)
+    for i, source in enumerate((wind, current, sea)):
+        if source is not None:
+            from_rad = source.to_rad - heading_rad + np.pi
+            load = load + compute_mean_environmental_loads(hull, condition, from_rad)[i]
+    return load
+
+
+def _caution_on_difference(
+    loads: Mapping[str, Vector], shares: Mapping[str, Vector], *, has_current: bool
+) -> list[str]:
+    """Return a caution on axes whose mean loads differ by more than a factor; none without any."""
+    simulated, level_1 = loads["simulated"], loads["level 1"]
+    least, most = np.sort(np.abs([simulated, level_1]), axis=0)
+    differs = (most > FACTOR * least) | (simulated * level_1 < 0.0)
+    matters = np.maximum(shares["simulated"], shares["level 1"]) > MATTERS
+    axes = [name for name, is_off in zip(AXIS_NAMES, differs & matters, strict=True) if is_off]
+    if not axes:
+        return []
+    lacks = "; the simulated ship has no Munk moment of the current" if has_current else ""
+    return [
+        f"CAUTION: the mean load in {join_with_and(axes)} differs by more than a factor of "
+        f"{FACTOR:g} between simulation and level 1{lacks if 'yaw' in axes else ''}."
+    ]
 
 
 def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None, *, quick: bool) -> list[str]:

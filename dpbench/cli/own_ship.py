@@ -37,7 +37,8 @@ from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.hull_files import Hull, read_hull_from_csv_table, read_hull_from_mss_file
 from dpbench.scenario.own_thrusters import ASSUMED_IN_SOURCE
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.capability.losses import list_zone_cautions
+from dpbench.ship.capability.loads import DYNAMIC_FACTOR
+from dpbench.ship.capability.losses import MISCELLANEOUS, list_zone_cautions
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather import WATER_DENSITY
 
@@ -329,7 +330,9 @@ def _list_files_and_commands(
     lines += [line for remark in remarks for line in textwrap.wrap(remark, WIDTH)]
     wind_mps = scaling.DP_NUMBERS[number][0]
     sea = f"sea: DP number {number}, wind {wind_mps:g} m/s"
-    lines.append(f"{sea}; its level-1 mean force takes {share:.0%} of {whole}")
+    edge = f"{scaling.SPARE:.0%} ({MISCELLANEOUS:g} of the thrust over {DYNAMIC_FACTOR:g})"
+    mean = f"its level-1 mean force takes {share:.0%} of {whole}"
+    lines += textwrap.wrap(f"{sea}; {mean}; level 1 holds at most {edge}", WIDTH)
     if share > 1.0:
         forces = "--sway-thrust and --yaw-moment" if vessel.thrusters is None else "--thrusters"
         smaller = ", or a smaller sea (--sea)" if number > 1 else ""

@@ -1,5 +1,6 @@
 """Output of `dpbench check` for a ship: short, aligned, and equal to that of the loop itself."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from dpbench.bench.design import (
 )
 from dpbench.cli import check_ship
 from dpbench.cli.check import check_file
+from dpbench.scenario.own_ship import compute_mean_force_of_dp_number
 from dpbench.scenario.problem_files import find_problem_path, list_shipped_problem_names
 from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel
 from dpbench.ship.thrusters import Thruster, ThrusterSet
@@ -119,6 +121,41 @@ def test_a_weather_that_is_too_much_is_named(
     assert "120%, 14% of the limits - it cannot hold" in check_ship.describe_checked_scenario(
         path, load_scenario(path)
     )
+
+
+def test_mean_loads_are_compared_with_those_of_level_1(tmp_path: Path) -> None:
+    """In weather from 30° off the bow; the simulated ship has no Munk moment of the current."""
+    text = find_problem_path("scenarios", "calm").read_text(encoding="utf-8")
+    head, _, controller = text.partition("[environment]")
+    weather = (
+        "[environment.wind]\nspeed_mps = 7.9\nfrom_deg = 330.0\n"
+        "[environment.current]\nspeed_mps = 0.75\ntowards_deg = 150.0\n"
+        "[environment.waves]\nhs_m = 1.3\ntp_s = 6.5\nfrom_deg = 330.0\n"
+    )
+    path = tmp_path / "sea.toml"
+    path.write_text(
+        head.replace("supply_fs99", "osv") + weather + controller[controller.index("\n[") :],
+        encoding="utf-8",
+    )
+    scenario = load_scenario(path)
+    vessel = scenario.vessel
+    assert vessel.capability is not None
+    load = compute_mean_force_of_dp_number(vessel, 4, 330.0) / 1e3
+    said = check_ship.describe_checked_scenario(path, scenario, quick=True)
+    (row,) = [line for line in said.splitlines() if line.startswith("level 1 ")]
+    shown = [float(number) for number in re.findall(r"(\S+) kN", row)]
+    assert shown == pytest.approx(load, rel=6e-3)
+    assert "simulated             " in said
+    assert re.search(r"all together \d+% of the thrust simulated, \d+% by level\s1", said)
+    words = " ".join(said.split())
+    assert "CAUTION: the mean load in yaw differs by more than a factor of 2 between" in words
+    assert "Munk moment" in words
+    calm = path.read_text(encoding="utf-8").replace("0.75", "0.0")
+    path.write_text(calm, encoding="utf-8")
+    words = " ".join(
+        check_ship.describe_checked_scenario(path, load_scenario(path), quick=True).split()
+    )
+    assert "level 1" in words and "Munk" not in words
 
 
 def test_thrusters_show_what_they_make_together(monkeypatch: pytest.MonkeyPatch) -> None:
