@@ -330,9 +330,11 @@ def _list_files_and_commands(
     lines += [line for remark in remarks for line in textwrap.wrap(remark, WIDTH)]
     wind_mps = scaling.DP_NUMBERS[number][0]
     sea = f"sea: DP number {number}, wind {wind_mps:g} m/s"
-    edge = f"{scaling.SPARE:.0%} ({MISCELLANEOUS:g} of the thrust over {DYNAMIC_FACTOR:g})"
-    mean = f"its level-1 mean force takes {share:.0%} of {whole}"
-    lines += textwrap.wrap(f"{sea}; {mean}; level 1 holds at most {edge}", WIDTH)
+    mean = f"{sea}; its level-1 mean force takes {share:.0%} of {whole}"
+    if vessel.thrusters is not None:
+        edge = f"{scaling.SPARE:.0%} ({MISCELLANEOUS:g} of the thrust over {DYNAMIC_FACTOR:g})"
+        mean += f"; level 1 holds at most {edge}"
+    lines += textwrap.wrap(mean, WIDTH)
     if share > 1.0:
         forces = "--sway-thrust and --yaw-moment" if vessel.thrusters is None else "--thrusters"
         smaller = ", or a smaller sea (--sea)" if number > 1 else ""

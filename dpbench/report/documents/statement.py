@@ -73,6 +73,9 @@ from dpbench.solvers.settings import resolve_settings_with_fixed_options
 MOST_SHIPS = 5
 WIDTH, HEIGHT, MARGIN = 595, 842, 48
 """A4 in points."""
+LOAD_MISMATCH = (
+    "No Munk moment of the current acts on the ship: compare mean loads by `dpbench check`."
+)
 HASHED = ("runs.parquet", "steps.parquet", "machine.json", "suite.json")
 
 
@@ -260,7 +263,9 @@ def _fill_statement(
         stopped=describe_stopped_runs(records.runs),
         slower=" ".join(list_speed_margin_sentences(data, chosen)),
         ships=[f"{vessel.title} ({vessel.id})" for vessel in vessels.values()],
-        mismatch=DRAG_MISMATCH if any(vessel.drag for vessel in vessels.values()) else "",
+        mismatch=f"{DRAG_MISMATCH} {LOAD_MISMATCH}"
+        if any(vessel.drag for vessel in vessels.values())
+        else "",
         experiments=[
             data.experiments[p].label
             for p in data.judged_experiment_indices

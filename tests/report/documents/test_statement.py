@@ -220,6 +220,7 @@ def test_it_says_that_the_model_lacks_the_drag_of_the_ship(written: Any) -> None
         svg = make_statement_svg(written.folder, written.results, data)
         text = " ".join("".join(element.itertext()) for element in _texts(svg))
         assert text.count("Cross-flow drag acts on the ship") == count
+        assert text.count("No Munk moment of the current acts on the ship") == count
 
 
 def test_the_ship_comes_first_and_is_drawn(drawn: str) -> None:
