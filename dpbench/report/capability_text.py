@@ -31,7 +31,7 @@ def describe_capability(plot: CapabilityResult) -> Iterator[str]:
         return
     intact = plot.edges[plot.edges["case"] == INTACT]
     failed = plot.edges[plot.edges["case"] != INTACT]
-    wording = f"Intact, {plot.vessel} holds at least {_format_least_wind(intact)}"
+    wording = f"Intact, {plot.vessel} holds {_format_least_wind(intact)}"
     if len(failed):
         wording += f"; after the loss of {' '.join(_find_worst_loss(failed))}"
     if plot.capability_numbers_text:
@@ -45,7 +45,7 @@ def describe_worst_loss(plot: CapabilityResult) -> str:
     if failed.empty:
         return ""
     case, wind = _find_worst_loss(failed)
-    return f"After the worst loss, of {case}, {plot.vessel} holds at least {wind} (wind, level 1)."
+    return f"After the worst loss, of {case}, {plot.vessel} holds {wind} (level 1)."
 
 
 def _find_worst_loss(failed: pd.DataFrame) -> tuple[str, str]:
@@ -55,11 +55,16 @@ def _find_worst_loss(failed: pd.DataFrame) -> tuple[str, str]:
 
 
 def _format_least_wind(edges: pd.DataFrame) -> str:
-    """Return a text of the least wind held over all directions [m/s], and its direction."""
+    """Return a text of the least wind held over all directions [m/s], and its direction.
+
+    "no wind" where none is held from any direction.
+    """
     least = edges.nsmallest(1, "wind_mps").iloc[0]
     is_alike = len(edges) > 1 and (edges["wind_mps"] == least["wind_mps"]).all()
+    if least["wind_mps"] == 0.0:
+        return "no wind" if is_alike else f"no wind from {least['from_deg']:.0f}°"
     where = "every direction" if is_alike else f"{least['from_deg']:.0f}°"
-    return f"{format_rounded_down(least['wind_mps'])} m/s, from {where}"
+    return f"at least {format_rounded_down(least['wind_mps'])} m/s of wind, from {where}"
 
 
 def describe_time_held(of_group: pd.DataFrame) -> str:

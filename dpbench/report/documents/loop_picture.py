@@ -70,7 +70,9 @@ class LoopPicture:
         wide = (width - GAP * (len(self.panels) - 1)) / len(self.panels)
         lefts = [left + number * (wide + GAP) for number in range(len(self.panels))]
         for panel, at in zip(self.panels, lefts, strict=True):
-            title = f"{panel.name}, up to {significant(panel.most)} {panel.unit}"
+            at_most = int(panel.values.argmax())
+            most = f"{significant(panel.values[at_most])} {panel.unit}"
+            title = f"largest {panel.name} {most} ({significant(self.t_s[at_most])} s)"
             yield _make_svg_label(at, top - 2.0, title)
         for panel, at in zip(self.panels, lefts, strict=True):
             yield from self._yield_panel_svg(panel, at, top, wide, height)

@@ -141,7 +141,7 @@ def test_a_loss_after_which_nothing_is_held_is_so_from_every_direction(records: 
     table = pd.DataFrame(rows, columns=["case", "from_deg", "edge_mps"])
     table = table.assign(k=range(6), sequence="plot", vessel="osv", sides=8, lost="", number=1)
     (plot,) = build_capability_results(records.view(), table)
-    said = "9.00 m/s, from every direction; after the loss of board A 0 m/s, from every direction ("
+    said = "at least 9.00 m/s of wind, from every direction; after the loss of board A no wind ("
     assert said in " ".join(describe_capability(plot))
 
 
@@ -150,8 +150,10 @@ def test_the_worst_loss_is_named_with_the_least_wind_held_after_it() -> None:
     rows = [("intact", 2.0, 0.0), ("board A", 9.0, 0.0), ("board A", 3.0, 90.0)]
     rows += [("board B", 5.0, from_deg) for from_deg in (0.0, 90.0)]
     edges = pd.DataFrame(rows, columns=["case", "wind_mps", "from_deg"])
-    said = "After the worst loss, of board A, osv holds at least 3.00 m/s, from 90° (wind, "
-    assert describe_worst_loss(CapabilityResult("osv", 8, edges, ())) == f"{said}level 1)."
+    said = "After the worst loss, of board A, osv holds at least 3.00 m/s of wind, "
+    assert (
+        describe_worst_loss(CapabilityResult("osv", 8, edges, ())) == f"{said}from 90° (level 1)."
+    )
     assert describe_worst_loss(CapabilityResult("osv", 8, edges[:1], ())) == ""
 
 
@@ -159,9 +161,9 @@ def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
     runs = edge_runs(records)
     topic = build_capability_topic(runs, plot_table())
     assert topic.lines == (
-        "Intact, osv holds at least 12.0 m/s, from 90° (DNV-ST-0111, level 1; azimuths as polygons "
-        "of 8 sides). 1 of 2 solvers answers all 4 QPs at that edge correctly: quadprog. False "
-        "claims: osqp (1). No answer (given up or out of time): osqp (1).",
+        "Intact, osv holds at least 12.0 m/s of wind, from 90° (DNV-ST-0111, level 1; azimuths as "
+        "polygons of 8 sides). 1 of 2 solvers answers all 4 QPs at that edge correctly: quadprog. "
+        "False claims: osqp (1). No answer (given up or out of time): osqp (1).",
     )
     assert len(topic.figures) == 2
     (line,) = statement._describe_held(build_capability_results(runs, plot_table()), [], [])

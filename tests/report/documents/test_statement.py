@@ -262,7 +262,9 @@ def test_it_states_weather_losses_thrusters_and_source(records: Any, tmp_path: P
     assert "Thrusters by switchboard: board A: " in text
     assert "wind " in text and " m/s from " in text and "current " in text
     assert max(len(line) * 3.5 for line in lines) <= WIDTH
-    heads = [line.split(", up to ")[0] for line in lines]
-    panels = [head for head in ("offset", "heading error", "thrust") if head in heads]
+    names = ("offset", "heading error", "thrust")
+    titles = {name: line for name in names for line in lines if line.startswith(f"largest {name} ")}
+    panels = list(titles)
+    assert re.fullmatch(r"largest offset [\d.e-]+ m \([\d.]+ s\)", titles["offset"])
     assert len(panels) == svg.count("<polyline") >= 2
     assert "around the loss of board A in thrusters_loss, 30" in text
