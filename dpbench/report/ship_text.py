@@ -19,6 +19,10 @@ NEAR_SHARE = 0.8
 """Share of its station from which on a ship that stays is said to come near the limits."""
 MOST_NAMED = 3
 """Scenarios that a sentence describes or names."""
+MOST_VALUES, MOST_LETTERS = 2, 60
+"""Values of a study's point, and letters, that are shown with its number."""
+POINT_PREFIXES = ("environment.", "controller.")
+"""Tables of a scenario whose names are left out of such a value's key."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +118,7 @@ def _describe_lost(lost: Sequence[ShipResult]) -> str:
         far = max(seas, key=lambda ship: ship.run.exact_offset_max_m)
         parts.append(
             f"in {plural(len(seas), 'sea')} of `{study}` it leaves, by up to "
-            f"{significant(far.run.exact_offset_max_m)} m ({_name_sea(far.run)})"
+            f"{significant(far.run.exact_offset_max_m)} m at {_name_sea(far.run)}"
         )
     return "; ".join(parts)
 
@@ -142,10 +146,16 @@ def describe_ship(ship: ShipResult) -> str:
     left = f" (at {significant(run.exact_left_s)} s)" if ship.has_left_station else ""
     return (
         f"`{ship.name}`: {ship.state}{left}; largest offset "
-        f"{significant(run.exact_offset_max_m)} m at {significant(run.exact_offset_max_s)} s, last "
+        f"{significant(run.exact_offset_max_m)} m at {_format_time_of_offset(run)}, last "
         f"{significant(run.exact_offset_end_m)} m; limits active in "
         f"{format_share(run.exact_active_share)} of {plural(run.exact_steps, 'step')}"
     )
+
+
+def _format_time_of_offset(run: RunRecord) -> str:
+    """Return the time of a ship's largest offset as text; that of a ship that begins there."""
+    start = " (the start)" if run.exact_offset_max_s == 0.0 else ""
+    return f"{significant(run.exact_offset_max_s)} s{start}"
 
 
 def describe_unmet(ships: Sequence[ShipResult], scenarios: Sequence[Scenario]) -> list[str]:
@@ -194,7 +204,7 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         f"With exactly solved QPs, the controller holds the ship on station "
         f"({_format_station_limits(farthest)}){weather} {where}. The largest offset is "
         f"{significant(run.exact_offset_max_m)} m{there} at "
-        f"{significant(run.exact_offset_max_s)} s; the offset at the end is "
+        f"{_format_time_of_offset(run)}; the offset at the end is "
         f"{significant(run.exact_offset_end_m)} m."
     )
 
@@ -278,7 +288,7 @@ def _describe_rise(ship: ShipResult) -> str:
     """Return a text on a ship whose offset rises after a loss: how far it is, how long after."""
     run = ship.run
     far = f"{significant(run.exact_offset_end_m)} m of {run.station_radius_m:.3g} m"
-    return f"`{ship.name}` ({far}, {_format_time_since_loss(run)})"
+    return f"{_locate_ship(ship)} ({far}, {_format_time_since_loss(run)})"
 
 
 def _format_time_since_loss(run: RunRecord) -> str:
@@ -335,7 +345,22 @@ def _locate_ship(ship: ShipResult) -> str:
 
 def _name_sea(run: RunRecord) -> str:
     """Return the name of the point and realisation of a study's run."""
-    return f"point {run.study_point:.0f}, sea {run.replicate:.0f}"
+    return f"point {run.study_point:.0f}{_describe_point(run)}, sea {run.replicate:.0f}"
+
+
+def _describe_point(run: RunRecord) -> str:
+    """Return the first values of a study's point as text; "" where they are none or too long."""
+    shown = {
+        key.split(".", 1)[-1] if key.startswith(POINT_PREFIXES) else key: value
+        for key, value in list(run.x.items())[:MOST_VALUES]
+        if isinstance(value, int | float | str)
+    }
+    values = [
+        f"`{key} = {value}`" if isinstance(value, str) else f"`{key} = {value:g}`"
+        for key, value in shown.items()
+    ]
+    named = f"{', '.join(values)}, …" if len(run.x) > len(shown) else join_with_and(values)
+    return f" with {named}" if values and len(named) <= MOST_LETTERS else ""
 
 
 def _name_ships(ships: Sequence[ShipResult]) -> str:

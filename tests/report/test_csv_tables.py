@@ -128,6 +128,15 @@ def test_the_command_names_every_table_and_prints_one_in_latex(
     assert "found 'verdict'" in capsys.readouterr().err
 
 
+def test_the_legend_of_ships_sends_a_point_to_the_table_that_has_its_values(written: Any) -> None:
+    """And says which limits count where."""
+    legend = (written.folder / "tables" / "README.md").read_text(encoding="utf-8")
+    ships = legend.split("\n## ships.csv")[1].split("\n## ")[0]
+    assert "`study_point`: number of the point in its study; its values are the columns" in ships
+    assert "x_<key> of study_points.csv" in ships
+    assert "limits that keep a lost thruster at zero do not count, unlike in n_active" in ships
+
+
 def test_tables_of_topics_are_files_too(written: Any) -> None:
     (shown,) = (topic for topic in written.report.topics if topic.id == "paper")
     table = _table(written.folder, "paper")

@@ -170,15 +170,20 @@ def _describe_larger_errors(study: Study) -> str:
     )
     wording = [f"{c.name} by {significant(100.0 * excess_m[c.name], 2)} cm" for c in worse[:3]]
     unnamed = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
+    laws = set(study.runs.loc[study.runs["baseline_law"], "configuration"])
+    solvers = {c.solver for c in study.results_by_cost if c.name not in laws}
+    lone = f"only {', '.join(solvers)} was run; " if len(solvers) == 1 else ""
+    if lone and not worse and all(c.name in laws for c in others):
+        return f"only {study.reference_name} was run, so no other solver is compared."
     if not worse:
         return (
-            f"no error is significantly larger than that of {study.reference_name} in the same "
-            "realisation."
+            f"{lone}no error is significantly larger than that of {study.reference_name} in the "
+            "same realisation."
         )
     same = len(others) - len(worse)
     rest = f"; {same} {'is' if same == 1 else 'are'} not" if same else ""
     return (
-        f"errors significantly larger than {study.reference_name} in the same realisation: "
+        f"{lone}errors significantly larger than {study.reference_name} in the same realisation: "
         f"{', '.join(wording)}{unnamed}{rest}."
     )
 

@@ -429,3 +429,17 @@ def test_keys_that_change_together_are_one_axis(records: Any) -> None:
         "start.east_m": "start.east_m",
     }
     assert len(study_tables.tabulate_shares_in_position(study)) == 4
+
+
+def test_a_solver_that_ran_alone_is_compared_with_none(records: Any) -> None:
+    """The baseline law solves no QP, so it is no solver."""
+    for sea in range(1, 5):
+        records.sea("daqp", 0, sea, {"waves.hs_m": 2.0})
+        records.sea("unconstrained_clipped", 0, sea, {"waves.hs_m": 2.0}, formulation="none")
+    found = topic.build_study_topic(find_studies(records.view()))
+    assert found is not None
+    first, *_ = found.lines
+    assert first == (
+        "seas: 8 runs at 1 point in 4 realisations; only daqp was run, so no other solver is "
+        "compared."
+    )
