@@ -30,7 +30,7 @@ export MKL_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: setup environments bench full test test-fast test-core test-lowest test-casadi outdated mutants chaos soak lint docs tutorial bench-ci bench-compare vendored report clean clean-results help
+.PHONY: setup environments bench full test test-fast test-core test-lowest test-casadi outdated mutants chaos soak lint docs keys tutorial bench-ci bench-compare vendored report clean clean-results help
 
 setup: $(KERNELS) ## make .venv with all solvers and the development tools
 
@@ -119,6 +119,9 @@ lint: $(STAMP) ## ruff, mypy --strict, import layers
 # What the theme says of its own future is no warning of ours.
 docs: setup ## the documentation in build/site; a warning or a dead link is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+keys: setup ## write the pages docs/reference/*.md on the keys of vessels, scenarios and suites
+	PYTHONPATH=docs $(BIN)/python -m sitegen.toml_keys
 
 tutorial: setup ## run docs/tutorial.ipynb and store it with its outputs
 	PYTHONPATH=docs $(BIN)/python -m sitegen.notebook

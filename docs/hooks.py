@@ -7,7 +7,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-from sitegen import columns, command_line, library, notebook, python_names, solvers, toml_keys
+from sitegen import columns, command_line, library, notebook, python_names, solvers
 
 SOURCES = {
     "CONTRIBUTING.md": "contributing.md",
@@ -26,7 +26,6 @@ FIGURES = "results/reference/figures"
 """Figures of the reference run, which guides show."""
 ROOT = Path(__file__).parents[1]
 MAKERS = (
-    toml_keys.pages,
     library.pages,
     columns.pages,
     command_line.pages,

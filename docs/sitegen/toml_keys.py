@@ -1,6 +1,7 @@
 """The reference of TOML keys, from the models that read them.
 
 What a key means is the text below it in the model; type, bounds and default are pydantic's own.
+The pages are stored in `docs/reference`, so that guides can link to them; `make keys` writes them.
 """
 
 import ast
@@ -10,6 +11,7 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import BaseModel
@@ -148,3 +150,14 @@ def _default(field: FieldInfo) -> str:
     if field.default is None or isinstance(field.default, BaseModel) or field.default == []:
         return ""
     return code(json.dumps(field.default))
+
+
+def write_pages(docs: Path) -> None:
+    """Write the pages into the folder of the documentation."""
+    for name, text in pages().items():
+        (docs / name).parent.mkdir(exist_ok=True)
+        (docs / name).write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write_pages(Path(__file__).parents[1])
