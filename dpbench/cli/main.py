@@ -233,6 +233,10 @@ def _gather_shards(arguments: argparse.Namespace) -> int:
     return _print_accidents(out) or lost_ship
 
 
+WRITTEN_OR_WARNED = ("warning", "statement", "comment")
+"""Lines that `report --send` prints beside that of the folder."""
+
+
 def _rewrite_report(arguments: argparse.Namespace) -> int:
     """Write the report of a result folder anew (`dpbench report`); return the exit code."""
     if arguments.columns and not arguments.latex:
@@ -241,6 +245,7 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
         return _print_tables(arguments)
     from dpbench.bench.record.cell_store import count_batches_newer_than_tables
     from dpbench.cli.terminal import ProgressBar, print_ending
+    from dpbench.report.documents.sent import describe_sent_folder
     from dpbench.report.write import write_report_with_summary
 
     if arguments.against and arguments.solver is None:
@@ -257,6 +262,10 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
         page, ending = write_report_with_summary(arguments.dir, **options, progress=bar)
     if arguments.statement:
         ending = [*ending, ("statement", arguments.statement)]
+    if arguments.send:
+        # The results are those of the run, which has printed them.
+        kept = ending if arguments.json else [row for row in ending if row[0] in WRITTEN_OR_WARNED]
+        ending = [*kept, ("sent", describe_sent_folder(Path(arguments.send)))]
     if later:
         ending = [("caution", f"{interrupted}: this report is of the run before"), *ending]
     return print_ending(page, ending, arguments)

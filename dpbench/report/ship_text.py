@@ -117,7 +117,7 @@ def _describe_lost(lost: Sequence[ShipResult]) -> str:
     for study, seas in by_study.items():
         far = max(seas, key=lambda ship: ship.run.exact_offset_max_m)
         parts.append(
-            f"in {plural(len(seas), 'sea')} of `{study}` it leaves, by up to "
+            f"in {plural(len(seas), 'realisation')} of `{study}` it leaves, by up to "
             f"{significant(far.run.exact_offset_max_m)} m at {_name_sea(far.run)}"
         )
     return "; ".join(parts)
@@ -195,7 +195,7 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     if len(known) == 1:
         where, there = f"in `{farthest.name}`", ""
     else:
-        kind = "scenarios and seas" if of_study else "scenarios"
+        kind = "scenarios and realisations" if of_study else "scenarios"
         where = f"in {len(kept)} of {len(known)} {kind}"
         there = f" at {_locate_ship(farthest)}" if run.study else f" in `{farthest.name}`"
     from_deg = find_weather_direction(ship.run for ship in known)
@@ -345,7 +345,7 @@ def _locate_ship(ship: ShipResult) -> str:
 
 def _name_sea(run: RunRecord) -> str:
     """Return the name of the point and realisation of a study's run."""
-    return f"point {run.study_point:.0f}{_describe_point(run)}, sea {run.replicate:.0f}"
+    return f"point {run.study_point:.0f}{_describe_point(run)}, realisation {run.replicate:.0f}"
 
 
 def _describe_point(run: RunRecord) -> str:

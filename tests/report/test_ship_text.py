@@ -223,10 +223,10 @@ def test_seas_of_a_study_are_counted(records: Any) -> None:
     told = _summary(records)
     assert (
         told.warning
-        == f"{BANNER}, whatever the solver: in 2 seas of `seas` it leaves, by up to 37.0 m "
-        "at point 0 with `waves.hs_m = 4`, sea 2."
+        == f"{BANNER}, whatever the solver: in 2 realisations of `seas` it leaves, by up to 37.0 m "
+        "at point 0 with `waves.hs_m = 4`, realisation 2."
     )
-    assert "in 1 of 3 scenarios and seas" in told.text
+    assert "in 1 of 3 scenarios and realisations" in told.text
 
 
 @pytest.mark.parametrize("others", [0, 1])
@@ -245,13 +245,17 @@ def test_a_loop_unstable_without_limits_is_not_blamed_on_the_weather(
         columns = {"study": "seas", "study_point": point, "replicate": sea}
         records.loop("daqp", "rough", cell=cell, **columns, **LOST)
     warning = _summary(records).warning
-    weather = f"{BANNER}, whatever the solver: in 1 sea of `seas` it leaves, by up to 37.0 m "
+    weather = (
+        f"{BANNER}, whatever the solver: in 1 realisation of `seas` it leaves, by up to 37.0 m "
+    )
     loop = (
         "its loop is unstable without limits at `prediction_horizon = 20` (largest |λ| 1.0091, "
-        "paper eq. 35), whatever weather and solver: in 2 seas of `seas` it leaves, by up to "
-        "37.0 m at point 0, sea 1."
+        "paper eq. 35), whatever weather and solver: in 2 realisations of `seas` it leaves, by up "
+        "to 37.0 m at point 0, realisation 1."
     )
-    expected = f"{weather}at point 1, sea 1. Elsewhere {loop}" if others else f"{NOT_HELD}: {loop}"
+    expected = (
+        f"{weather}at point 1, realisation 1. Elsewhere {loop}" if others else f"{NOT_HELD}: {loop}"
+    )
     assert warning == expected
 
 
@@ -351,7 +355,7 @@ def test_the_largest_offset_in_a_study_has_its_point(records: Any) -> None:
     for point, sea, offset_m in ((0, 1, 1.5), (3, 2, 2.5), (4, 1, 2.0)):
         records.sea("daqp", point, sea, {"N_p": 20.0}, exact_offset_max_m=offset_m)
     text = summarise_ships(find_ship_results(records.view())).text
-    assert "is 2.50 m at point 3 with `N_p = 20`, sea 2 of `seas` at 0.300 s; " in text
+    assert "is 2.50 m at point 3 with `N_p = 20`, realisation 2 of `seas` at 0.300 s; " in text
 
 
 def test_a_study_with_one_point_of_active_limits_was_hard(records: Any) -> None:
@@ -360,8 +364,8 @@ def test_a_study_with_one_point_of_active_limits_was_hard(records: Any) -> None:
         records.sea("daqp", point, 1, {"waves.hs_m": 2.0 + point}, exact_active_share=share)
     text = _summary(records).text
     limits = (
-        "Limits are active in 0 % (point 0 with `waves.hs_m = 2`, sea 1 of `seas`) to 24.5 % "
-        "(point 1 with `waves.hs_m = 3`, sea 1 of `seas`)"
+        "Limits are active in 0 % (point 0 with `waves.hs_m = 2`, realisation 1 of `seas`) to "
+        "24.5 % (point 1 with `waves.hs_m = 3`, realisation 1 of `seas`)"
     )
     assert text.endswith(f"{limits} of the steps.")
 
@@ -393,7 +397,7 @@ def test_a_point_is_named_by_its_first_values_where_they_are_short(records: Any)
     records.sea("daqp", 7, 3, weather | {"environment.waves.hs_m": 0.8}, **LOST)
     warning = _summary(records).warning
     values = "`wind.speed_mps = 5.4`, `wind.from_deg = 90`, …"
-    assert warning.endswith(f"by up to 37.0 m at point 7 with {values}, sea 3.")
+    assert warning.endswith(f"by up to 37.0 m at point 7 with {values}, realisation 3.")
 
 
 def test_a_ship_that_begins_farthest_off_is_said_to(records: Any) -> None:

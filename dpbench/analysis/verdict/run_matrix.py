@@ -47,7 +47,7 @@ class Experiment:
     def label(self) -> str:
         """Name of the scenario, replay or study realisation on the report page."""
         if self.study:
-            return f"{self.study}: point {self.point}, sea {self.replicate}"
+            return f"{self.study}: point {self.point}, realisation {self.replicate}"
         extra = ["replay"] if self.mode == "replay" else []
         extra += ["in N and N·m"] if self.units == "si" else []
         extra += [f"computer × {self.slowdown:g}"] if self.slowdown > 0 else []

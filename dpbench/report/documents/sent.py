@@ -25,7 +25,7 @@ from dpbench.errors import InputError, ResultsError
 from dpbench.files.regular_files import read_bytes, write_file_atomically, write_text_atomically
 from dpbench.report.formats import join_with_and, plural
 from dpbench.report.page.write import FILES
-from dpbench.scenario.problem_files import read_toml_as_model
+from dpbench.scenario.problem_files import read_toml_as_dict, read_toml_as_model
 
 _UNREADABLE = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 """Control characters: an escape switches what the next bytes mean in some encodings."""
@@ -161,6 +161,26 @@ def prepare_sent_folder(folder: Path, target: Path) -> None:
     if not (target / SENDER).is_file():
         when = started or datetime.datetime.now(datetime.UTC).date().isoformat()
         write_text_atomically(target / SENDER, _BLANK.format(when=when))
+
+
+def describe_sent_folder(target: Path) -> str:
+    """Return what `prepare_sent_folder` wrote, and what the sender has to do next, as text."""
+    files = join_with_and([name for name in (*SENT, *WHERE_THERE) if (target / name).is_file()])
+    missing = _list_missing_keys(target / SENDER)
+    fill_in = (
+        f"Fill in {join_with_and(missing)} in {target / SENDER}, then check" if missing else "Check"
+    )
+    return f"{target}: {files}. {fill_in} the folder: dpbench check {target}"
+
+
+def _list_missing_keys(form: Path) -> list[str]:
+    """Return the required keys that a sender's form leaves empty; all of a form without TOML."""
+    try:
+        filled = read_toml_as_dict(form)
+    except InputError:
+        filled = {}
+    required = [name for name, field in Sender.model_fields.items() if field.is_required()]
+    return [name for name in required if not str(filled.get(name, "")).strip()]
 
 
 def check_sent_folder(folder: Path) -> str:

@@ -74,7 +74,7 @@ def test_it_opens_where_a_ship_is_lost(study_page: Opener) -> None:
     assert page.input_value("#study-sea") == "2"
     assert len(_rows(page, "design", "design")) == 6
     assert page.inner_text("#one-said").startswith(
-        f"In seas: point {page.input_value('#study-point')}, sea 2"
+        f"In seas: point {page.input_value('#study-point')}, realisation 2"
     )
     assert len(_rows(page, "strips", "steps")) == 40
     assert not page.locator("#step-export").is_visible()
@@ -84,16 +84,16 @@ def test_it_opens_where_a_ship_is_lost(study_page: Opener) -> None:
 def test_a_point_a_row_and_a_dot_are_chosen(study_page: Opener) -> None:
     page = study_page()
     _click_on(page, "design", "row.point === 0")
-    assert selection(page)["sc"] == "seas: point 0, sea 2"
+    assert selection(page)["sc"] == "seas: point 0, realisation 2"
     assert "in 4 of 4 realisations" in page.inner_text("#study-said")
     assert [row["point"] for row in _rows(page, "design", "design") if row["chosen"]] == [0]
     _click_on(page, "seas", "row.replicate === 4 && row.who === 'chosen'")
-    assert selection(page)["sc"] == "seas: point 0, sea 4"
-    assert page.inner_text("#one-said").startswith("In seas: point 0, sea 4")
+    assert selection(page)["sc"] == "seas: point 0, realisation 4"
+    assert page.inner_text("#one-said").startswith("In seas: point 0, realisation 4")
     _click_on(page, "behind", "row.name === 'osqp' && row.replicate === 3")
     chosen = selection(page)
     assert (chosen["s"], chosen["set"]) == ("osqp", "default")
-    assert chosen["sc"] == "seas: point 0, sea 3"
+    assert chosen["sc"] == "seas: point 0, realisation 3"
     marked = [row for row in _rows(page, "behind", "seas") if row["chosen"]]
     assert [(row["name"], row["replicate"]) for row in marked] == [("osqp", 3)]
     assert marked[0]["error_excess_cm"] == pytest.approx(0.6)
@@ -112,7 +112,7 @@ def test_numbers_choose_as_clicks_do(study_page: Opener) -> None:
         page.fill(f"#study-{control}", value)
         page.press(f"#study-{control}", "Enter")
     page.wait_for_function(
-        "state.p >= 0 && facts.experiments[state.p].label === 'seas: point 1, sea 3'"
+        "state.p >= 0 && facts.experiments[state.p].label === 'seas: point 1, realisation 3'"
     )
     page.select_option("#study-who", label="daqp")
     page.wait_for_function("C().solver[state.c] === 'daqp'")

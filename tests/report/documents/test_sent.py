@@ -84,6 +84,20 @@ def test_capability_plots_go_along(records: Any, tmp_path: Path) -> None:
     assert not (folder / CAPABILITY_FILE).exists()
 
 
+def test_the_command_says_what_is_left_to_do(records: Any, tmp_path: Path, capsys: Any) -> None:
+    """What it wrote, and the form that is still empty, in place of the results."""
+    records.loop("daqp", steps=20)
+    out, folder = records.write(tmp_path / "out"), tmp_path / "folder"
+    assert main(["report", str(out), "--send", str(folder)]) == 0
+    printed = "".join(capsys.readouterr().out.split())
+    assert "report.html,runs.parquet,machine.json,suite.jsonandsender.toml" in printed
+    assert f"Fillinwhoandcommandin{folder}/sender.toml,thencheck" in printed
+    assert f"dpbenchcheck{folder}" in printed and "solvers" not in printed.split("sent")[0]
+    (folder / SENDER).write_text(SIGNED, encoding="utf-8")
+    assert main(["report", str(out), "--send", str(folder)]) == 0
+    assert "Fillin" not in "".join(capsys.readouterr().out.split())
+
+
 def test_sending_again_keeps_the_signature(written: Any, copy: Path, tmp_path: Path) -> None:
     from dpbench.report.documents.sent import prepare_sent_folder
 

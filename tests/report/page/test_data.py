@@ -144,7 +144,7 @@ def test_it_opens_where_least_is_within(records: Any) -> None:
     experiment = facts.experiments[p]
     assert (facts.configurations[c].solver, facts.configurations[c].settings) == ("osqp", LOOSE)
     assert experiment.point >= len(OFFSETS) * (len(HEIGHTS) - 1) and experiment.replicate == 2
-    assert experiment.label == f"seas: point {experiment.point}, sea {experiment.replicate}"
+    assert experiment.label == f"seas: point {experiment.point}, realisation {experiment.replicate}"
     assert facts.runs[c, p].r_tail_max_m == 1.5
 
 

@@ -2,7 +2,7 @@
 //
 //   #s=osqp&w=native-warm&set=high&sc=turn&k=74&slow=100&b=daqp~native-warm~default
 //
-// Of a study the scenario is a sea: `sc=seas: point 3, sea 2`. What the page says of configurations
+// Of a study the scenario is a realisation: `sc=seas: point 3, realisation 2`. What the page says of configurations
 // and cells is looked up here; `draw` (page.js) follows it.
 "use strict";
 
