@@ -31,7 +31,8 @@ class ShipSummary:
 
     warning : begins with `BANNER`, or with `LOST` where the loops of all lost ships are unstable
     without limits; "" where no ship is lost. state : where the ship is on station; "" without any
-    ship. details : losses, scenarios without a result, active limits.
+    ship. limits : the share of steps with active limits. details : losses, scenarios without a
+    result.
     caution : of ships on station with little margin, still moving away, or farther off since a
     loss, and in a report of losses that no closed loop shows to be held; "" without any.
     """
@@ -40,11 +41,12 @@ class ShipSummary:
     state: str = ""
     details: str = ""
     caution: str = ""
+    limits: str = ""
 
     @property
     def text(self) -> str:
-        """State and details of the ships as one text."""
-        return " ".join(filter(None, (self.state, self.details)))
+        """State, details and active limits of the ships as one text."""
+        return " ".join(filter(None, (self.state, self.details, self.limits)))
 
     @property
     def lines(self) -> list[str]:
@@ -61,9 +63,11 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
         return ShipSummary(state=NOT_RUN)
     lost = [ship for ship in known if ship.has_left_station]
     warning = " ".join(_warn_of_lost(lost))
-    details = [*_describe_after_losses(known), *_describe_rest(ships), *_describe_limits(known)]
-    caution = " ".join(_describe_small_margins(known))
-    return ShipSummary(warning, _describe_kept(known), " ".join(details), caution)
+    details = [*_describe_after_losses(known), *_describe_rest(ships)]
+    caution, limits = _describe_small_margins(known), _describe_limits(known)
+    return ShipSummary(
+        warning, _describe_kept(known), *(" ".join(lines) for lines in (details, caution, limits))
+    )
 
 
 def _warn_of_lost(lost: Sequence[ShipResult]) -> Iterator[str]:
