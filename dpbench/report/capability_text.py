@@ -25,7 +25,7 @@ from dpbench.report.formats import format_rounded_down, join_with_and, plural
 from dpbench.report.ship_text import find_weather_direction
 
 
-def describe_capability(plot: CapabilityResult) -> Iterator[str]:
+def describe_capability(records: Records, plot: CapabilityResult) -> Iterator[str]:
     """Yield sentences on a ship's capability numbers, and least wind held intact, after a loss."""
     if plot.edges.empty:
         return
@@ -35,8 +35,16 @@ def describe_capability(plot: CapabilityResult) -> Iterator[str]:
     if len(failed):
         wording += f"; after the loss of {' '.join(_find_worst_loss(failed))}"
     if plot.capability_numbers_text:
-        yield f"{plot.capability_numbers_text}."
+        rudders = " without rudders" if _has_rudder_caution(records, plot.vessel) else ""
+        yield f"{plot.capability_numbers_text}{rudders}."
     yield f"{wording} (DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides)."
+
+
+def _has_rudder_caution(records: Records, vessel: str) -> bool:
+    """Return whether main propellers alone push aft on a ship of these scenarios, by its id."""
+    known = filter(None, map(records.build_scenario, records.scenarios))
+    thrusters = [scenario.vessel.thrusters for scenario in known if scenario.vessel.id == vessel]
+    return any(one is not None and one.caution_on_rudders for one in thrusters)
 
 
 def describe_worst_loss(plot: CapabilityResult) -> str:

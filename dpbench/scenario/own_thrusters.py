@@ -40,6 +40,16 @@ LOADING_KW_PER_M2 = {"open": 138.0, "nozzle": 323.0, "tunnel": 297.0}
 """Power over squared diameter of the thrusters of Ratownik."""
 ASTERN = 0.79
 """Thrust astern of a main propeller over that ahead: the paper's ship, 980 kN of 1240 kN."""
+HULL_WORDS = {
+    "submerged_length_m": "length under water",
+    "submerged_x_m": "middle of that length",
+    "bow_angle_deg": "bow angle at the waterline",
+    "aft_fullness": "fullness of the waterline aft",
+    "lateral_x_m": "centre of the lateral area above water",
+    "submerged_m2": "lateral area under water",
+    "current_x_m": "centre of the lateral area under water",
+}
+"""Words for the keys of `[capability]` that a vessel file may leave out."""
 ASSUMED = ("rise_s", "diameter_m", "propeller", "astern")
 """Keys that get a value where a row leaves them out."""
 MOST_X, MOST_Y = 0.6, 0.6
@@ -162,7 +172,7 @@ def list_assumptions_on_vessel(vessel: Vessel) -> list[str]:
         assumed.append(f"no thrust lost to air in waves, as shaft heights{whose} are unknown")
     hull = vessel.capability
     if hull is not None and hull.assumed:
-        assumed.append(f"of the hull {', '.join(hull.assumed)}")
+        assumed.append(f"of the hull: {', '.join(HULL_WORDS[key] for key in hull.assumed)}")
     return assumed
 
 

@@ -70,8 +70,9 @@ class LoopPicture:
         wide = (width - GAP * (len(self.panels) - 1)) / len(self.panels)
         lefts = [left + number * (wide + GAP) for number in range(len(self.panels))]
         for panel, at in zip(self.panels, lefts, strict=True):
+            gap = "" if panel.unit == "°" else " "
             at_most = int(panel.values.argmax())
-            most = f"{significant(panel.values[at_most])} {panel.unit}"
+            most = f"{significant(panel.values[at_most])}{gap}{panel.unit}"
             title = f"largest {panel.name} {most} ({significant(self.t_s[at_most])} s)"
             yield _make_svg_label(at, top - 2.0, title)
         for panel, at in zip(self.panels, lefts, strict=True):

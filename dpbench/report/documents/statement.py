@@ -3,6 +3,8 @@
 It is drawn as SVG and turned into PDF, and claims nothing that is not on the page.
 """
 
+import hashlib
+import json
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +14,7 @@ from typing import Any
 
 import vl_convert as vlc
 
+from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import group_by_key
 from dpbench.analysis.suites.capability import (
     CapabilityResult,
@@ -65,18 +68,21 @@ from dpbench.report.verdict_text import (
 )
 from dpbench.report.words import render_document
 from dpbench.scenario.own_thrusters import list_assumptions_on_vessel, split_source
+from dpbench.scenario.scenario import Scenario
 from dpbench.ship.capability.losses import list_thruster_cautions
 from dpbench.ship.thrusters import describe_sector, format_directions
 from dpbench.ship.vessel import Vessel
 from dpbench.solvers.settings import resolve_settings_with_fixed_options
 
 MOST_SHIPS = 5
+LIMITS_IN_SOURCE = "; limits: vessel file"
+"""End of the source of a vessel by `dpbench init`."""
 WIDTH, HEIGHT, MARGIN = 595, 842, 48
 """A4 in points."""
 LOAD_MISMATCH = (
     "No Munk moment of the current acts on the ship: compare mean loads by `dpbench check`."
 )
-HASHED = ("runs.parquet", "steps.parquet", "machine.json", "suite.json")
+HASHED = ("runs.parquet", "steps.parquet", "capability.parquet", "machine.json", "suite.json")
 
 
 @dataclass(frozen=True)
@@ -222,12 +228,17 @@ def _fill_statement(
         thrusters=[
             text for file in files if (text := describe_thrusters(file.get("thrusters") or ()))
         ],
-        sources=[source for vessel in vessels.values() if (source := split_source(vessel)[0])],
+        sources=[
+            source.replace(LIMITS_IN_SOURCE, "; force limits as in the vessel file")
+            for vessel in vessels.values()
+            if (source := split_source(vessel)[0])
+        ],
         assumed=dict.fromkeys(
             text for vessel in vessels.values() for text in list_assumptions_on_vessel(vessel)
         ),
         worst_losses=[text for plot in plots if (text := describe_worst_loss(plot))],
-        held=_describe_held(plots, analyses, vessels.values()),
+        cautions=_list_cautions(vessels.values()),
+        held=_describe_held(records, plots, analyses),
         losses=find_open_losses(records, data.ships, plots, analyses),
         consequence_solver=describe_consequence_solver(records, c.solver),
         caption=caption,
@@ -260,6 +271,12 @@ def _fill_statement(
         aboard=describe_deployment(c.solver),
         requirements=describe_requirements(data.requirements),
         unanswered=describe_unanswered_qps(records, c.solver),
+        others_unanswered=[
+            text
+            for v in list_best_verdict_of_each_solver(data.verdicts)
+            if v.configuration.solver != c.solver
+            and (text := describe_unanswered_qps(records, v.configuration.solver))
+        ],
         stopped=describe_stopped_runs(records.runs),
         slower=" ".join(list_speed_margin_sentences(data, chosen)),
         ships=[f"{vessel.title} ({vessel.id})" for vessel in vessels.values()],
@@ -272,25 +289,49 @@ def _fill_statement(
             if data.get_state_in_experiment(data.find_index(c), p) == "pass"
         ],
         machine=defaultdict(str, results.machine),
-        hashes=hash_files(folder, HASHED),
+        hashes=hash_files(folder, HASHED) | _hash_documents(known),
         suite=defaultdict(str, results.suite),
     )
 
 
 def _describe_held(
+    records: Records,
     plots: Sequence[CapabilityResult],
     analyses: Sequence[ConsequenceAnalysis],
-    vessels: Iterable[Vessel],
 ) -> list[str]:
-    """Return lines on a folder's DP capability plots, consequence analyses, and cautions."""
-    cautions = dict.fromkeys(
-        text for v in vessels if v.thrusters for text in list_thruster_cautions(v.thrusters)
-    )
+    """Return lines on a folder's DP capability plots and consequence analyses."""
     lines = [
-        " ".join([*describe_capability(plot), describe_answers_at_edge(plot)]) for plot in plots
+        " ".join([*describe_capability(records, plot), describe_answers_at_edge(plot)])
+        for plot in plots
     ]
-    of_analyses = [f"Consequence analysis: {describe_losses_held(one)}" for one in analyses]
-    return [*lines, *of_analyses, *cautions]
+    return [*lines, *(f"Consequence analysis: {describe_losses_held(one)}" for one in analyses)]
+
+
+def _list_cautions(vessels: Iterable[Vessel]) -> list[str]:
+    """Return lines on rudders that do not count, and on zones that do not bar a race."""
+    cautions = (list_thruster_cautions(v.thrusters) for v in vessels if v.thrusters)
+    return [*dict.fromkeys(text for own in cautions for text in own)]
+
+
+def _hash_documents(scenarios: Sequence[Scenario]) -> dict[str, str]:
+    """Return the SHA-256 of vessel and scenario documents as stored in `runs.parquet`, by name.
+
+    Of their JSON with sorted keys. Of more than `MOST_SHIPS` scenarios one for all, in their order.
+    """
+    documents: dict[str, Any] = {
+        f"vessel {scenario.vessel.id}": scenario.files["vessel"] for scenario in scenarios
+    }
+    of_scenarios = {s.name: s.files["scenario"] for s in scenarios}
+    if len(of_scenarios) <= MOST_SHIPS:
+        documents |= {f"scenario {name}": own for name, own in of_scenarios.items()}
+    else:
+        documents[f"{len(of_scenarios)} scenarios"] = list(of_scenarios.values())
+    return {
+        f"{name} (stored document)": hashlib.sha256(
+            json.dumps(document, sort_keys=True, ensure_ascii=False).encode()
+        ).hexdigest()
+        for name, document in documents.items()
+    }
 
 
 def _render_svg(lines: Iterable[TextLine], picture: LoopPicture | None) -> str:

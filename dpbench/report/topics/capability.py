@@ -44,7 +44,10 @@ def build_capability_topic(records: Records, table: pd.DataFrame | None) -> Topi
         title="Capability",
         lines=tuple(
             " ".join(
-                [*describe_capability(plot), *(_describe_answers(plot) if plot.answers else ())]
+                [
+                    *describe_capability(records, plot),
+                    *(_describe_answers(plot) if plot.answers else ()),
+                ]
             )
             for plot in plots
         ),

@@ -142,7 +142,7 @@ def test_a_loss_after_which_nothing_is_held_is_so_from_every_direction(records: 
     table = table.assign(k=range(6), sequence="plot", vessel="osv", sides=8, lost="", number=1)
     (plot,) = build_capability_results(records.view(), table)
     said = "at least 9.00 m/s of wind, from every direction; after the loss of board A no wind ("
-    assert said in " ".join(describe_capability(plot))
+    assert said in " ".join(describe_capability(records.view(), plot))
 
 
 def test_the_worst_loss_is_named_with_the_least_wind_held_after_it() -> None:
@@ -166,7 +166,7 @@ def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
         "False claims: osqp (1). No answer (given up or out of time): osqp (1).",
     )
     assert len(topic.figures) == 2
-    (line,) = statement._describe_held(build_capability_results(runs, plot_table()), [], [])
+    (line,) = statement._describe_held(runs, build_capability_results(runs, plot_table()), [])
     assert line.endswith("1 of 2 solvers answers all 4 QPs at that edge correctly: quadprog.")
     without_plot = build_capability_topic(runs, None)
     assert without_plot.lines[0].startswith("1 of 2 solvers") and len(without_plot.figures) == 1

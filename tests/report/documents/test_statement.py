@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+import json
 import re
 from copy import copy
 from dataclasses import replace
@@ -11,6 +12,7 @@ from xml.etree import ElementTree
 
 import matplotlib.image
 import numpy as np
+import pandas as pd
 import pytest
 import vl_convert as vlc
 
@@ -30,7 +32,7 @@ from dpbench.report.report import Report
 from dpbench.report.ship_text import BANNER
 from dpbench.scenario.own_thrusters import list_assumptions_on_vessel, split_source
 from dpbench.scenario.scenario import load_vessel
-from dpbench.ship.thrusters import Screw
+from dpbench.ship.thrusters import Screw, ThrusterSet
 from dpbench.ship.vessel import HullDrag
 
 
@@ -102,6 +104,12 @@ def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, writte
         "Conditions that no closed loop contains: a problem without a feasible point, a loss of ",
     ):
         assert figure in text, figure
+    (scenario,) = {run.scenario for run in facts.records.runs if run.scenario == "paper"}
+    files = facts.records.build_scenario(scenario).files
+    stored = json.dumps(files["scenario"], sort_keys=True, ensure_ascii=False).encode()
+    digest = hashlib.sha256(stored).hexdigest()
+    assert f"scenario paper (stored document)  SHA-256 {digest}" in drawn
+    assert f"vessel {files['vessel_name']} (stored document)  SHA-256 " in drawn
     for name in ("runs.parquet", "steps.parquet", "machine.json", "suite.json"):
         digest = hashlib.sha256((written.folder / name).read_bytes()).hexdigest()
         assert f"{name}  SHA-256 {digest}" in drawn and digest in written.html
@@ -157,7 +165,11 @@ def test_it_lists_what_is_assumed_of_ship_and_thrusters() -> None:
     own = replace(osv, source="scaled; limits: vessel file; assumed: rise times 7 s")
     assert split_source(own) == ("scaled; limits: vessel file", "rise times 7 s")
     first, hull = list_assumptions_on_vessel(own)
-    assert first == "rise times 7 s" and hull.startswith("of the hull submerged_length_m, ")
+    assert (
+        first == "rise times 7 s"
+        and hull.startswith("of the hull: length under water, ")
+        and "_" not in hull
+    )
     assert own.thrusters is not None
     bow, second, *rest = own.thrusters.thrusters
     bow, second = (
@@ -268,3 +280,30 @@ def test_it_states_weather_losses_thrusters_and_source(records: Any, tmp_path: P
     assert re.fullmatch(r"largest offset [\d.e-]+ m \([\d.]+ s\)", titles["offset"])
     assert len(panels) == svg.count("<polyline") >= 2
     assert "around the loss of board A in thrusters_loss, 30" in text
+
+
+def test_rudders_are_named_with_the_notation_and_above_it(
+    records: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the size of other text. A solver that leaves alarms unanswered is named as compared."""
+    records.loop("daqp", "thrusters_loss", steps=500)
+    records.replay("daqp", "thrusters_loss", spread=0.1)
+    records.replay("quadprog", "thrusters_loss", spread=0.1)
+    rows = [(case, at, 30.0) for case in ("intact", "board A") for at in range(0, 360, 10)]
+    table = pd.DataFrame(rows, columns=["case", "from_deg", "edge_mps"])
+    table = table.assign(k=range(72), sequence="p", vessel="ratownik", sides=8, lost="", number=8)
+    monkeypatch.setattr(statement, "load_capability_plots", lambda _: table)
+    caution = "Aft of midships only main propellers push: rudders are not counted."
+    monkeypatch.setattr(ThrusterSet, "caution_on_rudders", property(lambda _: caution))
+    silent = "leaves 9 of 9 QPs of the consequence analysis unanswered"
+    monkeypatch.setattr(
+        statement, "describe_unanswered_qps", lambda _, solver: f"{solver} {silent}"
+    )
+    report = Report.from_results(records.results())
+    svg = make_statement_svg(records.write(tmp_path / "out"), records.results(), report.data)
+    lines = ["".join(element.itertext()) for element in _texts(svg)]
+    at = lines.index(caution)
+    assert lines[at + 1].startswith("DP capability-L1(8, 8, 8, 8) without rudders. ")
+    sizes = [float(element.get("font-size", "nan")) for element in _texts(svg)]
+    assert sizes[at] > sizes[at + 1]
+    assert f"quadprog {silent}." in " ".join(lines)
