@@ -265,7 +265,7 @@ class _StoredTables(dict[str, pd.DataFrame]):
 
 def _find_heads_with_unit(frame: pd.DataFrame) -> dict[str, str]:
     """Return heads with the unit of a table whose rows all have the same; none for several."""
-    units = frame["unit"].unique() if "unit" in frame else []
+    units: list[str] = [*frame["unit"].unique()] if "unit" in frame else []
     if len(units) != 1:
         return {}
     return {name: f"{name} [{units[0]}]" for name in _OF_UNIT if name in frame}

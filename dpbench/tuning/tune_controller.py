@@ -28,6 +28,7 @@ from dpbench.report.charts.render import save_figure
 from dpbench.report.charts.study import draw_tuning_front
 from dpbench.report.formats import plural, significant
 from dpbench.scenario.own_ship import DP_NUMBERS, make_environment_of_dp_number
+from dpbench.scenario.problem_files import read_toml_as_dict
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.scenario.variation import copy_scenario_with_values, write_scenario_and_own_ship_files
 from dpbench.ship.environment import WeatherDraw
@@ -325,7 +326,7 @@ def tune_controller(
 
     Parameters
     ----------
-    scenario : by name or a TOML file.
+    scenario : by name or a TOML file; of a vessel file NAME.toml, its NAME_weather.toml.
     seas : DP numbers such as "4,5"; "" for the scenario's own weather.
     trials : controllers to try; realisations : of each sea.
     margin : largest offset wanted, as a share of the station's limits.
@@ -336,7 +337,7 @@ def tune_controller(
     ------
     InputError : for bad input, or a folder with the trials of another search.
     """
-    base = load_scenario(scenario)
+    base = load_scenario(_find_scenario_of_ship(scenario))
     numbers = _parse_seas(seas)
     _refuse_bad_numbers(trials, realisations, margin, steps, seed)
     steps = min(steps or base.steps, base.steps)
@@ -396,6 +397,20 @@ def _write_tuning(
     figure = save_figure(chart, folder / "front.svg")
     fields: dict[str, Any] = vars(tuning) | {"paths": [*paths, folder / "tune.csv", figure]}
     return ControllerTuning(**fields)
+
+
+def _find_scenario_of_ship(scenario: str | Path) -> str | Path:
+    """Return the scenario that `init` wrote for a vessel file; any other name as it is."""
+    path = Path(scenario)
+    if path.suffix != ".toml" or not path.is_file():
+        return scenario
+    if not {"limits", "thrusters"} & read_toml_as_dict(path).keys():
+        return scenario
+    weather = path.with_name(f"{path.stem}_weather.toml")
+    if not weather.is_file():
+        sentence = f"this is a vessel, without {weather.name} beside it; name a scenario of it"
+        raise SituationError(str(path), sentence)
+    return weather
 
 
 def _parse_seas(text: str) -> list[int]:

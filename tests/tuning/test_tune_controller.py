@@ -89,6 +89,20 @@ def test_a_mistake_is_found_before_anything_runs(
 
 
 @pytest.mark.slow
+def test_a_vessel_file_stands_for_the_scenario_written_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    size = "--length 80 --breadth 18 --draught 6 --displacement 6000 --thrust 300"
+    assert main(["init", "ship", *size.split()]) == 0
+    tuning = tune_controller(tmp_path / "ship.toml", trials=1, steps=5, out=tmp_path / "a")
+    assert tmp_path / "a" / "ship_weather_tuned.toml" in tuning.paths
+    (tmp_path / "ship_weather.toml").unlink()
+    with pytest.raises(InputError, match="this is a vessel, without ship_weather"):
+        tune_controller(tmp_path / "ship.toml", trials=1, steps=5, out=tmp_path / "b")
+
+
+@pytest.mark.slow
 def test_a_controller_is_found_tried_anew_and_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
