@@ -45,9 +45,11 @@ def results(folder: Path) -> Results:
 
 
 def test_the_folder_has_the_suite_that_runs_it_again(folder: Path, results: Results) -> None:
+    """Rows under a second name of the same settings have cells of their own."""
     plan = RunRequest(str(folder / "suite.toml")).make_plan()
     again = {planned.cell.to_json() for planned in plan.cells}
-    assert again == set(results.runs["cell"])
+    names = sum(1 + len(planned.alias_settings) for planned in plan.cells)
+    assert again <= set(results.runs["cell"]) and names == len(results.runs)
 
 
 def test_tables_have_exactly_the_columns_of_the_schema(results: Results) -> None:
