@@ -269,6 +269,11 @@ def _describe_searched_options(adapter: _Adapter, space: SearchSpace) -> list[st
         for name in limits
         if name not in searched
     ]
+    lines += [
+        f"{name} is only an initial value in {adapter.record.name}, as {switch} is on"
+        for name, switch in adapter.record.adapted.items()
+        if name in searched and set_to.get(switch)
+    ]
     if kept:
         lines.append(
             f"not searched: {join_with_and(kept)}; a step that needs more iterations fails"

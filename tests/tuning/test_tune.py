@@ -391,6 +391,7 @@ def test_more_settings_and_longer_sequences_take_longer(tmp_path: Path) -> None:
     ("solver", "ranges", "lines"),
     [
         ("osqp", [], ["not searched: max_iter (4000); a step that needs more iterations fails"]),
+        ("osqp", [], ["rho is only an initial value in osqp, as adaptive_rho is on"]),
         ("osqp[max_iter=77]", [], ["not searched: max_iter (77); a step that needs"]),
         ("osqp", ["max_iter=[10,99]"], ["searched: max_iter 10 to 99", "max_iter: a step that"]),
         ("daqp", [], ["not searched: iter_limit (as in the library); a step that"]),

@@ -353,7 +353,7 @@ def test_own_settings_that_fail_in_si_units_are_counted(records: Any) -> None:
 
 
 def test_steps_above_the_limit_are_counted(records: Any) -> None:
-    """Of all steps of the worst run."""
+    """Those of the worst run, among all its steps."""
     records.loop("osqp")
     records.replay("osqp", steps=450)
     errors = np.full(450, 1e-9)
