@@ -88,7 +88,10 @@ def test_the_command_prints_ratios_with_verdicts(
     assert "Verdict on osqp (qpsolvers fresh, rho=1.6): fail." in said
     assert "0.500 times as long over the same steps of " in said
     assert "- Machine: " in said and "- Versions: osqp 1.0, daqp 1.0; suite " in said
-    (row,) = compare_configurations_of_folder(out, ["osqp", "daqp"]).ratios.to_dict("records")
+    compared = compare_configurations_of_folder(out, ["osqp", "daqp"])
+    times = [head for head in compared.table.heads if head.endswith("[µs]")]
+    assert times == ["first, geometric mean [µs]", "second, geometric mean [µs]"]
+    (row,) = compared.ratios.to_dict("records")
     assert (row["ratio"], row["first_us"]) == (pytest.approx(0.25), pytest.approx(40.0))
     assert main(["compare", str(out), str(out), *words]) == 2
     assert capsys.readouterr().err.startswith(
