@@ -13,9 +13,13 @@ def make_html_table(
         f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>" for row in rows
     )
     above = f"<caption>{escape(title)}</caption>" if title else ""
-    below = f"<p>{escape(note)}</p>" if note else ""
     whole = f"<thead><tr>{head}</tr></thead>" if heads else ""
-    return f"<table>{above}{whole}<tbody>{body}</tbody></table>{below}"
+    return f"<table>{above}{whole}<tbody>{body}</tbody></table>{make_html_paragraph(note)}"
+
+
+def make_html_paragraph(text: str) -> str:
+    """Make an HTML paragraph of plain text; "" for none."""
+    return f"<p>{escape(text)}</p>" if text else ""
 
 
 def make_html_field_table(title: str, fields: Mapping[str, object]) -> str:

@@ -5,8 +5,11 @@ import doctest
 import inspect
 import re
 import tomllib
+from collections.abc import Iterator
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -121,15 +124,53 @@ def test_the_examples_of_a_module_are_true(
 ) -> None:
     """Every line of an example gives what stands below it."""
     monkeypatch.chdir(examples_folder)
-    outcome = doctest.testmod(import_module(name))
+    module = import_module(name)
+    outcome = doctest.testmod(module)
+    # `testmod` does not find the examples of cached properties.
+    runner = doctest.DocTestRunner()
+    for label, cached in _list_cached_properties(module):
+        for test in doctest.DocTestFinder(recurse=False).find(cached.func, label, module):
+            runner.run(test)
     assert outcome.attempted > 0
-    assert outcome.failed == 0
+    assert outcome.failed == runner.failures == 0
+
+
+def _list_cached_properties(module: ModuleType) -> list[tuple[str, cached_property[object]]]:
+    """Return the cached properties of the classes that a module defines, with their names."""
+    own = [
+        one for one in vars(module).values() if getattr(one, "__module__", "") == module.__name__
+    ]
+    return [
+        (f"{cls.__qualname__}.{name}", member)
+        for cls in own
+        if isinstance(cls, type)
+        for name, member in vars(cls).items()
+        if isinstance(member, cached_property)
+    ]
+
+
+def _list_public_members(cls: type) -> Iterator[tuple[str, str]]:
+    """Yield name and docstring of each public method and property that dpbench defines."""
+    for name in dir(cls):
+        member = inspect.getattr_static(cls, name)
+        if name.startswith("_"):
+            continue
+        if isinstance(member, property | cached_property):
+            function: object = getattr(member, "fget", None) or getattr(member, "func", None)
+        else:
+            function = getattr(member, "__func__", member)
+        if inspect.isfunction(function) and function.__module__.startswith("dpbench."):
+            yield name, inspect.getdoc(function) or ""
 
 
 @pytest.mark.parametrize("name", dpbench.__all__)
 def test_every_public_name_has_an_example(name: str) -> None:
-    """The reference shows how it is used."""
-    assert "\n>>> " in (inspect.getdoc(getattr(dpbench, name)) or "")
+    """The reference shows how it is used; so does each public method and property of a class."""
+    thing = getattr(dpbench, name)
+    texts = {name: inspect.getdoc(thing) or ""}
+    if inspect.isclass(thing):
+        texts |= {f"{name}.{label}": text for label, text in _list_public_members(thing)}
+    assert [label for label, text in texts.items() if "\n>>> " not in text] == []
 
 
 def test_the_hard_kernels_have_an_example() -> None:

@@ -101,7 +101,15 @@ class CondensedQP:
 
     @property
     def matrices(self) -> CondensedMatrices:
-        """Condensed MPC matrices in SI units: Hessian E, free response F, prediction matrix Φ."""
+        """Condensed MPC matrices in SI units: Hessian E, free response F, prediction matrix Φ.
+
+        Examples
+        --------
+        >>> from dpbench import condense
+        >>> matrices = condense("paper").matrices
+        >>> matrices.E.shape, matrices.F.shape
+        ((15, 15), (90, 9))
+        """
         return self._matrices
 
     def _build_qp_with_hard_limits(self) -> None:
@@ -187,6 +195,12 @@ class CondensedQP:
             `reachable` plan row i gets max(u_max, u_prev − iΔu_max) and so on, because a limit that
             drops below u_prev by more than one rate step leaves no feasible point. A thruster whose
             limits drop may retreat straight to zero (`LimitRampDown`).
+
+        Examples
+        --------
+        >>> from dpbench import condense
+        >>> condense("paper").emit(x=np.zeros(9), y_ref=np.ones(3), u_prev=np.zeros(3))
+        <QPStep: 15 variables, 15 rows, vectors>
         """
         x_part, y_part, u_part, theta, product, n, cut = self._parts
         x_part[...] = x
@@ -239,14 +253,30 @@ class CondensedQP:
             step.u.reshape(self._row_shape)[self._upper] = high * unit
 
     def repeat_flags_for_each_move(self, of_row: Flags) -> Flags:
-        """Return flags (m,) of all rows: those (r,) of force limits at each move, else False."""
+        """Return flags (m,) of all rows: those (r,) of force limits at each move, else False.
+
+        Examples
+        --------
+        >>> from dpbench import condense
+        >>> builder = condense("paper")
+        >>> int(builder.repeat_flags_for_each_move(np.array([True, False, False])).sum())
+        5
+        """
         spread = np.zeros(self.m, dtype=np.bool_)
         for side in (self._upper, self._lower):
             spread.reshape(self._row_shape)[side] = of_row
         return spread
 
     def problem(self, step: QPStep) -> QuadraticProgram:
-        """Return the complete QP of one step, constant matrices included."""
+        """Return the complete QP of one step, constant matrices included.
+
+        Examples
+        --------
+        >>> from dpbench import condense
+        >>> builder = condense("paper")
+        >>> builder.problem(builder.emit(np.zeros(9), np.ones(3), np.zeros(3)))
+        <QuadraticProgram: 15 variables, 15 rows>
+        """
         P = self.P if step.P is None else step.P
         A = self.A if step.A is None else step.A
         moves = len(self._du) if self.block > len(self._du) else 0
@@ -254,11 +284,27 @@ class CondensedQP:
         return QuadraticProgram(P, step.q, A, *limits, block=self.block, moves=moves)
 
     def moves(self, z: Vector) -> Matrix:
-        """Return the control increments ΔU (N_c, n_u) of a solution z, in N, N, N·m."""
+        """Return the control increments ΔU (N_c, n_u) of a solution z, in N, N, N·m.
+
+        Examples
+        --------
+        >>> from dpbench import condense
+        >>> condense("paper").moves(np.ones(15))[0]
+        array([ 32736.,  11008., 475200.])
+        """
         return z.reshape(self._shape)[self._moves] * self._du
 
     def convert_increments_to_variables(self, delta_u: Matrix) -> Vector:
-        """Convert control increments (N_c, n_u) [N, N, N·m] to QP variables z, slacks at zero."""
+        """Convert control increments (N_c, n_u) [N, N, N·m] to QP variables z, slacks at zero.
+
+        Examples
+        --------
+        >>> from dpbench import condense
+        >>> builder = condense("paper")
+        >>> z = builder.convert_increments_to_variables(builder.moves(np.ones(15)))
+        >>> bool(np.allclose(z, 1.0))
+        True
+        """
         z = np.zeros(self.n)
         z.reshape(self._shape)[self._moves] = delta_u / self._du
         return z
@@ -266,7 +312,14 @@ class CondensedQP:
     def constant_part_of_cost(
         self, x: Vector, y_ref: Vector, u_prev: Vector | None = None
     ) -> float:
-        """Return the constant part J0 of the MPC cost, which no control increment changes."""
+        """Return the constant part J0 of the MPC cost, which no control increment changes.
+
+        Examples
+        --------
+        >>> from dpbench import condense
+        >>> condense("paper").constant_part_of_cost(x=np.zeros(9), y_ref=np.ones(3))
+        1530.0
+        """
         problem = self.control
         y_d = np.tile(y_ref, problem.N_p) if y_ref.ndim == 1 else y_ref.reshape(-1)
         error = (y_d - self.matrices.F @ x).reshape(problem.N_p, -1)

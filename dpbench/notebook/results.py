@@ -13,18 +13,20 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.chosen_pairs import compare_chosen
+from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.analysis.verdict.verdict import list_best_verdict_of_each_solver
 from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.design import load_stability_records
 from dpbench.bench.record import result_folder
-from dpbench.display import make_html_table
+from dpbench.display import make_html_paragraph, make_html_table
 from dpbench.embedded.table import load_counted_steps_of_folder
 from dpbench.errors import InputError, ResultsError, format_allowed_names, require_lists_of_names
 from dpbench.files.regular_files import make_folder_if_missing
 from dpbench.notebook.latex import escape_latex, make_tabular
 from dpbench.notebook.plots import ResultPlots
 from dpbench.report.commands_text import describe_disturbed_times
-from dpbench.report.formats import plural
+from dpbench.report.formats import plural, strip_markdown
+from dpbench.report.ship_text import summarise_ships
 
 if TYPE_CHECKING:
     from dpbench.report.report import Report
@@ -64,9 +66,13 @@ class Results(result_folder.Results):
         """Sentence that names the recommended solver and settings, or the question of the suite.
 
         Where the controller does not hold the ship, whatever the solver, it begins with that.
+
+        Examples
+        --------
+        >>> load_results("results/smoke").answer  # doctest: +ELLIPSIS
+        'Use paper_active_set (native, ...'
         """
-        rows = dict(self._full_report.summary_rows())
-        return " ".join(rows[about] for about in ("warning", "answer") if about in rows)
+        return " ".join(filter(None, (self._warning, self._recommendation)))
 
     def ships(self) -> pd.DataFrame:
         """Return what the controller itself does to each scenario's ship: a row per scenario.
@@ -74,24 +80,48 @@ class Results(result_folder.Results):
         From the reference loop, with offsets [m], times [s] and the share of steps with active
         limits; `ship` is "on station", "leaves", "leaves and returns", "not there" (at its
         setpoint) or "not run".
+
+        Examples
+        --------
+        >>> load_results("results/smoke").ships()[["scenario", "ship"]].values.tolist()
+        [['paper', 'on station']]
         """
         return self.tables["ships"]
 
     @property
     def plot(self) -> ResultPlots:
-        """Plots of the results: `times()` against the deadline, and `accuracy()` over time."""
+        """Plots of the results: `times()` against the deadline, and `accuracy()` over time.
+
+        Examples
+        --------
+        >>> load_results("results/smoke").plot
+        <figures: times(), accuracy()>
+        """
         return ResultPlots(self._full_report.data)
 
     @cached_property
     def tables(self) -> Mapping[str, pd.DataFrame]:
-        """All tables of the benchmark's report as data frames, by name."""
+        """All tables of the benchmark's report as data frames, by name.
+
+        Examples
+        --------
+        >>> load_results("results/smoke").tables["ships"]["scenario"].tolist()
+        ['paper']
+        """
         if self.recorded.is_missing:
             return _StoredTables(self.folder / "tables")
         return self._full_report.tables
 
     @cached_property
     def steps(self) -> pd.DataFrame:
-        """All steps as a data frame, some 500 bytes each; use `recorded` for large folders."""
+        """All steps as a data frame, some 500 bytes each; use `recorded` for large folders.
+
+        Examples
+        --------
+        >>> results = load_results("results/smoke")
+        >>> {"k", "status", "error_move", "n_active"} <= set(results.steps)
+        True
+        """
         self.recorded.require_file()
         return self.recorded.read_all_steps()
 
@@ -99,11 +129,23 @@ class Results(result_folder.Results):
         """Return a table of verdicts: a row per solver and settings, with reason and main numbers.
 
         Times in µs; error_move and failed_steps over all its runs.
+
+        Examples
+        --------
+        >>> table = load_results("results/smoke").verdict()
+        >>> table.query("solver == 'daqp' and policy == 'fresh'")["failed_steps"].tolist()
+        [0]
         """
         return self.tables["verdicts"]
 
     def hard_steps(self) -> pd.DataFrame:
-        """Return the five hardest steps of each solver's run by time [µs], iterations and error."""
+        """Return the five hardest steps of each solver's run by time [µs], iterations and error.
+
+        Examples
+        --------
+        >>> sorted(load_results("results/smoke").hard_steps()["by"].unique())
+        ['error', 'iterations', 'time']
+        """
         return self.tables["hard_steps"]
 
     def ladder(self) -> pd.DataFrame:
@@ -111,6 +153,11 @@ class Results(result_folder.Results):
 
         The best is the fastest of the best verdict by p99, or by its largest step without a p99.
         `share` is what calling a library that does nothing takes of its median.
+
+        Examples
+        --------
+        >>> list(load_results("results/smoke").ladder().columns)[:4]
+        ['solver', 'label', 'verdict', 'p50_us']
         """
         return self.tables["ladder"]
 
@@ -130,6 +177,12 @@ class Results(result_folder.Results):
         Raises
         ------
         InputError : for a choice that was not timed, or one alone.
+
+        Examples
+        --------
+        >>> results = load_results("results/smoke")
+        >>> results.paired_ratios("daqp", "quadprog")["second"].tolist()
+        ['quadprog (qpsolvers fresh)']
         """
         if choices:
             return pd.DataFrame([one.table_row for one in compare_chosen(Records(self), choices)])
@@ -153,6 +206,13 @@ class Results(result_folder.Results):
         columns, by default all; of "verdicts" those that identify a configuration, its verdict,
         error and times. solvers : only their rows. only_run : without rows of verdict "not run".
         InputError for a table, column or solver that is not there.
+
+        Examples
+        --------
+        >>> results = load_results("results/smoke")
+        >>> latex = results.to_latex(columns=["solver", "route"], solvers=["daqp"])
+        >>> "daqp & qpsolvers" in latex
+        True
         """
         require_lists_of_names(columns=columns, solvers=solvers)
         if isinstance(table, str):
@@ -199,6 +259,12 @@ class Results(result_folder.Results):
         """Write all tables of the report that have rows as CSV files into a folder.
 
         The file `.<folder>.json` beside it lists them, so that the next call removes old ones.
+
+        Examples
+        --------
+        >>> load_results("results/smoke").to_csv("tables")
+        >>> Path("tables/verdicts.csv").is_file()
+        True
         """
         # The report draws, and Altair takes its time.
         from dpbench.report.report import write_tables
@@ -212,10 +278,14 @@ class Results(result_folder.Results):
         others = "".join(f", {count} {outcome}" for outcome, count in outcomes.items())
         state = f"; the machine was {self._disturbed}" if self._disturbed else ""
         name = self.suite.get("name", self.folder.name)
-        return f"<Results {name}: {runs} of {solvers}{others}{state}>"
+        warning = f"; {self._warning}" if self._warning else ""
+        return f"<Results {name}: {runs} of {solvers}{others}{state}{warning}>"
 
     def _repr_html_(self) -> str | None:
-        """Return the recommendation and each solver's best settings as HTML; None without steps."""
+        """Return the recommendation and each solver's best settings as HTML; None without steps.
+
+        The warning of a lost ship comes before the table.
+        """
         if self.recorded.is_missing:
             return None
         from dpbench.report.documents.markdown import HEAD, make_solver_rows
@@ -226,7 +296,19 @@ class Results(result_folder.Results):
         )
         title = str(self.suite.get("name", self.folder.name))
         state = f" The machine was {self._disturbed}." if self._disturbed else ""
-        return make_html_table(HEAD, rows, title=title, note=f"{self.answer}{state}")
+        note = f"{self._recommendation}{state}"
+        table = make_html_table(HEAD, rows, title=title, note=note)
+        return f"{make_html_paragraph(self._warning)}{table}"
+
+    @cached_property
+    def _warning(self) -> str:
+        """Warning where the controller does not hold a ship, whatever the solver; "" elsewhere."""
+        return strip_markdown(summarise_ships(find_ship_results(Records(self))).warning)
+
+    @property
+    def _recommendation(self) -> str:
+        """Sentence of `answer` without the warning of a lost ship."""
+        return dict(self._full_report.summary_rows()).get("answer", "")
 
     @cached_property
     def _disturbed(self) -> str:

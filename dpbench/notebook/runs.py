@@ -88,14 +88,26 @@ class Run:
 
     @property
     def label(self) -> str:
-        """Solver, interface to its library, start of each solve, and settings but "default"."""
+        """Solver, interface to its library, start of each solve, and settings but "default".
+
+        Examples
+        --------
+        >>> run_closed_loop("paper", open_workspace("daqp", route="native"), steps=2).label
+        'daqp (native, fresh)'
+        """
         row = self.summary
         words = [row["route"], row["policy"], row["settings"]]
         return f"{row['solver']} ({', '.join(word for word in words if word not in UNNAMED)})"
 
     @property
     def remembers(self) -> bool:
-        """True if a replay's times look like answers the solver has cached, not of solving."""
+        """True if a replay's times look like answers the solver has cached, not of solving.
+
+        Examples
+        --------
+        >>> run_closed_loop("paper", "daqp", steps=2).remembers
+        False
+        """
         return bool(self._caching_text)
 
     @property
@@ -108,7 +120,13 @@ class Run:
 
     @property
     def plot(self) -> RunPlots:
-        """Plots: `steps()`; of a ship `ship()`, `errors()`, `forces()`; of a plant `signals()`."""
+        """Plots: `steps()`; of a ship `ship()`, `errors()`, `forces()`; of a plant `signals()`.
+
+        Examples
+        --------
+        >>> run_closed_loop("paper", "daqp", steps=2).plot
+        <figures: steps(), ship(), errors(), forces()>
+        """
         return RunPlots(self)
 
     def __repr__(self) -> str:

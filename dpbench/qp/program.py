@@ -176,30 +176,70 @@ class QuadraticProgram:
 
     @property
     def n(self) -> int:
-        """Number n of the QP's variables."""
+        """Number n of the QP's variables.
+
+        Examples
+        --------
+        >>> QuadraticProgram(np.eye(2), [-3.0, -3.0]).n
+        2
+        """
         return int(self.q.shape[0])
 
     @property
     def m(self) -> int:
-        """Number m of the QP's constraint rows, without bounds."""
+        """Number m of the QP's constraint rows, without bounds.
+
+        Examples
+        --------
+        >>> QuadraticProgram(np.eye(2), [-3.0, -3.0], [[1, 1]], [-9], [2]).m
+        1
+        """
         return int(self.A.shape[0])
 
     def stack_row_and_bound_limits(self) -> tuple[Vector, Vector]:
-        """Return lower and upper limits (m + n,) of rows and bounds together."""
+        """Return lower and upper limits (m + n,) of rows and bounds together.
+
+        Examples
+        --------
+        >>> qp = QuadraticProgram(np.eye(2), [-3.0, -3.0], [[1, 1]], [-9], [2], [0, 0], [9, 9])
+        >>> qp.stack_row_and_bound_limits()
+        (array([-9.,  0.,  0.]), array([2., 9., 9.]))
+        """
         return np.concatenate((self.l, self.lb)), np.concatenate((self.u, self.ub))
 
     def objective(self, z: Vector) -> float:
-        """Return the objective value ½ zᵀPz + qᵀz at z."""
+        """Return the objective value ½ zᵀPz + qᵀz at z.
+
+        Examples
+        --------
+        >>> QuadraticProgram(np.eye(2), [-3.0, -3.0]).objective(np.ones(2))
+        -5.0
+        """
         return float(0.5 * z @ self.P @ z + self.q @ z)
 
     def copy(self) -> QuadraticProgram:
-        """Copy the QP with all its arrays."""
+        """Copy the QP with all its arrays.
+
+        Examples
+        --------
+        >>> qp = QuadraticProgram(np.eye(2), [-3.0, -3.0])
+        >>> qp.copy().P is qp.P
+        False
+        """
         return self._copy_with_replaced_arrays(
             {name: getattr(self, name).copy() for name in ARRAYS}
         )
 
     def changed_by(self, step: QPStep) -> bool:
-        """Return whether a step brings matrices or bounds that differ from this problem's."""
+        """Return whether a step brings matrices or bounds that differ from this problem's.
+
+        Examples
+        --------
+        >>> qp = QuadraticProgram(np.eye(1), [-3.0])
+        >>> none = np.zeros(0)
+        >>> qp.changed_by(QPStep(np.ones(1), none, none, lb=np.zeros(1)))
+        True
+        """
         if step.P is step.A is step.lb is step.ub is None:
             return False
         pairs = ((getattr(step, name), getattr(self, name)) for name in CONSTANT)
@@ -207,7 +247,14 @@ class QuadraticProgram:
         return any(not np.array_equal(new, old) for new, old in changed)
 
     def at(self, step: QPStep) -> QuadraticProgram:
-        """Return this QP with a step's vectors q, l and u, and its matrices if the step has any."""
+        """Return this QP with a step's vectors q, l and u, and its matrices if the step has any.
+
+        Examples
+        --------
+        >>> qp = QuadraticProgram(np.eye(1), [-3.0])
+        >>> qp.at(QPStep(np.ones(1), np.zeros(0), np.zeros(0))).q
+        array([1.])
+        """
         given = {name: getattr(step, name) for name in ARRAYS}
         parts = {name: part for name, part in given.items() if part is not None}
         changed = self._copy_with_replaced_arrays(parts)
@@ -249,13 +296,26 @@ class QPStep:
 
     @property
     def refresh(self) -> Refresh:
-        """Parts of the QP that this step changes: vectors alone, or matrices and bounds too."""
+        """Parts of the QP that this step changes: vectors alone, or matrices and bounds too.
+
+        Examples
+        --------
+        >>> QPStep(q=np.array([-1.0]), l=np.zeros(1), u=np.ones(1), lb=np.zeros(1)).refresh
+        <Refresh.VECTORS|MATRICES: 3>
+        """
         if self.P is self.A is self.lb is self.ub is None:
             return Refresh.VECTORS
         return Refresh.VECTORS | Refresh.MATRICES
 
     def copy(self) -> QPStep:
-        """Copy a step's QP data with all its arrays."""
+        """Copy a step's QP data with all its arrays.
+
+        Examples
+        --------
+        >>> step = QPStep(q=np.array([-1.0]), l=np.zeros(1), u=np.ones(1))
+        >>> step.copy().q is step.q
+        False
+        """
         P, A, lb, ub = (a if a is None else a.copy() for a in (self.P, self.A, self.lb, self.ub))
         return QPStep(self.q.copy(), self.l.copy(), self.u.copy(), P, A, lb, ub)
 
@@ -332,7 +392,15 @@ class QPSequence:
         return f"<QPSequence {self.name}: {len(self)} QPs of {size}, {matrices}>"
 
     def step(self, k: int) -> QPStep:
-        """Return a copy of the QP data of step k that change along the sequence."""
+        """Return a copy of the QP data of step k that change along the sequence.
+
+        Examples
+        --------
+        >>> qp = QuadraticProgram(np.eye(1), [-1.0])
+        >>> two = QPSequence("two", qp, q=[[-1.0], [2.0]], l=np.zeros((2, 0)), u=np.zeros((2, 0)))
+        >>> two.step(1).q
+        array([2.])
+        """
         step = QPStep(self.q[k].copy(), self.l[k].copy(), self.u[k].copy())
         for name in CONSTANT:
             if (array := getattr(self, name)) is not None:
@@ -340,7 +408,15 @@ class QPSequence:
         return step
 
     def problem(self, k: int) -> QuadraticProgram:
-        """Return the complete QP of step k."""
+        """Return the complete QP of step k.
+
+        Examples
+        --------
+        >>> qp = QuadraticProgram(np.eye(1), [-1.0])
+        >>> two = QPSequence("two", qp, q=[[-1.0], [2.0]], l=np.zeros((2, 0)), u=np.zeros((2, 0)))
+        >>> two.problem(1)
+        <QuadraticProgram: 1 variable, 0 rows>
+        """
         return self.base.at(self.step(k))
 
 

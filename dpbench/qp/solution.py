@@ -35,17 +35,35 @@ class Status(IntEnum):
 
     @property
     def is_usable(self) -> bool:
-        """Return whether a finite answer with this status is applied, as an unfinished one is."""
+        """Return whether a finite answer with this status is applied, as an unfinished one is.
+
+        Examples
+        --------
+        >>> Status.TIME_LIMIT.is_usable, Status.NUMERICAL_ERROR.is_usable
+        (True, False)
+        """
         return self in _USABLE
 
     @property
     def is_applied_though_unfinished(self) -> bool:
-        """Return whether an answer with this status is applied, but marked as not optimal."""
+        """Return whether an answer with this status is applied, but marked as not optimal.
+
+        Examples
+        --------
+        >>> Status.TIME_LIMIT.is_applied_though_unfinished
+        True
+        """
         return self in _UNFINISHED
 
     @property
     def claims_no_optimum_exists(self) -> bool:
-        """Return whether the status claims that no optimum exists: infeasible or unbounded."""
+        """Return whether the status claims that no optimum exists: infeasible or unbounded.
+
+        Examples
+        --------
+        >>> Status.DUAL_INFEASIBLE.claims_no_optimum_exists
+        True
+        """
         return self in (Status.PRIMAL_INFEASIBLE, Status.DUAL_INFEASIBLE)
 
 
@@ -89,22 +107,49 @@ class Solution:
     def without_point(
         cls, n: int, m: int, status: Status, detail: str = "", counters: tuple[int, int] = (-1, -1)
     ) -> "Solution":
-        """Return an answer without a point, all arrays NaN; counters: iterations, time [ns]."""
+        """Return an answer without a point, all arrays NaN; counters: iterations, time [ns].
+
+        Examples
+        --------
+        >>> Solution.without_point(2, 1, Status.ERROR, "crashed")
+        <Solution ERROR: 2 variables, crashed>
+        """
         nan = np.nan
         return cls(status, np.full(n, nan), np.full(m, nan), np.full(n, nan), *counters, detail)
 
     def copy_with_other_vectors(self, z: Vector, y: Vector, y_box: Vector) -> "Solution":
-        """Return a copy with other arrays z, y and y_box, and the same status and counters."""
+        """Return a copy with other arrays z, y and y_box, and the same status and counters.
+
+        Examples
+        --------
+        >>> answer = Solution(Status.SOLVED, np.ones(1), np.zeros(0), np.zeros(1))
+        >>> answer.copy_with_other_vectors(np.zeros(1), answer.y, answer.y_box).z
+        array([0.])
+        """
         return replace(self, z=z, y=y, y_box=y_box)
 
     @property
     def claimed(self) -> bool:
-        """Return whether the solver claims to have solved the problem."""
+        """Return whether the solver claims to have solved the problem.
+
+        Examples
+        --------
+        >>> Solution.without_point(1, 0, Status.SOLVED).claimed
+        True
+        """
         return self.status is Status.SOLVED
 
     @property
     def bytes_for_comparison(self) -> bytes:
-        """Status and array bits as bytes, equal for answers that are judged alike."""
+        """Status and array bits as bytes, equal for answers that are judged alike.
+
+        Examples
+        --------
+        >>> late = Solution.without_point(1, 0, Status.TIME_LIMIT)
+        >>> failed = Solution.without_point(1, 0, Status.ERROR)
+        >>> late.bytes_for_comparison == failed.bytes_for_comparison
+        False
+        """
         numbers = (self.z, self.y, self.y_box)
         return bytes([self.status]) + b"".join(array.tobytes() for array in numbers)
 

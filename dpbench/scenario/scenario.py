@@ -192,27 +192,59 @@ class Scenario:
 
     @property
     def problem(self) -> ControlProblem:
-        """Control problem of the MPC: model, horizons, weights and limits, in SI units."""
+        """Control problem of the MPC: model, horizons, weights and limits, in SI units.
+
+        Examples
+        --------
+        >>> problem = load_scenario("paper").problem
+        >>> problem.N_p, problem.N_c
+        (30, 5)
+        """
         return self.controller.problem
 
     @property
     def force_step_max(self) -> Vector:
-        """Largest change of the force (3,) [N, N, N·m] in one sample."""
+        """Largest change of the force (3,) [N, N, N·m] in one sample.
+
+        Examples
+        --------
+        >>> load_scenario("paper").force_step_max
+        array([ 32736.,  11008., 475200.])
+        """
         return self.vessel.largest_force_change_per_sample(self.sample_s)
 
     @property
     def first_state(self) -> Vector:
-        """State (6,) [u, v, r, n, e, ψ] of the ship at the first sample."""
+        """State (6,) [u, v, r, n, e, ψ] of the ship at the first sample.
+
+        Examples
+        --------
+        >>> load_scenario("paper").first_state
+        array([0. , 0. , 0. , 1.2, 1.3, 0. ])
+        """
         return np.concatenate([self.velocity, self.start])
 
     def build_reference_table(self, samples: int) -> Matrix:
-        """Return the reference pose at each sample (samples, 3), heading unwrapped."""
+        """Return the reference pose at each sample (samples, 3), heading unwrapped.
+
+        Examples
+        --------
+        >>> load_scenario("paper").build_reference_table(2)
+        array([[0., 0., 0.],
+               [0., 0., 0.]])
+        """
         return build_smoothed_reference_table(
             self.start, self.reference, samples, self.sample_s, self.smoothed
         )
 
     def estimator(self) -> Estimator:
-        """Return a new state estimator, started at the ship's state of the first sample."""
+        """Return a new state estimator, started at the ship's state of the first sample.
+
+        Examples
+        --------
+        >>> type(load_scenario("paper").estimator()).__name__
+        'MeasuredState'
+        """
         estimator = self.estimation.build_estimator_for_ship(self.vessel, self.sample_s)
         estimator.start_from_state(self.first_state)
         return estimator
@@ -278,7 +310,13 @@ class Scenario:
         return built if self.steps == own.steps else built.truncate(self.steps)
 
     def truncate(self, steps: int) -> "Scenario":
-        """Return a copy of the scenario cut to its first `steps` samples."""
+        """Return a copy of the scenario cut to its first `steps` samples.
+
+        Examples
+        --------
+        >>> load_scenario("paper").truncate(10)
+        <Scenario paper: supply_fs99, tuning paper 30/5, 10 steps of 0.3 s>
+        """
         require_integer_at_least(f"scenario {self.name}: steps", steps, 1)
         return replace(self, steps=min(steps, self.steps))
 

@@ -73,29 +73,87 @@ class Workspace(ABC):
 
     @abstractmethod
     def setup(self, qp: QuadraticProgram) -> None:
-        """Store and prepare the whole problem `qp`, so that the next `solve` solves it."""
+        """Store and prepare the whole problem `qp`, so that the next `solve` solves it.
+
+        Examples
+        --------
+        >>> from dpbench import QuadraticProgram, open_workspace
+        >>> workspace = open_workspace("daqp", route="native", policy="warm")
+        >>> workspace.setup(QuadraticProgram([[1.0]], [-2.0], lb=[-9.0], ub=[1.0]))
+        """
 
     @abstractmethod
     def update(self, step: QPStep) -> None:
-        """Store the vectors and matrices of the next QP; ShapeError on wrong shapes."""
+        """Store the vectors and matrices of the next QP; ShapeError on wrong shapes.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from dpbench import QuadraticProgram, open_workspace
+        >>> workspace = open_workspace("daqp", route="native", policy="warm")
+        >>> workspace.setup(QuadraticProgram([[1.0]], [-2.0], [[1.0]], [-9.0], [1.0]))
+        >>> workspace.update(QPStep(q=np.array([3.0]), l=np.array([-9.0]), u=np.array([1.0])))
+        >>> workspace.solve()
+        >>> workspace.read().z
+        array([-3.])
+        """
 
     @abstractmethod
     def solve(self) -> None:
-        """Solve the current QP and store the answer; a library's failure becomes a status."""
+        """Solve the current QP and store the answer; a library's failure becomes a status.
+
+        Examples
+        --------
+        >>> from dpbench import QuadraticProgram, open_workspace
+        >>> workspace = open_workspace("daqp", route="native", policy="warm")
+        >>> workspace.setup(QuadraticProgram([[1.0]], [-2.0], lb=[-9.0], ub=[1.0]))
+        >>> workspace.solve()
+        >>> workspace.read().z
+        array([1.])
+        """
 
     @abstractmethod
     def read(self) -> Solution:
-        """Return a copy of the answer: status, solution z and multipliers."""
+        """Return a copy of the answer: status, solution z and multipliers.
+
+        Examples
+        --------
+        >>> from dpbench import QuadraticProgram, open_workspace
+        >>> workspace = open_workspace("daqp", route="native", policy="warm")
+        >>> workspace.setup(QuadraticProgram([[1.0]], [-2.0], lb=[-9.0], ub=[1.0]))
+        >>> workspace.solve()
+        >>> workspace.read().status
+        <Status.SOLVED: 0>
+        """
 
     def open_again_with_equal_settings(self) -> "Workspace":
-        """Return the same solver, opened with equal settings; SituationError unless by name."""
+        """Return the same solver, opened with equal settings; SituationError unless by name.
+
+        Examples
+        --------
+        >>> from dpbench import open_workspace
+        >>> workspace = open_workspace("daqp", route="native", policy="warm")
+        >>> workspace.open_again_with_equal_settings()
+        <Workspace of daqp (native, warm)>
+        """
         if self.reopen is None:
             sentence = "a cascade needs two workspaces; open this one by open_workspace"
             raise SituationError(f"solver {self.solver}", sentence)
         return self.reopen()
 
     def reset(self) -> None:  # noqa: B027 - a workspace without memory has nothing to forget
-        """Discard earlier answers and warm-start data, after a step that was not solved."""
+        """Discard earlier answers and warm-start data, after a step that was not solved.
+
+        Examples
+        --------
+        >>> from dpbench import QuadraticProgram, open_workspace
+        >>> workspace = open_workspace("daqp", route="native", policy="warm")
+        >>> workspace.setup(QuadraticProgram([[1.0]], [-2.0], lb=[-9.0], ub=[1.0]))
+        >>> workspace.reset()
+        >>> workspace.solve()
+        >>> workspace.read().z
+        array([1.])
+        """
 
 
 def check_step(step: QPStep, n: int, m: int) -> None:

@@ -13,6 +13,7 @@ from dpbench import InputError, compare, load_results
 from dpbench.analysis.verdict.requirements import MISSED, STATES
 from dpbench.errors import ResultsError
 from dpbench.notebook.results import Results
+from dpbench.report.ship_text import BANNER
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +155,18 @@ def test_results_name_what_disturbed_their_times(results: Results, switches: int
     for text in (repr(shown), shown._repr_html_()):
         assert (warning in text.replace("The machine", "the machine")) == (switches > 0)
         assert ("disturbed" in text) == (switches > 0)
+
+
+def test_results_name_a_lost_ship_before_their_verdicts(results: Results) -> None:
+    """In text, and in HTML before the table; a ship on station has no warning."""
+    left = {"exact_steps": 40.0, "exact_left_s": 3.0, "exact_offset_max_m": 9.0}
+    lost = replace(results, runs=results.runs.assign(**left))
+    html = str(lost._repr_html_())
+    assert f"; {BANNER}" in repr(lost)
+    assert html.startswith(f"<p>{BANNER}") and html.count(BANNER) == 1
+    assert html.index("</p><table>") < html.index("<tbody>")
+    kept = replace(lost, runs=lost.runs.assign(exact_left_s=np.nan))
+    assert BANNER not in repr(kept) and str(kept._repr_html_()).startswith("<table>")
 
 
 @pytest.mark.slow

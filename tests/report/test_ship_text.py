@@ -306,7 +306,9 @@ def test_every_surface_says_first_that_the_ship_is_lost(tmp_path: Path, capsys: 
     results = load_results(lost.out)
     assert results.answer.startswith(BANNER)
     assert not ADVICE.search(" ".join(map(str, (results.answer, results._repr_html_(), lost.json))))
-    assert results._repr_html_().index(BANNER) > 0
+    html = str(results._repr_html_())
+    assert html.startswith(f"<p>{BANNER}") and html.count(BANNER) == 1
+    assert html.index(BANNER) < html.index("<table>") and BANNER in repr(results)
     assert list(results.ships()["ship"]) == ["leaves"]
     assert set(results.runs["mode"]) == {"closed_loop", "replay"}
     assert (results.runs["exact_steps"] == 40).all()

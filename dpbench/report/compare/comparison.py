@@ -257,7 +257,13 @@ class Comparison:
 
     @property
     def worse(self) -> bool:
-        """True if a regression is shown: slower, less accurate, or worse control."""
+        """True if a regression is shown: slower, less accurate, or worse control.
+
+        Examples
+        --------
+        >>> compare("results/smoke", "results/smoke").worse
+        False
+        """
         together = [s.assessment for s in self.shared if s.assessment is not None]
         slow = any(
             j.verdict == "slower" for j in [*(c.assessment for c in self.compared), *together]
@@ -266,17 +272,35 @@ class Comparison:
 
     @property
     def times(self) -> pd.DataFrame:
-        """Table of step time ratios: a row per configuration and sequence."""
+        """Table of step time ratios: a row per configuration and sequence.
+
+        Examples
+        --------
+        >>> compare("results/smoke", "results/smoke").times["raw"].unique().tolist()
+        [1.0]
+        """
         return pd.DataFrame([compared.table_row for compared in self.compared])
 
     @property
     def answers(self) -> pd.DataFrame:
-        """Table of accuracy and control: a row per configuration and compared quantity."""
+        """Table of accuracy and control: a row per configuration and compared quantity.
+
+        Examples
+        --------
+        >>> compare("results/smoke", "results/smoke").answers["change"].unique().tolist()
+        ['same']
+        """
         return pd.DataFrame([answer.table_row for answer in self.figures])
 
     @property
     def headline(self) -> str:
-        """Verdict of the comparison in a few words, what is worse first."""
+        """Verdict of the comparison in a few words, what is worse first.
+
+        Examples
+        --------
+        >>> compare("results/smoke", "results/smoke").headline  # doctest: +ELLIPSIS
+        'no change shown...'
+        """
         times = {one.assessment.verdict for one in self.compared}
         if any(figure.change == "worse" for figure in self.figures):
             return "worse accuracy or control" + (", slower" if "slower" in times else "")
@@ -292,14 +316,27 @@ class Comparison:
 
     @property
     def note_on_times(self) -> str:
-        """Reason for a verdict on accuracy: no times compared, or none judged; "" elsewhere."""
+        """Reason for a verdict on accuracy: no times compared, or none judged; "" elsewhere.
+
+        Examples
+        --------
+        >>> compare("results/smoke", "results/smoke").note_on_times
+        ''
+        """
         if not self.compared:
             return "accuracy only"
         judged = any(one.assessment.verdict != "not judged" for one in self.compared)
         return "" if judged else "times not judged"
 
     def markdown(self) -> str:
-        """Return the comparison of two result folders as a Markdown document."""
+        """Return the comparison of two result folders as a Markdown document.
+
+        Examples
+        --------
+        >>> text = compare("results/smoke", "results/smoke").markdown()
+        >>> text.startswith("# Comparison: no change shown")
+        True
+        """
         return make_markdown_document(f"Comparison: {self.headline}", self.lines, self.tables)
 
 

@@ -46,13 +46,48 @@ class Plant(Protocol):
 
     @property
     def state(self) -> Vector:
-        """True state of the plant now, which the records show."""
+        """True state of the plant now, which the records show.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> class Moored:
+        ...     state = np.zeros(6)
+        >>> Moored().state.shape
+        (6,)
+        """
 
     def step(self, u: Vector) -> None:
-        """Advance the plant by one sample under the input u, held over the sample."""
+        """Advance the plant by one sample under the input u, held over the sample.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> class Integrator:
+        ...     state = np.zeros(1)
+        ...
+        ...     def step(self, u):
+        ...         self.state = self.state + 0.1 * u
+        >>> plant = Integrator()
+        >>> plant.step(np.ones(1))
+        >>> plant.state
+        array([0.1])
+        """
 
     def measure(self) -> Vector:
-        """Return the state that the controller gets at this sample, measured or estimated."""
+        """Return the state that the controller gets at this sample, measured or estimated.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> class Biased:
+        ...     state = np.zeros(1)
+        ...
+        ...     def measure(self):
+        ...         return self.state + 0.01
+        >>> Biased().measure()
+        array([0.01])
+        """
 
 
 def refuse_loads_on_own_plant(environment: Environment, where: str) -> None:

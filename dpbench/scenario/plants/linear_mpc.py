@@ -122,7 +122,17 @@ class LinearMPC:
     def from_continuous(
         cls, *, A: ArrayLike, B: ArrayLike, C: ArrayLike, sample_s: float, **others: Any
     ) -> "LinearMPC":
-        """Return the problem of a continuous model ẋ = A x + B u, discretised under held inputs."""
+        """Return the problem of a continuous model ẋ = A x + B u, discretised under held inputs.
+
+        Examples
+        --------
+        >>> mpc = LinearMPC.from_continuous(
+        ...     name="integrator", A=[[0.0]], B=[[1.0]], C=[[1.0]], sample_s=0.1, steps=20,
+        ...     prediction_horizon=10, control_horizon=3, output_weight=[1.0], u_min=[-1.0],
+        ...     increment_weight=[0.1], u_max=[1.0], du_max=[0.5], reference=[1.0])  # fmt: skip
+        >>> mpc.B
+        array([[0.1]])
+        """
         name = str(others.get("name", "LinearMPC"))
         matrices = (_to_array(name, key, m, 2) for key, m in zip("ABC", (A, B, C), strict=True))
         model = discretise_zero_order_hold(StateSpace(*matrices), sample_s)
@@ -140,12 +150,32 @@ class LinearMPC:
 
     @property
     def files(self) -> ScenarioDocuments:
-        """Documents of the problem in results: its name alone, as it is no ship's scenario."""
+        """Documents of the problem in results: its name alone, as it is no ship's scenario.
+
+        Examples
+        --------
+        >>> mpc = LinearMPC(
+        ...     name="integrator", A=[[1.0]], B=[[0.1]], C=[[1.0]], sample_s=0.1, steps=20,
+        ...     prediction_horizon=10, control_horizon=3, output_weight=[1.0], u_min=[-1.0],
+        ...     increment_weight=[0.1], u_max=[1.0], du_max=[0.5], reference=[1.0])  # fmt: skip
+        >>> mpc.files
+        {'name': 'integrator'}
+        """
         return {"name": self.name}
 
     @property
     def problem(self) -> ControlProblem:
-        """Control problem of the MPC: incremental model, horizons, weights and limits."""
+        """Control problem of the MPC: incremental model, horizons, weights and limits.
+
+        Examples
+        --------
+        >>> mpc = LinearMPC(
+        ...     name="integrator", A=[[1.0]], B=[[0.1]], C=[[1.0]], sample_s=0.1, steps=20,
+        ...     prediction_horizon=10, control_horizon=3, output_weight=[1.0], u_min=[-1.0],
+        ...     increment_weight=[0.1], u_max=[1.0], du_max=[0.5], reference=[1.0])  # fmt: skip
+        >>> mpc.problem.N_p, mpc.problem.N_c
+        (10, 3)
+        """
         return self.controller.problem
 
     def _build_controller(self) -> LinearController:
@@ -185,7 +215,18 @@ class LinearMPC:
         )
 
     def build_reference_table(self, samples: int) -> Matrix:
-        """Return the reference of the outputs at each sample (samples, n_y)."""
+        """Return the reference of the outputs at each sample (samples, n_y).
+
+        Examples
+        --------
+        >>> mpc = LinearMPC(
+        ...     name="integrator", A=[[1.0]], B=[[0.1]], C=[[1.0]], sample_s=0.1, steps=20,
+        ...     prediction_horizon=10, control_horizon=3, output_weight=[1.0], u_min=[-1.0],
+        ...     increment_weight=[0.1], u_max=[1.0], du_max=[0.5], reference=[1.0])  # fmt: skip
+        >>> mpc.build_reference_table(2)
+        array([[1.],
+               [1.]])
+        """
         given = np.atleast_2d(np.asarray(self.reference, dtype=np.float64))
         if given.ndim != 2 or given.shape[1] != self.model.n_y or not np.isfinite(given).all():
             expected = f"finite numbers of shape ({self.model.n_y},) or (K, {self.model.n_y})"
@@ -194,7 +235,17 @@ class LinearMPC:
         return table
 
     def truncate(self, steps: int) -> "LinearMPC":
-        """Return a copy of the problem cut to its first `steps` samples."""
+        """Return a copy of the problem cut to its first `steps` samples.
+
+        Examples
+        --------
+        >>> mpc = LinearMPC(
+        ...     name="integrator", A=[[1.0]], B=[[0.1]], C=[[1.0]], sample_s=0.1, steps=20,
+        ...     prediction_horizon=10, control_horizon=3, output_weight=[1.0], u_min=[-1.0],
+        ...     increment_weight=[0.1], u_max=[1.0], du_max=[0.5], reference=[1.0])  # fmt: skip
+        >>> mpc.truncate(5).steps
+        5
+        """
         require_integer_at_least(f"{self.name}: steps", steps, 1)
         return replace(self, steps=min(steps, self.steps))
 
