@@ -101,7 +101,7 @@ class _WeatherLoss:
             and (_spans_of(analysis, group)["state"] == LOST).any()
         ]
         self.findings = [*self._level_1_findings(plots), *self._analysis_findings()]
-        """In words, what finds that the loss is not held."""
+        """Findings, as text, by which the loss is not held."""
 
     @property
     def has_ship_left(self) -> bool:
@@ -129,7 +129,7 @@ class _WeatherLoss:
         return f"Loss of {self._group} in {named}{weather}: not held by {by}; {end}."
 
     def _level_1_findings(self, plots: Sequence[CapabilityResult]) -> Iterator[str]:
-        """Yield in words the wind held without the group, by each plot where it is too little."""
+        """Yield as text the wind held without the group, by each plot where it is too little."""
         scenario, wind = self._alike[0], _find_wind(self._alike[0])
         for plot in plots if wind else ():
             held_mps = _held_wind_by_direction(plot, self._group)

@@ -21,6 +21,8 @@ MOST_NAMED = 3
 """Scenarios that a sentence describes or names."""
 MOST_VALUES, MOST_LETTERS = 2, 60
 """Values of a study's point, and letters, that are shown with its number."""
+WIND_KEYS = {"environment.wind.speed_mps": 0, "environment.wind.from_deg": 1}
+"""Keys whose values are shown first, in their order."""
 POINT_PREFIXES = ("environment.", "controller.")
 """Tables of a scenario whose names are left out of such a value's key."""
 
@@ -354,9 +356,10 @@ def _name_sea(run: RunRecord) -> str:
 
 def _describe_point(run: RunRecord) -> str:
     """Return the first values of a study's point as text; "" where they are none or too long."""
+    ordered = sorted(run.x.items(), key=lambda item: WIND_KEYS.get(item[0], len(WIND_KEYS)))
     shown = {
         key.split(".", 1)[-1] if key.startswith(POINT_PREFIXES) else key: value
-        for key, value in list(run.x.items())[:MOST_VALUES]
+        for key, value in ordered[:MOST_VALUES]
         if isinstance(value, int | float | str)
     }
     values = [

@@ -398,7 +398,7 @@ def test_weather_from_one_direction_is_named_with_it(records: Any) -> None:
 
 def test_a_point_is_named_by_its_first_values_where_they_are_short(records: Any) -> None:
     weather = {"environment.wind.speed_mps": 5.4, "environment.wind.from_deg": 90.0}
-    records.sea("daqp", 7, 3, weather | {"environment.waves.hs_m": 0.8}, **LOST)
+    records.sea("daqp", 7, 3, {"environment.current.speed_mps": 0.5} | weather, **LOST)
     warning = _summary(records).warning
     values = "`wind.speed_mps = 5.4`, `wind.from_deg = 90`, …"
     assert warning.endswith(f"by up to 37.0 m at point 7 with {values}, realisation 3.")
