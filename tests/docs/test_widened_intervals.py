@@ -1,4 +1,4 @@
-"""How often skewness widens an interval of a study, as the guide on studies states it."""
+"""Frequency at which skewness widens an interval of a study, as the guide on studies states it."""
 
 import re
 

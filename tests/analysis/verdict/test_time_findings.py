@@ -296,7 +296,7 @@ def test_waits_for_the_core_prove_no_late_p99(
 def test_too_few_steps_for_a_p99_are_judged_by_a_p95_of_that_name(
     records: Any, waited_ns: int, switches: int | None, kind: str
 ) -> None:
-    """Of 500 steps 30 take 9 ms: they are beyond the p95, and none is a p99."""
+    """30 of 500 steps take 9 ms: they are beyond the p95, and none is a p99."""
     columns = {"involuntary_switches": switches}
     _even_replay(records, 300_000, 500, slow=dict.fromkeys(range(30), 30.0), rounds=2, **columns)
     if waited_ns:

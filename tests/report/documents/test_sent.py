@@ -85,7 +85,7 @@ def test_capability_plots_go_along(records: Any, tmp_path: Path) -> None:
 
 
 def test_the_command_says_what_is_left_to_do(records: Any, tmp_path: Path, capsys: Any) -> None:
-    """What it wrote, and the form that is still empty, in place of the results."""
+    """The text it wrote, and the form that is still empty, in place of the results."""
     records.loop("daqp", steps=20)
     out, folder = records.write(tmp_path / "out"), tmp_path / "folder"
     assert main(["report", str(out), "--send", str(folder)]) == 0
