@@ -34,7 +34,12 @@ def docstring(thing: object) -> str:
     section = ""
     for block in re.split(r"\n\s*\n", inspect.getdoc(thing) or ""):
         head, _, rest = block.partition("\n")
-        if head in SECTIONS and rest.startswith("-"):
+        if head == "Examples" and rest.startswith("-"):
+            section = head
+            blocks += [f"*{head}*", _example(rest.partition("\n")[2])]
+        elif section == "Examples":
+            blocks.append(_example(block))
+        elif head in SECTIONS and rest.startswith("-"):
             section = head
             blocks += [f"*{head}*", _entries(rest.partition("\n")[2])]
         elif section:
@@ -44,6 +49,11 @@ def docstring(thing: object) -> str:
         else:
             blocks.append(prose(block))
     return "\n\n".join(filter(None, blocks))
+
+
+def _example(block: str) -> str:
+    """A block of examples as code, or the text between them."""
+    return f"```pycon\n{block}\n```" if block.startswith(">>> ") else prose(block)
 
 
 def _entries(block: str) -> str:

@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Iterator
 from enum import Enum
+from functools import cached_property
 
 import dpbench
 from sitegen.markup import code, docstring, prose
@@ -89,7 +90,7 @@ def _members(cls: type) -> Iterator[tuple[str, object]]:
         member = inspect.getattr_static(cls, name)
         if name.startswith("_") or not inspect.getdoc(getattr(cls, name, None)):
             continue
-        if isinstance(member, property):
+        if isinstance(member, property | cached_property):
             yield name, member
         elif callable(function := getattr(cls, name)) and _is_ours(function):
             yield f"{name}{_plain(function)}", function

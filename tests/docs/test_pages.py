@@ -167,9 +167,17 @@ def test_a_docstring_becomes_prose_lists_and_formulas() -> None:
         ----------
         x : (n,) start; y : (m,) rows
             of it.
+
+        Examples
+        --------
+        A sum*.
+
+        >>> [1 + 1]
+        [2]
         """
 
     text = docstring(documented)
     assert text.startswith(r"A\* of \[x\] with a&#124;b.")
     assert "```text\nJ = ½ xᵀ P x\n```" in text
     assert "*Parameters*\n\n- `x`: (n,) start; `y`: (m,) rows of it." in text
+    assert text.endswith("*Examples*\n\nA sum\\*.\n\n```pycon\n>>> [1 + 1]\n[2]\n```")
