@@ -27,6 +27,7 @@ DERIVED = [
     "x",
     "default_route",
     "own_switches_a_step",
+    "untimed_iterations",
 ]
 
 

@@ -52,7 +52,7 @@ def _window(records: Any, solver: str, steps: int = 30, **columns: Any) -> None:
         ),
         (
             Experiment("closed_loop", "paper", "scaled", 0.0, "", "seas", 3, 2),
-            "seas: point 3, sea 2",
+            "seas: point 3, realisation 2",
         ),
     ],
 )
@@ -116,7 +116,11 @@ def test_the_runs_of_a_study_that_are_kept(records: Any) -> None:
     for replicate in (1, 2):
         records.sea("scs", 0, replicate, {"hs_m": 1.0}, settings="high")
     matrix = _matrix(records, kept=1)
-    assert _labels(matrix) == ["paper", "seas: point 0, sea 1", "seas: point 0, sea 2"]
+    assert _labels(matrix) == [
+        "paper",
+        "seas: point 0, realisation 1",
+        "seas: point 0, realisation 2",
+    ]
     assert sorted(matrix.runs) == [(0, 0), (1, 1)]
     assert matrix.judged_experiment_indices == [0]
     assert matrix.settings_levels == ["default"]
