@@ -151,7 +151,8 @@ def _list_cached_properties(module: ModuleType) -> list[tuple[str, cached_proper
 
 def _list_public_members(cls: type) -> Iterator[tuple[str, str]]:
     """Yield name and docstring of each public method and property that dpbench defines."""
-    for name in dir(cls):
+    # `dir` of an enumeration leaves out its properties.
+    for name in sorted({name for base in cls.__mro__ for name in vars(base)}):
         member = inspect.getattr_static(cls, name)
         if name.startswith("_"):
             continue
