@@ -105,7 +105,7 @@ class StudyTable(RunsTable):
     name: str = ""
     """Name, one word for each study of a suite; by default that of its scenario."""
     radius_m: Annotated[float, Field(gt=0)] = 1.0
-    """A run is held where its radial error stays within this in its second half [m]."""
+    """Limit of the radial error in the second half of a run [m]."""
     solvers: list[str] = []
     """Solvers of the suite that take part; all where it is empty."""
     steps: Annotated[int, Field(ge=0)] = 0

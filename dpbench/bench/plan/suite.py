@@ -278,9 +278,9 @@ class SettingsTable(FileModel):
     __pydantic_extra__: dict[str, OptionsTable]
 
     route: Route | None = None
-    """Route of these settings, in place of those of a table of runs."""
+    """Route of these settings; it overrides `routes` of the tables that use them."""
     policy: Policy | None = None
-    """Policy of these settings, in place of those of a table of runs."""
+    """Policy of these settings; it overrides `policies` of the tables that use them."""
 
     @property
     def options_by_solver(self) -> dict[str, Options]:
