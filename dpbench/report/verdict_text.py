@@ -263,7 +263,7 @@ def _describe_p99_bound(verdict: Verdict) -> str:
     if run is None or not verdict.p99_bound_ns > verdict.p99_ns:
         return ""
     time = format_time(verdict.p99_bound_ns)
-    return f"; up to {time} by the iterations of the closed loop of `{run.scenario}`"
+    return f"; {time} if scaled up to the iterations of the closed loop of `{run.scenario}`"
 
 
 def describe_p99_interval(verdict: Verdict) -> str:

@@ -200,8 +200,18 @@ def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> t
         f"It was correct on every step of {describe_judged_runs(chosen)}"
         f"{_describe_infeasible_steps(data, c)}. Step time: {format_usual_time(timed)}. "
         f"The largest error of the first move was {format_error(chosen.error_move)} times the "
-        "maximum increment.",
+        f"maximum increment.{_describe_selection(chosen, is_lost=is_lost)}",
     )
+
+
+def _describe_selection(chosen: Verdict, *, is_lost: bool) -> str:
+    """Return why a solver was selected, and that it is of this project if it is; or ""."""
+    solver = chosen.configuration.solver
+    if chosen.state != "pass" or is_lost:
+        return ""
+    record = find_solver_record_or_none(solver)
+    own = ", and part of dpbench itself" if record and record.extra == "own" else ""
+    return f" It is the fastest deployable configuration that passes{own}."
 
 
 def _describe_infeasible_steps(data: PageData, c: Configuration) -> str:
