@@ -3,7 +3,7 @@
 import argparse
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -25,10 +25,9 @@ _STORED = {
 }
 """Arguments whose values are names of stored files, with their kind."""
 _BAD_INPUT = "2 bad input"
-_RUN = (
-    "0 done, even if solvers failed; 1 dpbench itself lost runs: give the same command again; "
-    f"{_BAD_INPUT}"
-)
+_LOST = "1 runs were lost through a fault of dpbench, not of a solver: run the same command again"
+_NOT_HELD = "with --strict, the controller does not hold a ship"
+_BUSY = f"{_BAD_INPUT}, or another dpbench benchmark is running (--no-wait, or after --wait)"
 
 
 @dataclass(frozen=True)
@@ -127,6 +126,15 @@ def make_parser(calls: Mapping[str, Callable[..., int | None]]) -> argparse.Argu
     return whole
 
 
+def parse_words(whole: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
+    """Parse a command line; exit with code 2 on a mistake, naming the help of its command."""
+    arguments, unknown = whole.parse_known_args(words)
+    if unknown:
+        whole.prog = f"{whole.prog} {arguments.command}"
+        whole.error(f"unrecognized arguments: {' '.join(unknown)}")
+    return arguments
+
+
 def _list_commands() -> str:
     """Return the commands by group with their summaries, and two examples, as lines."""
     lines = []
@@ -191,14 +199,14 @@ COMMANDS: dict[str, CommandHelp] = {
         "Run a suite and write its report",
         options.add_run_options,
         ("run smoke --open", "run standard --solver daqp --solver 'osqp[rho=[0.1,1]]'"),
-        _RUN,
+        f"0 done, even if solvers failed; {_LOST}, or, {_NOT_HELD}; {_BUSY}",
     ),
     "cells": CommandHelp(
         _BENCHMARK,
         "Run one shard of a suite, for a batch scheduler",
         options.add_cells_options,
         ("cells standard --shard 1/8 --out shard-1", "gather shard-* --out results/all"),
-        _RUN,
+        f"0 done, even if solvers failed; {_LOST}; {_BUSY}",
         "Run one of N shards of a suite; several machines can run different shards at the same "
         "time. After an interruption, give the same command again.",
     ),
@@ -207,8 +215,8 @@ COMMANDS: dict[str, CommandHelp] = {
         "Join the shards of a suite and write the report",
         options.add_gather_options,
         ("gather shard-* --out results/all", "gather a b --out results/all --open"),
-        "0 done; 1 runs are missing: run them here by `dpbench run` with the same --out; "
-        f"{_BAD_INPUT}",
+        "0 done; 1 runs are missing: run them on this machine with `dpbench run` and the same "
+        f"--out, or, {_NOT_HELD}; {_BAD_INPUT}",
     ),
     "report": CommandHelp(
         _BENCHMARK,
@@ -218,7 +226,7 @@ COMMANDS: dict[str, CommandHelp] = {
             "report results/standard --open",
             "report results/standard --statement statement.pdf",
         ),
-        "0 done; 1 with --strict: the controller does not hold a ship; 2 bad input",
+        f"0 done; 1 {_NOT_HELD}; {_BAD_INPUT}",
     ),
     "compare": CommandHelp(
         _BENCHMARK,
@@ -235,8 +243,9 @@ COMMANDS: dict[str, CommandHelp] = {
         "Reproduce Figures 4-7 and the claims of the paper",
         options.add_paper_options,
         ("paper", "paper --out results/figures"),
-        "0 done, even if claims are not reproduced; 1 dpbench itself lost runs: give the same "
-        f"command again; {_BAD_INPUT}",
+        f"0 done, even if claims are not reproduced; {_LOST}; {_BAD_INPUT}",
+        'Reproduce Figures 4-7 and the claims of the paper "Constrained Model Predictive Control '
+        'Design for Dynamic Positioning of a Supply Ship" (Xia et al.).',
     ),
     "export": CommandHelp(
         _ANALYSE,
@@ -252,13 +261,14 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "iteration-bound": CommandHelp(
         _ANALYSE,
-        "Prove a bound on the iterations of paper_active_set",
+        "Prove a bound on iterations of the solver paper_active_set",
         options.add_iteration_bound_options,
         ("iteration-bound surge", "iteration-bound sway-yaw --box 0.016"),
-        "0 proved; 1 not proved in time, or the C library takes another number of iterations; "
+        "0 proved; 1 not proved in time, or the C library takes a different number of iterations; "
         f"{_BAD_INPUT}",
-        "Prove a bound on the iterations of paper_active_set from a cold start, for all QPs of a "
-        "controller whose parameters (offset, speed, applied force) lie in a box.",
+        "Prove a bound on the iterations that the solver paper_active_set takes from a cold start. "
+        "The bound covers all QPs of a controller for which the QP's parameters (offset, speed, "
+        "applied force) are in a box.",
     ),
     "active-sets": CommandHelp(
         _ANALYSE,
@@ -271,7 +281,7 @@ COMMANDS: dict[str, CommandHelp] = {
         "Search for a solver's fastest accurate settings",
         options.add_tune_solver_options,
         ("tune-solver osqp", "tune-solver 'osqp[rho=1.6]' --range 'rho=[0.1,10]'"),
-        f"0 settings found; 1 none is accurate on every training sequence; {_BAD_INPUT}; "
+        f"0 settings found; 1 none is accurate on every training sequence; {_BUSY}; "
         "130 interrupted",
         "Find the fastest settings of a solver that are accurate on the training sequences, and "
         "measure them on test sequences of other loops. Ctrl-C writes the best settings so far; "
@@ -287,14 +297,15 @@ COMMANDS: dict[str, CommandHelp] = {
             "init my_ship --sea 4",
         ),
         text="Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml; their comments "
-        "explain how each value was derived. With --thrusters, also write NAME_thrusters.toml, "
-        "whose controller commands the thrusters, NAME_loss_*.toml, which simulate the loss of "
-        "other switchboards, and the plot NAME_capability.svg. Sectors and barred zones of "
-        "azimuths are the directions in which they push the ship, clockwise from ahead; the race "
-        "(wash) goes the other way. A port azimuth whose race must not go to 60 to 120 deg, "
-        "towards the starboard azimuth, has barred_from_deg 240 and barred_to_deg 300. If "
-        "NAME.toml exists and only --sea is given, write scenario and suite of the same ship for "
-        "that sea.",
+        "explain how each value was derived. With --thrusters, also write: NAME_thrusters.toml, a "
+        "scenario whose controller commands the thrusters; NAME_loss_*.toml, scenarios that "
+        "simulate the loss of other switchboards; and NAME_capability.svg, the capability plot. "
+        "Give sectors and barred zones of azimuth thrusters as the directions in which the "
+        "thruster pushes the ship, clockwise from ahead; its race (wash) goes the opposite way. "
+        "For example, if the race of a port azimuth thruster must not point between 60 and 120 "
+        "deg, towards the starboard one, set barred_from_deg to 240 and barred_to_deg to 300. If "
+        "NAME.toml exists and only --sea is given, write the scenario and the suite of that ship "
+        "for that sea.",
     ),
     "check": CommandHelp(
         _SHIP,
@@ -315,12 +326,12 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "capability": CommandHelp(
         _SHIP,
-        "Compute the largest wind that a ship's thrusters hold",
+        "Compute the strongest wind in which thrusters hold the ship",
         options.add_capability_options,
         ("capability osv --figure osv.svg", "capability my_ship.toml --solver daqp"),
-        text="Compute the largest wind that the thrusters hold in 36 directions (DNV-ST-0111, "
-        "level 1), intact and after the loss of each failure group; with --solver, judge the "
-        "answers of solvers to the QPs at that limit.",
+        text="Compute the strongest wind, from each of 36 directions, in which the thrusters can "
+        "hold the ship (DNV-ST-0111, level 1), intact and after the loss of each failure group. "
+        "With --solver, judge the answers of solvers to the QPs at that limit.",
     ),
     "embedded": CommandHelp(
         _DEPLOY,
@@ -329,8 +340,8 @@ COMMANDS: dict[str, CommandHelp] = {
         ("embedded paper-30-5 --target m7 --target a53", "embedded rough-60-10 --solver daqp"),
         f"0 done; 1 a solver could not be counted; {_BAD_INPUT}, or no solver could be counted",
         "Compile the C code of solvers for an embedded core, run it on an emulated core along a "
-        "sequence of QPs, and count instructions, memory and errors of each step (extra: "
-        "embedded).",
+        "sequence of QPs, and count instructions, memory and errors of each step (needs "
+        "pip install 'dpbench[embedded]').",
     ),
     "codegen": CommandHelp(
         _DEPLOY,
@@ -356,7 +367,10 @@ COMMANDS: dict[str, CommandHelp] = {
         _HELP,
         "Print a shell completion script",
         options.add_completion_options,
-        ('completion bash  # in bash or zsh: eval "$(dpbench completion bash)"', "completion fish"),
+        (
+            'completion bash  # bash: eval "$(dpbench completion bash)"',
+            'completion zsh   # zsh:  eval "$(dpbench completion zsh)"',
+        ),
     ),
 }
 """Help of each command by name, in the order of `dpbench --help`."""

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dpbench.bench.workers.interrupts import Interruption, first_signal_only
-from dpbench.cli.arguments import HOW_TO_END, make_parser, offer_completions
+from dpbench.cli.arguments import HOW_TO_END, make_parser, offer_completions, parse_words
 from dpbench.cli.streams import PIPE_CLOSED, flush_streams, is_output_lost, open_streams
 from dpbench.errors import (
     DpbenchError,
@@ -85,7 +85,7 @@ def _call_command(argv: Sequence[str], interruption: Interruption) -> int:
         whole = make_parser(_CALLS)
         if "_ARGCOMPLETE" in os.environ:
             offer_completions(whole)
-        return _call_and_report_errors(whole.parse_args(words), interruption)
+        return _call_and_report_errors(parse_words(whole, words), interruption)
 
 
 def _print_warning(

@@ -64,11 +64,20 @@ def _add_suite_options(run: Command) -> None:
         "run only this scenario: one of the suite, or a name or file that replaces its scenarios"
     )
     _repeated(choice, "--scenario", "SCENARIO", scenario, dest="scenarios")
-    settings = "run only these settings: default, low, mid, high or a name in the suite"
+    settings = (
+        "run only these settings: default, low, mid, high, a tolerance such as 1e-4, or a name in "
+        "the suite"
+    )
     _repeated(choice, "--settings", "NAME", settings)
-    route = "override the route: native, qpsolvers or default (the default of each solver)"
+    route = (
+        "interface through which solvers are called: native (the library's own), qpsolvers (that "
+        "Python package) or default (the default of each solver); overrides the suite"
+    )
     _repeated(choice, "--route", "ROUTE", route, dest="routes")
-    policy = "override the policy (start of each solve): fresh, reuse or warm"
+    policy = (
+        "what a solver keeps between steps: fresh (nothing), reuse (its workspace) or warm "
+        "(workspace and last solution); overrides the suite"
+    )
     _repeated(choice, "--policy", "POLICY", policy, dest="policies")
     _option(choice, "--steps", "N", "run at most N steps of each run", type=int)
     _add_module_option(choice)
@@ -76,18 +85,24 @@ def _add_suite_options(run: Command) -> None:
 
 def _add_execution_options(group: Command) -> None:
     """Add the options on parallel runs, resumption and waiting to a group of a command."""
-    jobs = "closed loops, or runs on random QPs, in parallel (default: one per core)"
+    jobs = (
+        "number of closed loops, or of runs on random QPs, to run in parallel "
+        "(default: one per core)"
+    )
     _option(group, "--jobs", "N", jobs, type=int)
-    _flag(group, "--fresh", "run finished cells again")
+    _flag(group, "--fresh", "repeat runs that are already finished")
     _add_wait_options(group)
 
 
 def _add_wait_options(group: Command) -> None:
     """Add the options on how long to wait for another campaign to a command or a group of it."""
     wait = group.add_mutually_exclusive_group()
-    longest = "longest wait for another campaign on this machine (default: no limit)"
+    longest = (
+        "longest time to wait for another dpbench benchmark on this machine to end "
+        "(default: no limit)"
+    )
     _option(wait, "--wait", "SECONDS", longest, type=float, dest="wait_s")
-    never = "exit with 2 if another campaign is running"
+    never = "exit with 2 if another dpbench benchmark is running on this machine"
     wait.add_argument("--no-wait", action="store_const", const=0.0, dest="wait_s", help=never)
 
 
@@ -127,7 +142,10 @@ def add_report_options(report: Command) -> None:
     formats = "also write the figures as pdf or png"
     _repeated(more, "--figures", "FORMAT", formats, default=[])
     _option(more, "--statement", "FILE.pdf", "write a one-page statement for a class society")
-    beside = "write DIR/SOLVER.md for a pull request: a solver next to others, its worst steps"
+    beside = (
+        "write DIR/SOLVER.md for a pull request: a comparison of this solver with others, and its "
+        "worst steps"
+    )
     _option(more, "--for", "SOLVER", beside, dest="solver")
     against = "with --for: compare with this solver (default: osqp and daqp)"
     _repeated(more, "--against", "SOLVER", against, default=[])
@@ -147,7 +165,8 @@ def add_compare_options(compare: Command) -> None:
     releases = "compare the versions of each solver instead"
     _flag(compare, "--releases", releases)
     reference = (
-        "compare step times as ratios to this solver's; always done for two machines "
+        "compare step times as ratios to this solver's; always done if the results come from two "
+        "machines "
         "(default: paper_active_set, else daqp)"
     )
     _option(compare, "--reference", "SOLVER", reference)
@@ -163,7 +182,9 @@ def add_compare_options(compare: Command) -> None:
 
 def add_export_options(export: Command) -> None:
     """Add the options of `dpbench export` to its parser."""
-    problems = "scenario, sequence (name, .npz file, random_mpc-NX-NU-N) or folder of QPs"
+    problems = (
+        "scenario, sequence (name, .npz file, random_mpc-STATES-INPUTS-HORIZON) or folder of QPs"
+    )
     export.add_argument("what", metavar="WHAT", nargs="?", help=problems)
     _flag(export, "--all", "write all stored sequences instead")
     choice = export.add_argument_group("selection")
@@ -184,7 +205,8 @@ def add_export_options(export: Command) -> None:
 
 def add_worst_case_options(worst_case: Command) -> None:
     """Add the options of `dpbench worst-case` to its parser."""
-    worst_case.add_argument("solver", metavar="SOLVER", help="solver to search the worst step of")
+    searched = "solver whose worst step is searched for"
+    worst_case.add_argument("solver", metavar="SOLVER", help=searched)
     _add_call_options(worst_case.add_argument_group("solver"), has_settings=True)
     search = worst_case.add_argument_group("search")
     goal = "figure to maximise: iterations (default) or error"
@@ -200,11 +222,21 @@ def add_worst_case_options(worst_case: Command) -> None:
 
 def _add_call_options(group: Command, *, has_settings: bool = False) -> None:
     """Add the options on how a solver is called to a group of a command."""
-    _option(group, "--route", "ROUTE", "route: native (default where available) or qpsolvers")
-    policies = "start of each solve: fresh (default), reuse or warm"
+    routes = (
+        "interface through which the solver is called: native (the library's own; default where "
+        "available) or qpsolvers (that Python package)"
+    )
+    _option(group, "--route", "ROUTE", routes)
+    policies = (
+        "what the solver keeps between steps: fresh (nothing, default), reuse (its workspace) or "
+        "warm (workspace and last solution)"
+    )
     _option(group, "--policy", "POLICY", policies, default="fresh")
     if has_settings:
-        levels = "tolerance preset: default, low, mid or high (default: default)"
+        levels = (
+            "tolerance preset (default, low, mid or high) or a tolerance such as 1e-4 "
+            "(default: default)"
+        )
         _option(group, "--settings", "NAME", levels, default="default")
     _add_module_option(group)
 
@@ -223,18 +255,21 @@ def add_iteration_bound_options(bound: Command) -> None:
 def add_active_sets_options(visited: Command) -> None:
     """Add the arguments of `dpbench active-sets` to its parser."""
     visited.add_argument("names", nargs="+", metavar="NAME", help="scenario, sequence or .npz file")
-    counted = "count the instructions that stored laws save on a Cortex-M7 (extra: embedded)"
+    counted = (
+        "count the instructions saved on a Cortex-M7 by storing the control law of each active set "
+        "(needs pip install 'dpbench[embedded]')"
+    )
     visited.add_argument("--instructions", action="store_true", help=counted)
 
 
 def add_check_options(check: Command) -> None:
     """Add the options of `dpbench check` to its parser."""
     file = (
-        "name, SCENARIO@VESSEL, TOML file, file or folder of QPs (their optima are certified "
-        "again) or folder of results/community"
+        "name; SCENARIO@VESSEL (a scenario with another vessel); TOML file; file or folder of QPs "
+        "(their optima are certified again); or a folder in results/community"
     )
     check.add_argument("file", metavar="FILE", help=file)
-    quick = "skip the simulations of initial offsets of a ship or scenario"
+    quick = "skip simulating a ship or scenario from initial offsets"
     _flag(check, "--quick", quick)
 
 
@@ -273,9 +308,14 @@ def add_capability_options(capability: Command) -> None:
     """Add the options of `dpbench capability` to its parser."""
     vessel = "name of a vessel with thrusters, or a TOML file"
     capability.add_argument("vessel", metavar="VESSEL", help=vessel)
-    sides = "model azimuths as polygons of N sides, not circles"
+    sides = (
+        "model the thrust range of each azimuth thruster as a polygon with N sides, not as a circle"
+    )
     _option(capability, "--sides", "N", sides, type=int)
-    planned = "also show the wind held with the half turns that controllers plan for azimuths"
+    planned = (
+        "also show the wind held when each azimuth thruster is limited to the half turn (180°) "
+        "that controllers plan with"
+    )
     _flag(capability, "--planned", planned)
     solver = "judge this solver's answers to the QPs at this limit; all: every installed solver"
     _repeated(capability, "--solver", "SOLVER", solver)
@@ -294,18 +334,22 @@ def add_codegen_options(codegen: Command) -> None:
     _option(codegen, "--steps", "N", steps, type=int, default=1000)
     output = codegen.add_argument_group("output")
     _option(output, "--out", "DIR", "folder to write to", required=True)
-    _option(output, "--fmu", "FILE.fmu", "also write a functional mock-up unit (extra: embedded)")
+    fmu = "also write a functional mock-up unit (needs pip install 'dpbench[embedded]')"
+    _option(output, "--fmu", "FILE.fmu", fmu)
     _option(output, "--fmi", "N", "FMI version of the unit: 2 (default) or 3", type=int, default=2)
 
 
 def add_embedded_options(embedded: Command) -> None:
     """Add the options of `dpbench embedded` to its parser."""
-    sequences = "stored sequence, .npz file or random_mpc-NX-NU-N (default: paper-30-5)"
+    sequences = (
+        "stored sequence, .npz file or random_mpc-STATES-INPUTS-HORIZON (default: paper-30-5)"
+    )
     embedded.add_argument("sequences", metavar="SEQUENCE", nargs="*", help=sequences)
     repeated: Callable[..., None] = partial(_repeated, default=[])
     solver = embedded.add_argument_group("solvers")
     repeated(solver, "--solver", "SOLVER", "count only this solver (default: all with a recipe)")
-    repeated(solver, "--recipe", "DIR", "folder of your own recipe: recipe.toml and shim.c")
+    recipe = "folder with your own build recipe for a solver's C code (recipe.toml and shim.c)"
+    repeated(solver, "--recipe", "DIR", recipe)
     repeated(solver, "--source", "SOLVER=DIR", "folder with the sources of a solver, such as hpipm")
     repeated(solver, "--settings", "SOLVER.KEY=N", "setting of a solver, such as osqp.rho=0.1")
     _flag(solver, "--float", "compile in single precision", dest="single")
@@ -341,7 +385,10 @@ def add_tune_solver_options(tune: Command) -> None:
     repeated(search, "--range", "RANGE", ranges, dest="ranges")
     widened = "search this option in this range, in addition to the usual options"
     repeated(search, "--widen", "RANGE", widened, dest="widened")
-    error = "largest allowed error of the first move, in maximum increments (default: 0.01)"
+    error = (
+        "largest allowed error of the first control move, as a share of the maximum increment "
+        "(default: 0.01)"
+    )
     _option(search, "--error", "X", error, type=float, default=0.01, dest="error_move")
     trials = "number of settings to try (default: 48)"
     _option(search, "--trials", "N", trials, type=int, default=48)

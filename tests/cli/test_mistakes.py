@@ -138,7 +138,7 @@ def test_an_unknown_word_is_named_as_it_was_typed(
         (["run", "smoke", "--wait", "3", "--no-wait"], "--no-wait: found with --wait; allowed: "),
         (["run", "smoke", "--quiet=1"], "--quiet: found '1'; allowed: no value "),
         (["check"], "FILE: missing "),
-        (["list", "vessels", "--all"], "found unknown arguments: --all "),
+        (["list", "vessels", "--all"], "found unknown arguments: --all (see dpbench list "),
     ],
     ids=lambda given: given[0] if isinstance(given, list) else "",
 )
