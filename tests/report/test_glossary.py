@@ -109,7 +109,7 @@ def test_the_longest_phrase_is_the_term() -> None:
 
 
 def test_an_interval_of_a_study_is_over_realisations() -> None:
-    assert "of a study over realisations" in term_meanings()["interval"]
+    assert "or from realisations (studies)" in term_meanings()["interval"]
 
 
 def test_heads_are_terms_without_their_unit() -> None:

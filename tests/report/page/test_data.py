@@ -61,8 +61,8 @@ def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None
     records.replay("daqp", "robot", steps=30, scenario="", cell="{}")
     facts = _facts(records)
     output = {word.term: word.meaning for word in describe_experiments(facts).values()}
-    start = "Rough sea: sway thrust at its limit. Mean and slowly varying forces of about DP number"
-    assert output["rough"] == f"{start} 6 to 7."
+    start = "Rough sea: sway thrust at its limit. Mean and slowly varying forces of about DP"
+    assert output["rough"] == f"{start} capability number 6 to 7 (DNV-ST-0111)."
     assert output["rough (in N and N·m)"].startswith(start)
     assert output["rough (in N and N·m)"].endswith(
         "these runs do not count in the overall verdict."
