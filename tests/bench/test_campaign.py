@@ -152,7 +152,7 @@ def test_unknown_names_are_refused_before_anything_runs(tmp_path: Path) -> None:
         run_campaign("smoke", out, scenarios=["ruogh"])
     with pytest.raises(InputError, match="`steps`: found 0"):
         run_campaign("smoke", out, steps=0)
-    with pytest.raises(InputError, match="from 1 to"):
+    with pytest.raises(InputError, match="allowed: 1 to"):
         run_campaign("smoke", out, jobs=0)
     assert not out.exists()
 

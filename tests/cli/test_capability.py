@@ -30,7 +30,11 @@ def test_the_table_fits_a_terminal_and_names_what_is_assumed(say: Say) -> None:
     rows = [line for line in lines if line[:4].strip().isdigit() and line[4] == "°"]
     assert [int(row[:4]) for row in rows] == [int(from_deg) for from_deg in FROM_DEG]
     text = "\n".join(lines)
-    for said in ("DP capability-L1(", "board A: without bow 1, stern port.", "bow_angle_deg"):
+    for said in (
+        "DP capability-L1(",
+        "board A: without bow 1, stern port.",
+        "Assumed, not given: of",
+    ):
         assert said in text
     # Ahead this ship holds all the weather the standard knows.
     assert "32.6+ 11" in rows[0]

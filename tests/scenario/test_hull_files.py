@@ -167,7 +167,7 @@ def test_a_reader_that_is_killed_or_does_not_end_is_one_line(
         read_hull_from_mss_file(path)
     child.write_text("import time; time.sleep(60)", "utf-8")
     monkeypatch.setattr(mat, "WAIT_S", 0.2)
-    with pytest.raises(InputError, match=r"nothing in 0\.2 s"):
+    with pytest.raises(InputError, match=r"does not read within 0\.2 s"):
         read_hull_from_mss_file(path)
 
 

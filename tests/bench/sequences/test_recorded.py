@@ -165,6 +165,7 @@ def test_our_own_file_runs_from_the_command_line(
     np.testing.assert_allclose(sorted(set(results.steps["t_s"])), sample_s * np.arange(0, 13, 4))
     cell = json.loads(results.runs["cell"].iloc[0])
     assert cell["source"]["path"] == "turn.npz"
+    capsys.readouterr()
     assert main(["run", "--sequence", "papr-60-10"]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "allowed: paper-60-10" in said
