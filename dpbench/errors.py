@@ -50,7 +50,7 @@ class InputError(DpbenchError, ValueError):
         place = f"{where}: {key}" if key else where
         if found == "nothing":
             fault = f"missing; required: {allowed}"
-        elif str(found).startswith("no such "):
+        elif str(found).lower().startswith("no such "):  # in capitals where the system reports it
             fault = f"{found}; required: {allowed}"
         else:
             fault = f"found {found}; allowed: {allowed}"

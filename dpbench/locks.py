@@ -19,7 +19,7 @@ from pathlib import Path
 
 import psutil
 
-from dpbench.errors import InputError
+from dpbench.errors import InputError, SituationError
 
 FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW  # Flags to open a lock
@@ -220,8 +220,12 @@ def find_safe_lock_folder() -> Path:
         folder.mkdir(0o700)
     with suppress(FileNotFoundError):
         if fault := _describe_lock_folder_fault(folder.lstat()):
-            allowed = "a folder of your own that only you can write; remove it, or set TMPDIR"
-            raise InputError(str(folder), "", fault, allowed)
+            kind = fault.split()[1]
+            raise SituationError(
+                str(folder),
+                f"found {fault}; required: a folder that you own and only you can write to; remove "
+                f"the {kind}, or set TMPDIR to another folder",
+            )
     return folder
 
 
@@ -232,7 +236,7 @@ def _describe_lock_folder_fault(found: os.stat_result) -> str:
     if found.st_uid != os.getuid():
         return f"a folder of {_describe_user_by_number(found.st_uid)}"
     if found.st_mode & 0o022:
-        return f"a folder that others can write (mode {stat.S_IMODE(found.st_mode):o})"
+        return f"a folder that others can write to (mode {stat.S_IMODE(found.st_mode):o})"
     return ""
 
 

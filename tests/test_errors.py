@@ -50,6 +50,10 @@ def test_a_long_list_is_cut_for_a_name_like_no_other() -> None:
     ("error", "text"),
     [
         (InputError("a.toml", "key", 3, "0 to 1"), "a.toml: key: found 3; allowed: 0 to 1"),
+        (
+            InputError("a.toml", "", "No such file or directory", "a file"),
+            "a.toml: No such file or directory; required: a file",
+        ),
         (SituationError("--against", "add\n --for SOLVER"), "--against: add --for SOLVER"),
     ],
 )

@@ -30,7 +30,7 @@ from dpbench.bench.record.result_folder import (
 from dpbench.bench.record.step_table import DAMAGE
 from dpbench.bench.tabulate import refuse_other_selection
 from dpbench.bench.workers.jobs import CellJob
-from dpbench.errors import InputError
+from dpbench.errors import InputError, SituationError
 from dpbench.files.regular_files import write_bytes_atomically
 from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
 from dpbench.solvers.contract import Build
@@ -120,21 +120,21 @@ def _make_common_plan(
             found = f"{folder} of another suite, or with other options, than {where}"
             raise InputError(_WHERE, "", found, "shards of one suite, run with the same options")
         if shard.asked.solver_module is not None and solver_module is None:
-            found = f"{folder} run with the plug-in {shard.asked.solver_module!r}"
-            raise InputError(
-                _WHERE, "", found, "--solver-module FILE.py with its file, if you trust it"
-            )
+            fault = f"{folder} was run with the plug-in {shard.asked.solver_module!r}"
+            remedy = "if you trust that file, give it with --solver-module FILE.py"
+            raise SituationError(_WHERE, f"{fault}; {remedy}")
     # The same suite may lie elsewhere on each of their machines.
     asked = next((one.asked for one in shards.values() if one.asked.has_suite), first.asked)
     asked = asked if suite is None else replace(asked, suite=str(suite))
     # What a folder says is data: a file that is run comes from the command line alone.
     asked = replace(asked, solver_module=None if solver_module is None else str(solver_module))
     if not asked.has_suite:
-        raise InputError(_WHERE, "", f"no file {asked.suite}", "the path of the suite, by --suite")
+        fault = f"there is no file {asked.suite}; give the path of the suite with --suite"
+        raise SituationError(_WHERE, fault)
     plan = asked.make_plan()
     if plan.digest != first.digest:
         found = f"{plan.path} changed since {where} was run from it"
-        allowed = "the unchanged suite, by --suite, and a plug-in at its original path"
+        allowed = "the unchanged suite, with --suite, and a plug-in at its original path"
         raise InputError(_WHERE, "", found, allowed)
     return plan
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.ci.machine_state import KEY, MachineState
-from dpbench.errors import InputError
+from dpbench.errors import InputError, SituationError
 from dpbench.report.formats import plural
 
 FAILED = "dpbench_failed"
@@ -25,7 +25,7 @@ COLLECTED = "dpbench_collected"
 """Key of a JSON file: the number of benchmarks among the tests."""
 WRONG_ANSWERS = "wrong answers"
 """Beginning of the reason where a replay does not meet its requirements."""
-ALLOWED = "a JSON file of pytest-benchmark, written by --benchmark-json"
+ALLOWED = "a JSON file of pytest-benchmark, written with --benchmark-json"
 BLOCKS = 4
 """The rounds of a benchmark are cut into so many consecutive blocks, whose minima scatter."""
 
@@ -204,7 +204,7 @@ def load_run(path: Path) -> BenchmarkRun:
     except OSError as error:
         raise InputError(str(path), "", error.strerror or "unreadable", ALLOWED) from error
     except (ValueError, TypeError, AttributeError) as error:
-        raise InputError(str(path), "", f"no such numbers ({error})", ALLOWED) from error
+        raise SituationError(str(path), f"cannot be read ({error}); required: {ALLOWED}") from error
     except KeyError as error:
         raise InputError(str(path), str(error.args[0]), "nothing", ALLOWED) from error
     if not run.names:

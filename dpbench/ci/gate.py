@@ -125,7 +125,7 @@ def _merge_repeated_measurements(was: Benchmark, *measured: Benchmark) -> Benchm
 def main(argv: list[str] | None = None) -> int:
     """Compare benchmarks with a baseline, or store it if missing; return the exit code."""
     parser = argparse.ArgumentParser(prog="dpbench.ci.gate", description=__doc__.splitlines()[0])
-    parser.add_argument("json", type=Path, metavar="FILE", help="written by --benchmark-json")
+    parser.add_argument("json", type=Path, metavar="FILE", help="written with --benchmark-json")
     parser.add_argument(
         "baseline", type=Path, help="a JSON file, or a folder that keeps one for each machine"
     )

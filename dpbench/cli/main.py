@@ -100,6 +100,7 @@ _LISTING = re.compile(r"`list_(\w+)\(\)`")
 _ARGUMENT = re.compile(r"`(\w+)(?:=True)?`")
 _OPTIONS = {
     "solvers": "solver",
+    "choices": "solver",
     "scenarios": "scenario",
     "routes": "route",
     "policies": "policy",

@@ -141,7 +141,7 @@ def _refuse_unsupported_controller(scenario: Scenario, controller: Controller) -
     if controller.linearisation is not FIXED_MODEL:
         found, allowed = (
             "matrices that change at each step",
-            "one linearisation and fixed azimuth rows",
+            "a single linearisation and azimuth constraints that stay the same at every step",
         )
         raise InputError(where, "controller", found, allowed)
     if controller.amplitude == "soft" or controller.outputs is not None:

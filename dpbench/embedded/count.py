@@ -309,8 +309,11 @@ def compare_counts_with_second_tool(
             )
     counted = columns[0]
     if len(others) != len(counted):
-        found = f"it counts {len(others)} steps of {len(counted)}"
-        raise SituationError(f"second opinion by {tool}", found)
+        only = "only " if len(others) < len(counted) else ""
+        fault = f"it counted {only}{len(others)} of {len(counted)} steps"
+        raise SituationError(
+            f"second opinion by {tool}", f"{fault}; run again without --second-opinion"
+        )
     return SecondOpinion(tool, counted, np.array(others, dtype=np.int64), differing)
 
 

@@ -110,7 +110,7 @@ class Results(result_folder.Results):
         """
         if self.recorded.is_missing:
             return _StoredTables(self.folder / "tables")
-        return self._full_report.tables
+        return _Tables(self._full_report.tables)
 
     @cached_property
     def steps(self) -> pd.DataFrame:
@@ -328,6 +328,14 @@ class Results(result_folder.Results):
         return Report.from_results(
             self, load_stability_records(self.folder), capability=capability, counted=counted
         )
+
+
+class _Tables(dict[str, pd.DataFrame]):
+    """Tables by name; KeyError with the nearest names for one that is absent."""
+
+    def __missing__(self, name: str) -> pd.DataFrame:
+        """Raise KeyError that names the nearest tables."""
+        raise KeyError(f"no table {name!r}; allowed: {format_allowed_names(name, list(self))}")
 
 
 class _StoredTables(dict[str, pd.DataFrame]):

@@ -78,7 +78,9 @@ def _refuse_other_lengths(runs: Sequence[Run], stored: pd.DataFrame, folder: Pat
         if steps not in known:
             found = f"a closed loop {name} of {plural(steps, 'step')}"
             others = " and ".join(map(str, sorted(known)))
-            allowed = f"{others} steps, as others of that name in {folder}; or another name"
+            allowed = (
+                f"{others} steps, like the other runs of that name in {folder}; or another name"
+            )
             raise InputError("`runs`", "", found, allowed)
 
 

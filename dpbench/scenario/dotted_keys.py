@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
-from dpbench.errors import InputError, format_allowed_names
+from dpbench.errors import InputError, SituationError, format_allowed_names
 from dpbench.scenario.problem_files import (
     ScenarioDocuments,
     VesselDocuments,
@@ -85,5 +85,9 @@ def _find_key_or_list_index(table: Any, part: str, where: str) -> Any:
         if part.isdecimal() and int(part) < len(table):
             return int(part)
         raise InputError(where, "", part, f"an index from 0 to {len(table) - 1}")
-    found = "nothing" if table is None else "a value"
-    raise InputError(where, "", f"{found} above {part!r}", "a key of a table of the scenario")
+    if table is None:
+        missing = where.rpartition(": ")[2].partition(f".{part}")[0]
+        remedy = f"add the whole table, in its file or as a mapping with the key {missing}"
+        raise SituationError(where, f"the scenario has no table {missing}: {remedy}")
+    fault = f"{part!r} is looked up in a single value, not in a table"
+    raise SituationError(where, f"{fault}; allowed: a key in a table of the scenario")

@@ -137,7 +137,7 @@ def read_hull_from_csv_table(path: Path) -> Hull:
     values = _read_coefficients_by_name(path)
     for name in REQUIRED:
         if name not in values:
-            needed = f"a row of each of {', '.join(REQUIRED)}"
+            needed = f"one row for each of {', '.join(REQUIRED)}"
             raise InputError(str(path), name, "nothing", needed)
     m26, d26 = values.get("M26", 0.0), values.get("D26", 0.0)
     d62 = values.get("D62", d26)

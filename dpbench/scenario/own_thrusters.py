@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dpbench.errors import InputError, format_allowed_names
+from dpbench.errors import InputError, SituationError, format_allowed_names
 from dpbench.files.regular_files import read_csv_rows
 from dpbench.scenario.problem_files import validate_settings_as_model
 from dpbench.scenario.tables.vessel_file import ThrusterTable
@@ -74,8 +74,9 @@ def read_rows_of_thruster_table(path: Path) -> list[dict[str, str]]:
             found = "a second column" if names.count(name) > 1 else "an unknown column"
             raise InputError(str(path), repr(name)[:80], found, format_allowed_names(name, COLUMNS))
     if missing := [name for name in REQUIRED if name not in names]:
-        allowed = "kind, x_m, and power_kW or thrust_kN"
-        raise InputError(str(path), "first row", f"no column {missing[0]}", allowed)
+        required = "kind, x_m, and power_kW or thrust_kN"
+        fault = f"column {missing[0]} is missing; required: {required}"
+        raise SituationError(f"{path}: first row", fault)
     if not 2 <= len(rows) <= MOST_ROWS + 1:
         raise InputError(str(path), "", f"{len(rows) - 1} thrusters", f"1 to {MOST_ROWS}")
     for number, row in enumerate(rows[1:], start=1):

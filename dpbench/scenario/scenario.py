@@ -300,7 +300,7 @@ class Scenario:
             mine, filed = getattr(self, field.name), getattr(own, field.name)
             if field.name not in _FREE and _list_values(mine) != _list_values(filed):
                 found = f"another {field.name} than that of its files, which a copy would lose"
-                raise InputError(where, "", found, "changes by `with_keys` and `with_horizons`")
+                raise InputError(where, "", found, "changes with `with_keys` and `with_horizons`")
         files = copy_documents_with_values(self.files, values, where)
         files["name"] = self.name + suffix
         # Plain values with every key, so that the copy's keys can be changed again.

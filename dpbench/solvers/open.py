@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Mapping
 from functools import partial
 
-from dpbench.errors import PolicyError, shorten_found
+from dpbench.errors import PolicyError, UnknownNameError, shorten_found
 from dpbench.solvers.contract import (
     POLICIES,
     Options,
@@ -13,6 +13,10 @@ from dpbench.solvers.contract import (
     Settings,
     SolverRecord,
     Workspace,
+)
+from dpbench.solvers.own_settings import (
+    parse_options_of_choice,
+    split_into_solver_and_options_text,
 )
 from dpbench.solvers.settings import resolve_settings_to_options
 from dpbench.solvers.table import (
@@ -61,6 +65,11 @@ def open_workspace(
     if not isinstance(settings, (str, Mapping)):
         allowed = "a name such as 'high', or a mapping of options"
         raise TypeError(f"settings: found {shorten_found(settings)}; allowed: {allowed}")
+    name, brackets = split_into_solver_and_options_text(solver)
+    if brackets:
+        options = parse_options_of_choice(solver)
+        allowed = f"{name!r} with settings={options!r}"
+        raise UnknownNameError("solver", "", repr(solver), allowed)
     row = find_solver_record(solver)
     route = row.default_route if route is None else route
     _require_route_and_policy(row, route, policy)

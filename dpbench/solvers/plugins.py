@@ -28,7 +28,7 @@ from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any, get_args
 
-from dpbench.errors import InputError, warn_of_outdated_name
+from dpbench.errors import InputError, SituationError, warn_of_outdated_name
 from dpbench.files.regular_files import is_plain_file_name
 from dpbench.solvers.adapter import NativeAdapter, OpenWorkspace
 from dpbench.solvers.contract import (
@@ -46,6 +46,7 @@ from dpbench.solvers.contract import (
 )
 
 GROUP = "dpbench.solvers"
+_IMPORTABLE = "a file that can be imported"
 TRIAL_S = 60.0  # Time limit of a plug-in's file in `try_plugin_file_in_child`
 # The last line that the process of `try_plugin_file_in_child` prints.
 _RAN = b"\ndpbench: ran\n"
@@ -135,17 +136,17 @@ def try_plugin_file_in_child(path: str | Path) -> None:
         output, _ = process.communicate(timeout=TRIAL_S)
         code = process.returncode
         how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-        found = "" if output.endswith(_RAN) else f"a process that ended, {how}"
+        fault = "" if output.endswith(_RAN) else f"the file ended its process when imported ({how})"
     except subprocess.TimeoutExpired:
-        found = f"an import that takes more than {TRIAL_S:g} s"
+        fault = f"found an import that takes more than {TRIAL_S:g} s"
     finally:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         assert process.stdout is not None, "it is a pipe"
         process.stdout.close()
-    if found:
-        raise InputError(where, "", found, "a file that runs")
+    if fault:
+        raise SituationError(where, f"{fault}; required: {_IMPORTABLE}")
 
 
 def run_plugin_file_ignoring_exceptions(where: str, file: str) -> None:
@@ -176,9 +177,7 @@ def _import_plugin_file(where: str, file: Path) -> ModuleType:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a stranger's code may raise anything; it becomes an InputError
-        raise InputError(
-            where, "", _describe_exception_on_one_line(error), "a file that runs"
-        ) from error
+        raise InputError(where, "", _describe_exception_on_one_line(error), _IMPORTABLE) from error
     return module
 
 

@@ -145,7 +145,7 @@ def make_request(
         solver, route, policy, Requirements(error_move=error_move), solver_module
     )
     if has_preset_or_tolerance(solver, name) or not re.fullmatch(r"[\w-]{1,80}", name, re.ASCII):
-        allowed = f"1 to 80 letters, digits, _ and -, and no preset of {solver}"
+        allowed = f"1 to 80 letters, digits, _ and -, and not the name of a preset of {solver}"
         raise InputError("--name", "", repr(name)[:90], allowed)
     space = make_space(solver, ranges, widened, given)
     start = space.convert_to_range_types(given) if given else None

@@ -94,7 +94,7 @@ class OptionRange:
         if (low, high) == (self.low, self.high):
             return ""
         wider = format_options_as_toml({self.name: [low, round(high) if self.is_whole else high]})
-        return f"{self.name} = {value:g}: widen it by --widen '{wider}'"
+        return f"{self.name} = {value:g}: widen it with --widen '{wider}'"
 
 
 def _round_to_digits(value: float) -> float:

@@ -177,10 +177,10 @@ def test_renewing_the_baseline(write: Write, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "part"),
     [
-        ("{", "no such numbers"),
+        ("{", "cannot be read"),
         ('{"benchmarks": []}', "benchmarks: found none"),
         ('{"benchmarks": [{"fullname": "a", "stats": {"min": 1}}]}', "q1: missing"),
-        ('{"benchmarks": [{"fullname": "a", "stats": {"min": "x", "q1": 1}}]}', "no such numbers"),
+        ('{"benchmarks": [{"fullname": "a", "stats": {"min": "x", "q1": 1}}]}', "cannot be read"),
         ('{"benchmarks": [{"fullname": "a", "stats": {"min": 0, "q1": 1, "rounds": 1}}]}', "times"),
     ],
 )  # fmt: skip

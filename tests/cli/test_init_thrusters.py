@@ -443,7 +443,7 @@ def test_thrusters_are_asked_for(
     ("table", "more", "said"),
     [
         ("kind,place\n", (), "'place': found an unknown column"),
-        ("kind,power_kW\nmain,3\n", (), "no column x_m"),
+        ("kind,power_kW\nmain,3\n", (), "first row: column x_m is missing; required: kind"),
         ("kind,x_m\n", (), "found 0 thrusters"),
         (TABLE.replace("800", "many", 1), (), "mine.csv, thruster 3: power_kW: found 'many'"),
         (TABLE.replace("800", "", 1), (), "thruster 3"),

@@ -103,6 +103,11 @@ def test_every_table_in_latex_is_complete_ascii(results: Results) -> None:
         assert all(len(re.findall(r"(?<!\\)&", row)) == usual - 1 for row in rows), name
 
 
+def test_an_unknown_table_is_named_with_the_nearest(results: Results) -> None:
+    with pytest.raises(KeyError, match="no table 'verdict'; allowed: verdicts"):
+        results.tables["verdict"]
+
+
 def test_a_ratio_of_one_run_to_itself_is_empty_in_latex(results: Results) -> None:
     rows = results.paired_ratios()[["ratio", "low", "high", "finding"]][:2]
     rows = rows.assign(ratio=[1.0, 2.04], low=[0.0, 1.9], high=[np.inf, 2.1])

@@ -67,8 +67,8 @@ def test_keys_of_the_vessel_and_another_vessel() -> None:
     [
         ({"environment.wind.sped_mps": 3.0}, "environment.wind.sped_mps.*speed_mps"),
         ({"environment.squalls.0.start_s": 3.0}, "environment.squalls.0.start_s.*index"),
-        ({"environment.noise.position_m": 3.0}, "nothing above 'position_m'"),
-        ({"environment.seed.x": 3}, "a value above 'x'"),
+        ({"environment.noise.position_m": 3.0}, "no table environment.noise: add the whole table"),
+        ({"environment.seed.x": 3}, "'x' is looked up in a single value"),
         ({"environment.wind.speed_mps": "much"}, "speed_mps.*'much'"),
         ({"controller.control_horizon": 70}, "control_horizon.*70"),
         ({"vessel": "titanic"}, "vessel name.*titanic"),

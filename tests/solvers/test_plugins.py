@@ -108,7 +108,7 @@ def test_what_a_plugin_raises_is_an_answer(sequence):
     [
         (None, "no such file"),
         ("x = 1", "RECORD: found None"),
-        ("import os; os._exit(0)", "a process that ended, exit code 0"),
+        ("import os; os._exit(0)", r"ended its process when imported \(exit code 0\)"),
         # Each starts a process.
         *(
             pytest.param(*case, marks=pytest.mark.slow)
@@ -125,7 +125,7 @@ def test_what_a_plugin_raises_is_an_answer(sequence):
                 ("raise type('Own', (BaseException,), {})('two\\nlines')", "Own: two lines"),
                 (
                     "import signal; signal.raise_signal(signal.SIGSEGV)",
-                    "a process that ended, SIGSEGV",
+                    r"ended its process when imported \(SIGSEGV\)",
                 ),
                 (TEXT.replace('"admm", method', '"../../x", method'), "RECORD.name.*x'"),
                 (TEXT.replace('"admm", method', '"a\\x1b", method'), "RECORD.name.*x1b'"),

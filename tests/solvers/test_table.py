@@ -92,6 +92,8 @@ def test_a_library_that_fails_to_import_is_listed_with_its_words(monkeypatch, tm
 def test_unknown_names_are_refused():
     with pytest.raises(UnknownNameError, match=r"quadprgo.*quadprog"):
         open_workspace("quadprgo")
+    with pytest.raises(UnknownNameError, match=r"allowed: 'osqp' with settings={'rho': 1\.0}"):
+        open_workspace("osqp[rho=1.0]")
 
 
 @pytest.mark.parametrize(

@@ -215,5 +215,6 @@ def test_the_share_of_a_value_gives_the_value(ends: tuple[float, float], share: 
 def test_a_value_at_the_edge_names_a_wider_range(
     own: OptionRange, value: float, wider: str
 ) -> None:
-    expected = f"{own.name} = {value:g}: widen it by --widen '{own.name}={wider}'" if wider else ""
+    remark = f"{own.name} = {value:g}: widen it with --widen '{own.name}={wider}'"
+    expected = remark if wider else ""
     assert own.describe_edge(value) == expected

@@ -32,7 +32,7 @@ def compare_chosen(records: Records, choices: Sequence[str]) -> list[PairedCompa
     points = list(dict.fromkeys(expanded))
     if len(points) < 2:
         found = " and ".join(points) or "none"
-        raise InputError("--solver", "", found, "two or more, such as --solver daqp --solver osqp")
+        raise InputError("`choices`", "", found, "two or more, such as daqp and osqp")
     chosen = [select_timed_configurations(records, choice) for choice in points]
     pairs = [pair for two in combinations(chosen, 2) for pair in _pair_in_equal_call_modes(*two)]
     return [one for pair in dict.fromkeys(pairs) for one in compare_configurations(records, *pair)]
@@ -68,7 +68,7 @@ def select_timed_configurations(records: Records, choice: str) -> list[Configura
         c.solver if c.settings == "default" else f"{c.solver} {c.settings}" for c in known
     )
     allowed = format_allowed_names(choice, [*names]) if names else "a solver that was timed"
-    raise UnknownNameError("--solver", "", repr(choice), allowed)
+    raise UnknownNameError("`choices`", "", repr(choice), allowed)
 
 
 def _pair_in_equal_call_modes(

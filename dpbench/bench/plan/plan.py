@@ -287,7 +287,7 @@ def plan_study_loops(
             raise InputError("suite", "study.name", f"two studies called {table.title!r}", allowed)
         cells += _plan_loops_of_study(suite, table, f"suite: study {table.title}", solvers, beside)
         if len(cells) > MOST_CELLS:
-            raise InputError("suite", "study", f"{len(cells)} cells", f"at most {MOST_CELLS}")
+            raise InputError("suite", "study", f"{len(cells)} runs", f"at most {MOST_CELLS}")
     return cells
 
 

@@ -11,7 +11,7 @@ from dpbench.bench.plan.study_points import RouteName, RunsTable, StudyTable
 from dpbench.bench.record.cell import DEFAULT_FALLBACK, SLOWEST, Units
 from dpbench.bench.run.backup import FALLBACKS
 from dpbench.embedded.toolchain import TARGETS
-from dpbench.errors import InputError
+from dpbench.errors import InputError, SituationError
 from dpbench.qp.random_sequence import RandomRecipe
 from dpbench.scenario.problem_files import (
     FileModel,
@@ -376,6 +376,8 @@ def name_file_in_errors(
         if place == "scenario name" and error.found in [repr(name) for name in scenarios or ()]:
             raise type(error)("`scenarios`", error.key, error.found, error.allowed) from None
         where = f"{places[place]}{colon}{key}"
+        if isinstance(error, SituationError):
+            raise type(error)(where, str(error.found)) from None
         raise type(error)(where, error.key, error.found, error.allowed) from None
 
 
@@ -390,8 +392,8 @@ def load_path_and_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     kind = next((kind for key, kind in _OTHER_FILES.items() if key in document), None)
     if kind is not None:
         own = "`run_campaign(SUITE, scenarios=[FILE])` or `dpbench run SUITE --scenario FILE`"
-        allowed = f"a suite; run a scenario by {own}"
-        raise InputError(str(path), "", kind, allowed)
+        remedy = f"To run a scenario, use {own}"
+        raise SituationError(str(path), f"found {kind}; required: a suite. {remedy}")
     return path, validate_settings_as_model(document, SuiteFile, str(path))
 
 

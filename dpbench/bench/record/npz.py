@@ -227,7 +227,9 @@ def read_stored_text(arrays: Arrays, where: str, name: str) -> str:
     array = arrays.get(name)
     if array is None:
         others = ", ".join(list(arrays)[:8]) or "none"
-        raise InputError(where, name, "nothing", f"a text (arrays: {others})")
+        raise InputError(
+            where, name, "nothing", f"a string array of this name (the file has {others})"
+        )
     if array.dtype.kind != "U" or array.shape:
         raise InputError(where, name, f"type {array.dtype}, shape {array.shape}", "one text")
     return str(array)

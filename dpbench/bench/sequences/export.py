@@ -105,13 +105,16 @@ def export_sequence(
     if format not in FORMATS:
         raise InputError("`format`", "", repr(format), " | ".join(FORMATS))
     if (suffix := FILES.get(format)) and target.suffix != suffix:
-        raise InputError("`out`", "", repr(target.name), f"a file name that ends in {suffix}")
+        others = [name for name, end in FILES.items() if end == target.suffix]
+        instead = "".join(f', or "{name}" as `format`' for name in others)
+        allowed = f"a file name that ends in {suffix}{instead}"
+        raise InputError("`out`", "", repr(target.name), allowed)
     if at is not None and (steps is not None or every != 1):
         raise InputError(
             "`at`",
             "",
             f"{at} with `steps` or `every`",
-            "one step by `at`, or several by `steps` and `every`",
+            "one step with `at`, or several with `steps` and `every`",
         )
     if part not in get_args(Part):
         raise InputError("`part`", "", repr(part), " | ".join(get_args(Part)))
@@ -136,7 +139,7 @@ def check_export_options(options: dict[str, Any]) -> None:
     if not options["all"]:
         if options["what"] is None or options["out"] is None:
             raise SituationError(
-                "export", "give WHAT to write and its file by --out, or give --all"
+                "export", "give WHAT to write and an output file with --out, or give --all"
             )
         return
     defaults = {"every": 1, "format": "npz", "part": "controller"}

@@ -112,7 +112,8 @@ def save_sequence(
     """
     if (path := Path(path)).suffix != ".npz":
         allowed = (
-            "a name that ends in .npz; other formats by `export_sequence()` or `dpbench export`"
+            "a name that ends in .npz; for other formats, use `export_sequence()` or `dpbench "
+            "export`"
         )
         raise InputError("save_sequence", "path", repr(path.name), allowed)
     scaled = sequence.scaled or sequence
@@ -178,6 +179,9 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
         raise InputError("load_sequence", "units", repr(units), '"scaled" or "si"')
     require_name_or_file("sequence", name_or_path, "a .npz file")
     path = resolve_sequence_path(name_or_path)
+    if path.suffix == ".mat" and path.is_file():
+        allowed = f"{WHAT}; a .mat file written by dpbench cannot be read back"
+        raise InputError(str(path), "", "a .mat file", allowed)
     recorded = load_recorded(path)
     if units == "scaled":
         return recorded.sequence

@@ -53,7 +53,7 @@ from dpbench.bench.sequences.sequence_file import (
     read_problems,
     save_sequence,
 )
-from dpbench.errors import InputError, ResultsError
+from dpbench.errors import InputError, ResultsError, SituationError
 from dpbench.files.regular_files import open_regular_file
 from dpbench.qp.program import CONSTANT, QPSequence, QuadraticProgram
 from dpbench.qp.random_mpc import (
@@ -359,8 +359,9 @@ class _RecordedFile(_SequenceFile):
         origin = resolve_sequence_path(self.source.path)
         actual, planned = hash_sequence_files(origin), self.source.sha256
         if actual != planned:
-            allowed = f"the file that the cell was planned with, SHA-256 {planned[:12]}…"
-            raise InputError(str(origin), "", f"SHA-256 {actual[:12]}…", allowed)
+            digests = f"SHA-256 {actual[:12]}…, planned {planned[:12]}…"
+            fault = f"the file has changed since its run was planned ({digests})"
+            raise SituationError(str(origin), f"{fault}: restore the file")
         recorded = read_sequence(origin)
         save_sequence(path, recorded.sequence)
 
@@ -454,8 +455,9 @@ def _check_step(where: str, k: int, sequence: QPSequence, claim: Optimum, optimu
     rounding = ROUNDING * float(np.abs(claim.z).max())
     most = claim.bound + optimum.bound + rounding
     if not apart <= most:
-        found = f"an optimum {apart:.1e} from the certified one"
-        raise InputError(where, f"z[{k}]", found, f"{most:.1e}, by its bound and the new one")
+        fault = f"the stored optimum differs from the certified one by {apart:.1e}"
+        allowed = f"at most {most:.1e}, from the stored and the new error bound"
+        raise SituationError(f"{where}: z[{k}]", f"{fault}; allowed: {allowed}")
     _check_multipliers(where, k, sequence.problem(k), claim)
 
 

@@ -370,7 +370,7 @@ def compare(
     {'same'}
     """
     if not (margin > 0.0 and math.isfinite(margin)):
-        raise InputError("`margin`", "", margin, "a finite number above 0, as 0.05 for 5 %")
+        raise InputError("`margin`", "", margin, "a finite number above 0, such as 0.05 for 5 %")
     if not 0.0 < alpha < 0.5:
         raise InputError("`alpha`", "", alpha, "a number above 0 and below 0.5")
     results = load_results(a, without_steps=True), load_results(b, without_steps=True)

@@ -80,7 +80,7 @@ LIMITS_IN_SOURCE = "; limits: vessel file"
 WIDTH, HEIGHT, MARGIN = 595, 842, 48
 """A4 in points."""
 LOAD_MISMATCH = (
-    "No Munk moment of the current acts on the ship: compare mean loads by `dpbench check`."
+    "No Munk moment of the current acts on the ship: compare mean loads with `dpbench check`."
 )
 HASHED = ("runs.parquet", "steps.parquet", "capability.parquet", "machine.json", "suite.json")
 

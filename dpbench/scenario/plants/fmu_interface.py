@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dpbench.arrays import Vector
-from dpbench.errors import InputError, format_allowed_names
+from dpbench.errors import InputError, SituationError, format_allowed_names
 from dpbench.files.regular_files import open_regular_file
 from dpbench.scenario.tables.scenario_file import FmuTable
 
@@ -112,8 +112,8 @@ def _read_description(path: Path, where: str) -> Any:
         import fmpy
         from fmpy.model_description import read_model_description
     except ModuleNotFoundError:
-        allowed = "pip install 'dpbench[fmi]'"
-        raise InputError(where, key, "an FMU, but no FMPy to run it", allowed) from None
+        fault = "an FMU needs FMPy, which is not installed: run pip install 'dpbench[fmi]'"
+        raise SituationError(f"{where}: {key}", fault) from None
     try:
         described, systems = read_model_description(str(path)), fmpy.supported_platforms(str(path))
     except Exception as error:  # FMPy's are bare; zipfile and lxml raise their own
@@ -177,7 +177,10 @@ class _VariableReader:
         base = self._units.get(unit)
         if not unit or (base is None and unit in si_names):
             return 1.0
-        allowed = f"{si_names[0]}, another unit of it that {self._name} defines, or no unit"
+        allowed = (
+            f"{si_names[0]}, another unit of the same dimension that {self._name} defines, or no "
+            "unit"
+        )
         if base is None:
             found = f"{variable.name!r} in {unit!r}, which {self._name} does not define"
             raise InputError(self._where, f"plant.fmu.{key}", found, allowed)

@@ -297,8 +297,11 @@ class VesselFile(FileModel):
         """Raise InputError unless a ship is 0.5 to 5 % of the water in a cube of its length."""
         share = surge_kg / (WATER_DENSITY * self.length_m**3)
         if not 1e-4 <= share <= 1.0:
-            found = f"{self.length_m:g} with an inertia of {surge_kg:.3g} kg in surge"
-            allowed = "m and kg: an inertia of 1e-4 to 1 times 1026 kg/m³ times the length cubed"
+            found = f"{self.length_m:g} m with a surge inertia of {surge_kg:.3g} kg"
+            allowed = (
+                "an inertia of 1e-4 to 1 times 1026 kg/m³ times the length cubed; check the units "
+                "(m and kg)"
+            )
             raise InputError(where, "length_m", found, allowed)
 
     def _build_thrusters_if_any(self, where: str) -> ThrusterSet | None:

@@ -159,7 +159,7 @@ def _of_another(folder: Path) -> None:
     [
         (_linked, "a link"),
         (Path.touch, "a file"),
-        (_open_to_all, "a folder that others can write (mode 777)"),
+        (_open_to_all, "a folder that others can write to (mode 777)"),
         pytest.param(
             _of_another,
             "a folder of user",
