@@ -42,7 +42,7 @@ def describe_machine_and_clock(*, offline: bool) -> list[str]:
     verdicts = (
         f"machine: {verdict.describe_disturbance(harness.disturbance)}",
         f"quiet: {QUIET_RULE}",
-        f"harness: {verdict.describe_calibration(harness.p50_ns)}",
+        f"timing: {verdict.describe_calibration(harness.p50_ns)}",
     )
     blank = " " * _WIDTH
     lines = [wrap_paragraph(fact, first=f"{what:<{_WIDTH}}", others=blank) for what, fact in facts]

@@ -183,7 +183,7 @@ class ResultPlots:
         return "<figures: times(), accuracy()>"
 
     def times(self, *, backend: Backend = "altair") -> Any:
-        """Plot each solver's p50, p99, hardest step and largest timing against the deadline.
+        """Plot each solver's p50, p99, longest step and largest timing against the deadline.
 
         Raises InputError where no replay was timed.
         """

@@ -160,7 +160,7 @@ class Report:
         if sum_disturbances(timed).seconds > 0:
             rows.append(("machine", f"{describe_machine_states(timed)}."))
         if medians := find_largest_median_by_test_solver(records.calibration):
-            rows.append(("harness", f"{describe_calibration(medians)}."))
+            rows.append(("timing", f"{describe_calibration(medians)}."))
         if disturbed := " ".join(yield_disturbance_sentences(self.data.studies)):
             rows.append(("times", disturbed))
         rows += [] if can_draw() else [("figures", f"{NOT_DRAWN}.")]

@@ -242,13 +242,21 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
         losses = [f"{join_with_and(names)} at {at_s:g} s" for at_s, names in list_losses(run)]
         what = join_with_and(losses) or "part of the force"
         since = _format_time_since_loss(run)
-        unsettled = "; the ship has not settled" + (f" {since}" if since != AT_END else "")
+        unsettled = ": the ship has not settled" + (f" {since}" if since != AT_END else "")
+        largest = (
+            f"{significant(run.exact_loss_offset_max_m)} m",
+            f"{significant(run.exact_loss_heading_max_deg)}°",
+        )
+        last = (
+            f"{significant(run.exact_offset_end_m)} m",
+            f"{significant(run.exact_heading_end_deg)}°",
+        )
+        ending = f"At the end the offset is {last[0]} and the heading error {last[1]}"
+        if ship.is_unsettled_after_loss and last == largest:
+            ending = "Both are reached at the end of the run"
         yield (
-            f"After the loss of {what} in `{ship.name}`, the largest offset is "
-            f"{significant(run.exact_loss_offset_max_m)} m and the largest heading error "
-            f"{significant(run.exact_loss_heading_max_deg)}°. At the end they are "
-            f"{significant(run.exact_offset_end_m)} m and "
-            f"{significant(run.exact_heading_end_deg)}°"
+            f"After the loss of {what} in `{ship.name}`, the largest offset is {largest[0]} and "
+            f"the largest heading error {largest[1]}. {ending}"
             f"{unsettled if ship.is_unsettled_after_loss else ''}."
         )
 

@@ -30,6 +30,7 @@ from dpbench.analysis.verdict.verdict import (
 from dpbench.bench.judge.answer_caching import CachingSign
 from dpbench.bench.judge.calibration import is_within_tolerance
 from dpbench.bench.judge.rules import LEAST_STRETCH
+from dpbench.bench.record.cell import Configuration
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.qp.residuals import TRUE_TOL
@@ -74,8 +75,9 @@ def _describe_time_limits(requirements: Requirements) -> str:
         return "and no limit on step time, as no deadline is known"
     share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
     return (
-        f"a p99 of the algorithmic step time of at most {requirements.p99_ms:g} ms ({share} % of "
-        f"the deadline); and every step within the deadline of {requirements.deadline_ms:g} ms"
+        "a p99 of the step time (for each step, the fastest round) of at most "
+        f"{requirements.p99_ms:g} ms ({share} % of the deadline); and every step within the "
+        f"deadline of {requirements.deadline_ms:g} ms"
     )
 
 
@@ -106,12 +108,7 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
     wording[0] += " (lateness not judged)" * (not verdicts.requirements.judges_step_times)
     wording[0] += f": {join_with_and(named)}" * bool(good)
     if otherwise:
-        labels = join_with_and([configuration.marked_label for configuration in otherwise])
-        outside = "passes only outside its default configuration"
-        many = "pass only outside their default configurations"
-        wording.append(f"{labels} {outside if len(otherwise) == 1 else many}")
-        solvers = [configuration.solver for configuration in otherwise]
-        wording += _describe_defaults_that_do_not_pass(verdicts, solvers)
+        wording += _describe_passes_outside_default(verdicts, otherwise)
     for state, (verb, verbs) in _VERBS.items():
         alike = by_state.get(state, [])
         wording += [
@@ -131,15 +128,28 @@ def _name_solver_with_settings(verdicts: Verdicts, verdict: Verdict) -> str:
     return f"`{c.solver}` with default settings" if c.settings == DEFAULT else c.marked_label
 
 
-def _describe_defaults_that_do_not_pass(verdicts: Verdicts, solvers: Sequence[str]) -> list[str]:
-    """Return clauses on the reference configurations of some solvers, with the reason of each."""
+def _describe_passes_outside_default(
+    verdicts: Verdicts, passing: Sequence[Configuration]
+) -> list[str]:
+    """Return clauses on solvers that pass, but not in their reference configurations, and why."""
     missed = {v.configuration.solver: v for v in verdicts.verdicts_on_references}
-    of_each = [(solver, missed[solver]) for solver in solvers if solver in missed]
+    of_each = [missed[c.solver] for c in passing if c.solver in missed]
+    reasons = [f"{_VERBS[v.state][0]}: {describe_main_reason(v)}" for v in of_each[:MOST_NAMED]]
+    labels = join_with_and([configuration.marked_label for configuration in passing])
+    if len(passing) == 1 and of_each:
+        default = of_each[0].configuration.marked_label
+        return [f"{labels} passes, but its default configuration, {default}, {reasons[0]}"]
+    outside = "passes only outside its default configuration"
+    many = "pass only outside their default configurations"
     clauses = [
-        f"In its default configuration, `{solver}` {_VERBS[v.state][0]}: {describe_main_reason(v)}"
-        for solver, v in of_each[:MOST_NAMED]
+        f"In its default configuration, {v.configuration.marked_label} {reason}"
+        for v, reason in zip(of_each, reasons, strict=False)
     ]
-    return [*clauses, *_count_others(len(of_each), " do not pass in their default configuration")]
+    return [
+        f"{labels} {outside if len(passing) == 1 else many}",
+        *clauses,
+        *_count_others(len(of_each), " do not pass in their default configuration"),
+    ]
 
 
 def _count_others(count: int, verbs: str) -> list[str]:
@@ -198,7 +208,8 @@ def name_counts(counts: Sequence[tuple[str, int]]) -> str:
     ordered = sorted(counts, key=lambda named: -named[1])
     named = [f"{count} of {name}" for name, count in ordered[:MOST_NAMED]]
     more = len(ordered) - MOST_NAMED
-    rest = [f"{sum(n for _, n in ordered[MOST_NAMED:])} of others"] if more > 0 else []
+    counted = f"{sum(n for _, n in ordered[MOST_NAMED:])} of other configurations"
+    rest = [counted] if more > 0 else []
     return join_with_and([*named, *rest])
 
 
@@ -221,7 +232,7 @@ def describe_deployment(solver: str) -> str:
         return "Its licence and language are unknown."
     project = known.project
     return (
-        f"Licence: {project.licence.value}; language: {project.language.value}; C code: "
+        f"Licence: {project.licence.value}. Language: {project.language.value}. C code: "
         f"{project.c_code.value}."
     )
 
@@ -285,10 +296,25 @@ def format_p99_interval(interval: Interval) -> str:
     return f" (95 %: {format_time(interval.low)} to {format_time(interval.high)})"
 
 
-def describe_paired_times(by_size: Sequence[PairedComparison], in_windows: int = 0) -> str:
+def describe_times_compared_with(
+    name: str, by_size: Sequence[PairedComparison], in_windows: int = 0
+) -> str:
+    """Return sentences that compare a configuration's step times with those of another by name.
+
+    by_size, in_windows : as of `describe_paired_times`.
+    """
+    if by_size and not any(one.separate or one.is_of_one_run for one in by_size):
+        return f"It takes {describe_paired_times(by_size, in_windows, than=f' as {name}')}."
+    return f"Compared with {name}: {describe_paired_times(by_size, in_windows)}."
+
+
+def describe_paired_times(
+    by_size: Sequence[PairedComparison], in_windows: int = 0, *, than: str = ""
+) -> str:
     """Return in words two configurations' step time ratio at the smallest and largest QP.
 
     in_windows : steps that both solved in windows of hardest steps, which make no ratio.
+    than : words that follow the first ratio, such as " as `daqp`".
     """
     if not by_size and in_windows:
         return f"too few common steps for a ratio ({in_windows} of {LEAST_STEPS})"
@@ -296,27 +322,34 @@ def describe_paired_times(by_size: Sequence[PairedComparison], in_windows: int =
         return "no step was replayed by both"
     shown = (by_size[0], by_size[-1]) if len(by_size) > 1 else by_size
     more = len(by_size) - len(shown)
-    sizes = [f"at {one.variables:.0f} variables, " * (len(by_size) > 1) for one in shown]
-    ratios = [size + _describe_time_ratio(one) for size, one in zip(sizes, shown, strict=True)]
+    sizes = [f" at {one.variables:.0f} variables" * (len(by_size) > 1) for one in shown]
+    ends = [f"{than * (i == 0)}{size}" for i, size in enumerate(sizes)]
+    ratios = [_describe_time_ratio(one, end) for one, end in zip(shown, ends, strict=True)]
     ratios += [f"{plural(more, 'more size')} in the table `paired_ratios`"] * (more > 0)
-    return "; ".join([*ratios, *["windows of hardest steps do not count"] * (in_windows > 0)])
+    left_out = ". Windows of hardest steps are left out of this comparison" * (in_windows > 0)
+    return "; ".join(ratios) + left_out
 
 
-def _describe_time_ratio(compared: PairedComparison) -> str:
-    """Return in words two configurations' step time ratio, its interval or why it has none."""
+def _describe_time_ratio(compared: PairedComparison, end: str) -> str:
+    """Return in words two configurations' step time ratio, its interval or why it has none.
+
+    end : words that follow the ratio, such as " at 15 variables".
+    """
     if compared.separate:
         times = (
             f"{format_time(compared.second_ns)} per step against {format_time(compared.first_ns)}"
         )
-        return f"{times} (geometric means over the same steps), {compared.separate}, so no ratio"
+        means = f"{times}{end} (geometric means over the same steps)"
+        return f"{means}, {compared.separate}, so no ratio"
     typically = "typically " if compared.is_unstable else ""
-    wording = f"{typically}{significant(compared.ratio.value)} times as long over the same steps"
+    ratio = f"{typically}{significant(compared.ratio.value)} times as long{end}"
+    wording = f"{ratio} over the same steps"
     others = len(compared.sequences) - MOST_NAMED
     marked = [f"`{name}`" for name in compared.sequences[:MOST_NAMED]]
     names = [*marked, *[f"{others} more"] * (others > 0)]
     wording += f" of {join_with_and(names)}" * bool(names)
     if compared.is_of_one_run:
-        return "the same run under another name: the settings make no difference"
+        return f"the same run under another name{end}: the settings make no difference"
     if not math.isfinite(compared.ratio.high):
         few = f"no interval: fewer than {LEAST_STEPS} in each sequence"
         wording += f" (geometric mean of {plural(compared.steps, 'step')}, {few})"
@@ -362,8 +395,14 @@ def _describe_machine_state(findings: Sequence[Finding]) -> list[str]:
 
 
 _WORDS: dict[str, str] = read_words(__file__)["findings"]
+_SHORT_WORDS: dict[str, str] = read_words(__file__)["short"]
 _CACHING: dict[str, str] = read_words(__file__)["caching"]
 _ENDINGS: dict[str, str] = read_words(__file__)["endings"]
+
+
+def shorten_findings(kinds: str) -> str:
+    """Return kinds of findings, joined by commas as in the table of verdicts, in a few words."""
+    return "; ".join(_SHORT_WORDS[kind] for kind in kinds.split(", ") if kind)
 
 
 def _describe_ending(status: str, run: RunRecord) -> str:
@@ -535,7 +574,9 @@ def describe_calibration(p50_ns: dict[str, float]) -> str:
     """Return words on how exactly the benchmark measured waits of known length."""
     missed = [name for name, p50 in p50_ns.items() if is_within_tolerance(name, p50) is False]
     wording = ", ".join(f"{name} {format_time(p50)}" for name, p50 in p50_ns.items())
-    verdict = f"{join_with_and(missed)} not within tolerance" if missed else "within tolerance"
+    verdict = "known waits were measured within tolerance"
+    if missed:
+        verdict = f"{join_with_and(missed)} not within tolerance"
     return f"{verdict} (p50: {wording})"
 
 

@@ -99,7 +99,7 @@ def test_the_report_and_the_last_lines_speak_of_them(folder: Path) -> None:
     text = page.with_suffix(".md").read_text(encoding="utf-8")
     assert "Measurement quality: Within this run, two solvers differ in step time " in text
     assert (folder / "figures" / "calibration.svg").is_file()
-    assert [what for what, _ in lines[-2:]] == ["machine", "harness"]
+    assert [what for what, _ in lines[-2:]] == ["machine", "timing"]
 
 
 def test_a_round_begun_twice_was_run_again(sequence: QPSequence) -> None:
@@ -155,7 +155,7 @@ def test_the_doctor_says_what_there_is(
         "context switches",
         "stolen",
     )
-    for word in (*words, "throttle", "machine: ", "quiet: ", "harness: ", *CALIBRATION):
+    for word in (*words, "throttle", "machine: ", "quiet: ", "timing: ", *CALIBRATION):
         assert word in said
 
 

@@ -18,7 +18,7 @@ from dpbench.cli.check_ship import format_limits_by_axis
 from dpbench.qp.random_sequence import FAMILIES
 from dpbench.qp.referee.optimum import Kind
 from dpbench.qp.solution import Status
-from dpbench.report.page.terms import PHRASES, Terms
+from dpbench.report.page.terms import PHRASES, Terms, find_entry
 from dpbench.report.report import BESIDE, TERMINAL_NOTES
 from dpbench.report.words import format_glossary_as_markdown, term_meanings, topics
 from dpbench.scenario.scenario import load_vessel
@@ -112,6 +112,13 @@ def test_an_interval_of_a_study_is_over_realisations() -> None:
     assert "or from realisations (studies)" in term_meanings()["interval"]
 
 
+def test_code_in_a_meaning_is_code_in_the_list_and_plain_in_a_link() -> None:
+    assert Terms.mark_code("a<b or `x`") == "a&lt;b or <code>x</code>"
+    assert '="Interface through which a solver is called: native or qpsolvers."' in Terms.link(
+        find_entry("route"), "route"
+    )
+
+
 def test_heads_are_terms_without_their_unit() -> None:
     terms = Terms([])
     assert ">excess error [cm]</a>" in terms.head("excess error [cm]")
@@ -130,5 +137,6 @@ def test_every_link_of_the_page_leads_to_its_meaning(written: Any) -> None:
     links = re.findall(r'class="term" href="#([\w-]+)" title="([^"]*)"', written.html)
     listed = re.findall(r'<dt id="([\w-]+)">[^<]*</dt><dd>(.*?)</dd>', written.html)
     assert len(links) > 15
-    assert set(links) <= {(word, meaning.replace('"', "&#34;")) for word, meaning in listed}
+    plain = {(word, re.sub("</?code>", "", meaning)) for word, meaning in listed}
+    assert set(links) <= {(word, meaning.replace('"', "&#34;")) for word, meaning in plain}
     assert len(listed) == len({word for word, _ in listed})

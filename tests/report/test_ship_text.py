@@ -150,7 +150,7 @@ def test_a_small_offset_that_is_largest_at_the_end_is_not_settled(
     """0.271 m after the loss and at the end, be an offset before the loss larger or not."""
     own = {"exact_loss_offset_max_m": 0.271, "exact_offset_end_m": 0.271} | columns
     records.loop("daqp", "thrusters_loss", steps=500, **own)
-    said = "0.0100°; the ship has not settled 60.0 s after the loss."
+    said = "0.0100°: the ship has not settled 60.0 s after the loss."
     assert (said in _summary(records).text) != is_settled
     assert "still rises" not in _summary(records).caution
 
@@ -382,7 +382,8 @@ def test_the_largest_and_the_last_offset_after_a_loss_are_stated(records: Any) -
     assert _summary(records).text.count("After the loss") == 1
     assert (
         "After the loss of board A at 90 s in `thrusters_loss`, the largest offset is 2.50 m and "
-        "the largest heading error 1.25°. At the end they are 0.0400 m and 0.0100°."
+        "the largest heading error 1.25°. At the end the offset is 0.0400 m and the heading error "
+        "0.0100°."
     ) in _summary(records).text
 
 

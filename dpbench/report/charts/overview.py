@@ -226,10 +226,13 @@ _JITTER = (
     "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'timings on this machine, ') + 'as measured'"
 )
 """Remark on the whiskers on a slower computer."""
+_FIGURE = "isValid(datum.{0}) ? format(datum.{0}, '.3~g') : '–'"
+"""Text of a number in a tooltip, a dash where there is none: the page leaves its line out."""
+ALLOWED = "slowdown allowed (largest factor by which the computer may be slower)"
 
 
 def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:
-    """Return a chart of all solvers' p50, p99, hardest step, largest timing against the deadline.
+    """Return a chart of all solvers' p50, p99, longest step, largest timing against the deadline.
 
     The parameter `slow` scales all but the largest timing, which is this machine's; colours are
     verdicts there. With `narrow` names stand above their bars; clicking sets `pick`.
@@ -264,17 +267,20 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
         " ? 'late' : datum.verdict",
         computer="'× ' + format(slow, '.3~g')",
         timing="format(datum.longest_ms, '.3~g') + (slow > 1 ? ', as measured' : '')",
+        replayed=_FIGURE.format("replay_p99_ms"),
+        single=_FIGURE.format("raw_p99_ms"),
+        allowed=_FIGURE.format("margin"),
     )
-    times = (("a", "p50"), ("c", "worst p99"), ("m", "hardest step"))
+    times = (("a", "p50"), ("c", "worst p99"), ("m", "longest step"))
     tips = [
         style.tooltip("label:N", "configuration"),
         style.tooltip("computer:N", "slowdown of the computer"),
         style.tooltip("now:N", "verdict at this slowdown"),
         *(style.tooltip(f"{name}:Q", f"{title} [ms]", 3) for name, title in times),
-        style.tooltip("replay_p99_ms:Q", "p99 of the replay, as measured [ms]", 3),
-        style.tooltip("raw_p99_ms:Q", "p99 of single timings in the replay [ms]", 3),
+        style.tooltip("replayed:N", "p99 of the replay, as measured [ms]"),
+        style.tooltip("single:N", "p99 of single timings in the replay [ms]"),
         style.tooltip("timing:N", "largest single timing [ms]"),
-        style.tooltip("margin:Q", "speed margin", 3),
+        style.tooltip("allowed:N", ALLOWED),
     ]
     y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_name_axis())
     return scaled.encode(y=y, tooltip=tips)
@@ -307,7 +313,7 @@ def _draw_click_areas(base: alt.Chart) -> Iterator[Any]:
 
 
 def _draw_time_bars(base: alt.Chart, x: alt.X) -> Iterator[Any]:
-    """Yield layers of each solver's call overhead, p50, p99 bar, line to hardest step, whisker."""
+    """Yield layers of each solver's call overhead, p50, p99 bar, line to longest step, whisker."""
     columns = alt.ExprRef("width < 200 ? 2 : narrow || width < 400 ? 3 : 5")
     looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
     colour = style.colour("now", STATES, style.STATE_COLOURS, title="verdict", **looks)

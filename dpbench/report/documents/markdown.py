@@ -59,7 +59,7 @@ from dpbench.report.verdict_text import (
     name_experiment,
 )
 
-MOST_BYTES = 8000
+MOST_BYTES = 9000
 """Largest size of the report [B]: one or two screens."""
 MOST_ROWS = 24
 """Configurations up to which the report lists all of them, not only the best of each solver."""
@@ -70,8 +70,14 @@ MOST_STUDY_ROWS = 8
 HOW_MADE = "How these results were made"
 """Heading of the last paragraph, which a paper can copy."""
 HEAD = (
-    *("solver", "call mode", "verdict", "p50", "p99", "p99 of timings", "worst p99"),
-    *("hardest step", "speed margin", "largest error", "failed answers"),
+    *("solver", "call mode", "verdict", "p50", "p99", "p99 of single timings", "worst p99"),
+    *("longest step", "slowdown allowed", "largest error", "failed steps"),
+)
+
+CALL_MODES = (
+    "Call modes: fresh sets up the solver at every step, reuse keeps its workspace, and warm also "
+    "starts from its last solution. Slowdown allowed: largest factor by which the computer may be "
+    "slower. The p99 of single timings includes interference from other work."
 )
 
 
@@ -93,6 +99,7 @@ def make_report_markdown(report: Report) -> str:
         *make_ship_lines(recommendation.ship),
         *map(escape_markdown_paragraph, [*lead, *wording]),
         make_solver_table(data, listed := _list_verdicts(data.verdicts)),
+        _explain_columns(listed),
         _unlisted_text(data.verdicts, len(listed)),
         escape_markdown_paragraph(
             describe_which_solvers_pass(data.verdicts) if data.verdicts.of else ""
@@ -178,6 +185,15 @@ def _count_configurations(verdicts: Verdicts) -> int:
     return sum(verdict.state != "not run" for verdict in verdicts.all_verdicts)
 
 
+def _explain_columns(listed: Sequence[Verdict]) -> str:
+    """Return a note on the call modes and columns of the table of solvers; "" without rows."""
+    if not listed:
+        return ""
+    has_p99 = all(not math.isnan(v.replay_p99_ns) for v in listed if v.timed_on)
+    few = " A p99 of step times needs at least 1000 steps; a dash marks a shorter replay."
+    return CALL_MODES + ("" if has_p99 else few)
+
+
 def _unlisted_text(verdicts: Verdicts, listed: int) -> str:
     """Return a note that names the file with the verdicts not listed; "" where all are listed."""
     more = _count_configurations(verdicts) - listed
@@ -227,9 +243,9 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
         yield f"p50 and p99 are {_most_and_others(usual, 'from')}."
     if any(v.p99_run is not None and v.p99_run.steps_searched_for_hardest for v in timed):
         yield "A p99 of hardest steps has no interval, because the other steps were not timed."
-    for name, found in (("worst p99", worst), ("hardest step", hardest)):
+    for name, found in (("worst p99", worst), ("longest step", hardest)):
         if any(found[label] != usual[label] for label in found):
-            yield f"The {name} occurs {_most_and_others(found, 'in')}."
+            yield f"The {name} is {_most_and_others(found, 'in')}."
     own = {
         f"`{v.configuration.solver}` {v.configuration.settings}: {v.configuration.options_text}"
         for v in verdicts
@@ -241,7 +257,10 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
 
 def _where(run: RunRecord | None) -> str:
     """Return the name of the replay or window of a time; "" for none."""
-    return "" if run is None else name_experiment(run)
+    if run is None:
+        return ""
+    window = "the window of " if run.steps_searched_for_hardest else ""
+    return window + name_experiment(run).removeprefix("the " if window else "")
 
 
 def _most_and_others(names: Mapping[str, str], preposition: str) -> str:

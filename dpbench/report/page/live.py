@@ -22,6 +22,7 @@ from dpbench.report.embedded_text import make_calculator_rows, name_sequence_and
 from dpbench.report.formats import explain_range_of_steps, plural
 from dpbench.report.page.data import PageData, make_table_of_runs, select_tiles
 from dpbench.report.page.section import Section
+from dpbench.report.verdict_text import shorten_findings
 
 Charts = dict[str, Any]
 
@@ -45,6 +46,7 @@ def _draw_verdict_grids(data: PageData) -> Charts:
     )  # JSON has no infinity
     if tiles.empty:
         return {}
+    tiles = tiles.assign(detail=tiles["detail"].map(shorten_findings))
     return {
         "matrix": draw_verdict_tiles(tiles),
         "matrix_narrow": draw_verdict_tiles(tiles, stacked=True),
@@ -55,8 +57,9 @@ MATRIX = (
     "Each cell shows the verdict on a configuration (solver, call mode, settings) in one scenario "
     "or replay. Fail: at least one step has an inaccurate answer or none. Late: accurate, but too "
     "slow. Borderline: a time differs from its limit by less than timing rounds differ. "
-    "Inconclusive: part of the run was not judged, or waits for the processor core may explain a "
-    "time. The verdict on a closed loop includes the timing of its hardest steps, in a window."
+    "Inconclusive: part of the run was not judged, or waits for the processor core may be the "
+    "reason that a time exceeds its limit. The verdict on a closed loop includes the timing of its "
+    "hardest steps, in a window."
 )
 
 
@@ -73,7 +76,7 @@ def _explain_verdict_grid(data: PageData) -> str:
         failing = requested.loc[requested["verdict"] == "fail", "solver"].nunique()
         of = f"{failing} of {plural(requested['solver'].nunique(), 'solver')}"
         verb = "fails" if requested["solver"].nunique() == 1 else "fail"
-        fail = f" {of} {verb} in these units: scale the QP." if failing else ""
+        fail = f" {of} {verb} in N and N·m: scale the QP." if failing else ""
         wording.append(f"Runs in SI units (N, N·m) do not count in the overall verdict.{fail}")
     if notation := explain_range_of_steps(run.sequence for run in data.runs.values()):
         wording.append(notation)

@@ -50,9 +50,9 @@ from dpbench.report.verdict_text import (
     describe_hardest_wait,
     describe_judged_runs,
     describe_longest_wait,
-    describe_paired_times,
     describe_requirements,
     describe_stopped_runs,
+    describe_times_compared_with,
     explain_no_recommendation,
     format_usual_time,
 )
@@ -272,13 +272,13 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
     yield from _yield_inconclusive_notes(data, found)
     if found.runner_up is not None:
         pair = data.records, chosen, found.runner_up
-        beside = describe_paired_times(
-            compare_paired_times(*pair), count_common_window_steps(*pair)
-        )
         timed = copy_with_thruster_times(data.records, data.requirements, found.runner_up)
         label, time = found.runner_up.configuration.marked_label, format_usual_time(timed)
         first = chosen.configuration.marked_label
-        yield "next", f"Next: {label}, {time}. Compared with {first}: {beside}."
+        beside = describe_times_compared_with(
+            first, compare_paired_times(*pair), count_common_window_steps(*pair)
+        )
+        yield "next", f"Next: {label}, {time}. {beside}"
     for verdict in filter(None, (chosen, found.runner_up)):
         if silent := describe_unanswered_qps(data.records, verdict.configuration.solver):
             yield "unanswered", f"{silent}."
@@ -339,7 +339,7 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
         f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this one{also}.",
         f"The solver's {time} is {p99} and reaches the limit of {requirements.p99_ms:g} ms at × "
         f"{format_rounded_down(margin.p99_limit)}.",
-        f"Its hardest step takes {hardest} and reaches the deadline of "
+        f"Its longest step takes {hardest} and reaches the deadline of "
         f"{requirements.deadline_ms:g} ms at × {format_rounded_down(margin.deadline)}.",
     ]
     longest, arms_ns = (

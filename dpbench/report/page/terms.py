@@ -109,7 +109,16 @@ class Terms:
     def link(word: GlossaryEntry, text: str) -> Markup:
         """Return an HTML link from a text to an entry of the page's glossary."""
         return Markup('<a class="term" href="#{}" title="{}">{}</a>').format(
-            word.id, word.meaning, text
+            word.id, word.meaning.replace("`", ""), text
+        )
+
+    @staticmethod
+    def mark_code(text: str) -> Markup:
+        """Return a text as HTML without links, with Markdown's code as code."""
+        parts = text.split("`")
+        return Markup("").join(
+            Markup("<code>{}</code>").format(part) if i % 2 else escape(part)
+            for i, part in enumerate(parts)
         )
 
     @property

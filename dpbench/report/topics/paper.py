@@ -44,11 +44,12 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
     measured = [claim for claim in judged if claim.state != "not measured"]
     if scenario is None or not laws or not measured:
         return None
-    others = {"Not reproduced": "not reproduced", "The opposite was measured": "opposite"}
+    others = {"Not reproduced": "not reproduced", "Contradicted by the measurement": "opposite"}
     wording = [describe_count_reproduced(judged)]
     for word, state in others.items():
         names = [strip_markdown(claim.claim) for claim in measured if claim.state == state]
-        wording += [f"{word}: “{'”, “'.join(names)}”"] if names else []
+        claims = "the claim" if len(names) == 1 else "the claims"
+        wording += [f"{word}: {claims} “{'”, “'.join(names)}”"] if names else []
     return Topic(
         id="paper",
         title="The paper",
@@ -104,11 +105,11 @@ def _make_stability_table(designs: Designs) -> Table:
             for record in designs.records
         ),
         "Stability of the controller",
-        "A controller is stable if |λ| < 1. A name such as 30/5 gives prediction and control "
-        "horizon. Each range extends from the largest initial offset that the controller held to "
+        "A controller is stable if |λ| < 1. A name such as 30/5 gives the prediction and control "
+        "horizons. Each range extends from the largest initial offset that the controller held to "
         "the smallest that it did not.",
         folded=True,
-        labels={WEATHER_OFFSET: f"sway offset held, weather of {WEATHER} [m]"},
+        labels={WEATHER_OFFSET: f"sway offset held, in the weather of scenario {WEATHER} [m]"},
     )
 
 

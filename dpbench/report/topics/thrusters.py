@@ -165,7 +165,7 @@ def _describe_solver_to_use(
     step, share = margin.hardest, format_sample_share(1.0 / margin.deadline)
     where = f"k {step.k} of the replay of {step.run.sequence}"
     wait = describe_hardest_wait(records, step.run)
-    return f"{label}: its hardest step, {where}, takes {share} of the sample{wait}."
+    return f"{label}: its longest step, {where}, takes {share} of the sample{wait}."
 
 
 def _compare_with_forces(commanded: ThrusterVerdicts) -> str:

@@ -97,9 +97,10 @@ def _describe_machine_load(disturbance: Disturbance, machine: Mapping[str, Any])
             "long; run again when it is idle."
         )
     rounds = plural(disturbance.rounds, "round")
-    keys = {"governor": "its frequency", "throttle_counters": "throttling"}
+    keys = {"governor": "its frequency governor", "throttle_counters": "throttling"}
     hidden = [name for key, name in keys.items() if machine.get(key, UNSEEN) == UNSEEN]
-    unseen = f" The machine does not report {join_with_and(hidden)}."
+    neither = "reports neither" if len(hidden) > 1 else "does not report"
+    unseen = f" The machine {neither} {' nor '.join(hidden)}."
     unwatched = unseen if hidden else ""
     return (
         "The machine was quiet according to the operating system's counters: "

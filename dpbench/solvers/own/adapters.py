@@ -17,7 +17,8 @@ LICENCE = "Apache-2.0", "dpbench, pyproject.toml"
 PAPER_ACTIVE_SET = SolverRecord(
     name="paper_active_set",
     family="active set",
-    method="active set by its multipliers (paper eq. 30-32), pivoting of Goldfarb-Idnani",
+    method="active-set method that works on the multipliers (paper eq. 30-32), with "
+    "Goldfarb-Idnani pivoting",
     distribution="",
     module="",
     extra="own",
@@ -30,7 +31,10 @@ PAPER_ACTIVE_SET = SolverRecord(
     levels={},
     project=make_project_facts(
         licence=LICENCE,
-        language=("C99, library-free, part of dpbench itself", "dpbench, solvers/own/active_set.h"),
+        language=(
+            "C99, without external libraries, part of dpbench itself",
+            "dpbench, solvers/own/active_set.h",
+        ),
         c_code=("yes, it is written in C", "dpbench, solvers/own/active_set.h"),
         allocation_free=("yes, the caller gives all memory", "dpbench, solvers/own/active_set.h"),
         single_precision=("yes, ACTIVE_SET_FLOAT", "dpbench, solvers/own/active_set.h"),

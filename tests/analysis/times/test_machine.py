@@ -43,16 +43,16 @@ def test_own_configurations_change_nothing_of_the_verdicts(records: Any) -> None
     before = records.ending()
     _with_calibration(records)
     after = records.ending()
-    assert "busy_wait_20us" in after.pop("harness")
+    assert "busy_wait_20us" in after.pop("timing")
     assert after == before
 
 
 def test_nothing_but_the_harness_has_no_verdict(records: Any) -> None:
     _with_calibration(records)
     said = records.ending()
-    assert list(said) == ["answer", "machine", "harness"]
+    assert list(said) == ["answer", "machine", "timing"]
     assert said["machine"] == "quiet."
-    assert said["harness"].startswith("within tolerance (p50: no_op ")
+    assert said["timing"].startswith("known waits were measured within tolerance (p50: no_op ")
 
 
 def test_own_configurations_are_seen_in_no_other_part_of_the_view(records: Any) -> None:
@@ -76,9 +76,11 @@ def test_own_configurations_are_seen_in_no_other_part_of_the_view(records: Any) 
 def test_the_bar_is_1_us_or_a_hundredth(records: Any, off_us: float, missed: list[str]) -> None:
     """5, 20, 50 and 200 µs and nothing at all: within 1, 1, 1, 2 and 1 µs; 1000 µs within 10."""
     _with_calibration(records, off_us)
-    verdict, _, figures = records.ending()["harness"].partition(" (")
+    verdict, _, figures = records.ending()["timing"].partition(" (")
     assert verdict == (
-        f"{join_with_and(missed)} not within tolerance" if missed else "within tolerance"
+        f"{join_with_and(missed)} not within tolerance"
+        if missed
+        else "known waits were measured within tolerance"
     )
     assert all(name in figures for name in CALIBRATION)
     topic = build_trust_topic(records.view())

@@ -143,8 +143,8 @@ def test_qps_of_different_sizes_are_not_pooled(records: Any) -> None:
     assert (small.variables, small.ratio.value) == (15, pytest.approx(2.0))
     assert (large.variables, large.ratio.value) == (120, pytest.approx(0.5))
     said = describe_paired_times([small, large])
-    assert said.startswith("at 15 variables, 2.00 times as long over the same steps")
-    assert "; at 120 variables, typically 0.500 times as long" in said
+    assert said.startswith("2.00 times as long at 15 variables over the same steps")
+    assert "; typically 0.500 times as long at 120 variables" in said
     records.loop("base")
     records.loop("other")
     table = tabulate_time_ratios(_matrix(records))

@@ -291,7 +291,7 @@ def test_a_hardest_step_beyond_the_deadline_is_late(records: Any) -> None:
     verdict = _verdict(records, "daqp")
     assert verdict.state == "late"
     assert _why(verdict) == (
-        "its hardest step takes 400 ms in the replay of `paper`, above the deadline of 300 ms"
+        "its longest step takes 400 ms in the replay of `paper`, above the deadline of 300 ms"
     )
 
 
@@ -340,9 +340,9 @@ def test_high_settings_rescue(records: Any) -> None:
     assert [v.state for v in verdicts.all_verdicts] == ["fail", "pass"]
     assert describe_which_solvers_pass(verdicts) == (
         "1 of 1 solver passes in at least one configuration: `osqp`. `osqp` (qpsolvers fresh, "
-        "high) passes only outside its default configuration. In its default configuration, `osqp` "
-        "fails: the error of its first move reaches 0.40 times the maximum increment in `paper`, "
-        "above the limit in 120 of 120 steps."
+        "high) passes, but its default configuration, `osqp` (qpsolvers fresh), fails: the error "
+        "of its first move reaches 0.40 times the maximum increment in `paper`, above the limit in "
+        "120 of 120 steps."
     )
 
 

@@ -72,7 +72,7 @@ def test_a_row_of_the_ladder_is_chosen_by_a_click(selected: Any) -> None:
     wait_for_strips(page)
     assert page.inner_text("#one-title").startswith("clarabel (")
     assert re.match(
-        r"clarabel \(.*\): (pass|late|fail|inconclusive), p50 .*, p99 .*, hardest step .*, "
+        r"clarabel \(.*\): (pass|late|fail|inconclusive), p50 .*, p99 .*, longest step time .*, "
         r"largest timing .*; shown in ",
         page.inner_text("#chosen"),
     )

@@ -50,12 +50,13 @@ def test_the_replays_of_worst_p99_and_hardest_step_are_named() -> None:
             ]
         )
     )
-    turn = "in the hardest steps of `turn`; for `scs` (native warm), in the replay of `move`"
-    rough = "for `piqp` (native warm), in the hardest steps of `rough`"
+    window = "in the window of hardest steps of"
+    turn = f"{window} `turn`; for `scs` (native warm), in the replay of `move`"
+    rough = f"for `piqp` (native warm), {window} `rough`"
     assert notes == [
         "A p99 of hardest steps has no interval, because the other steps were not timed.",
-        f"The worst p99 occurs {turn}.",
-        f"The hardest step occurs {turn}; {rough}.",
+        f"The worst p99 is {turn}.",
+        f"The longest step is {turn}; {rough}.",
     ]
 
 
@@ -79,8 +80,8 @@ def test_more_than_three_exceptions_are_counted() -> None:
     other = [_verdict(name, "move", window="rough") for name in solvers]
     (*_, hardest) = yield_table_remarks([*(_verdict(f"d{i}", "move") for i in range(5)), *other])
     assert hardest == (
-        "The hardest step occurs in the replay of `move` (5 configurations) and the hardest steps "
-        "of `rough` (4 configurations)."
+        "The longest step is in the replay of `move` (5 configurations) and the window of hardest "
+        "steps of `rough` (4 configurations)."
     )
 
 

@@ -1,18 +1,19 @@
 """Data of the page: experiments, verdicts, cells and studies, against their records."""
 
 import json
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
 from dpbench.analysis.times.solver_tables import tabulate_experiment_verdicts
-from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.requirements import Cause, Doubt, Gap, Near, Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.page import data as page_data
 from dpbench.report.page.data import PageData, convert_to_json_number, select_tiles
 from dpbench.report.page.live import _explain_verdict_grid
 from dpbench.report.page.terms import describe_experiments
 from dpbench.report.report import Report
+from dpbench.report.verdict_text import shorten_findings
 from dpbench.scenario.scenario import build_scenario_from_documents
 from tests.report.conftest import HEIGHTS, LOOSE, OFFSETS, SEAS, of_seas
 
@@ -111,8 +112,16 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
     )
     records.loop("osqp", units="si", error=0.5)
     assert _explain_verdict_grid(_facts(records)).endswith(
-        " 1 of 2 solvers fail in these units: scale the QP."
+        " 1 of 2 solvers fail in N and N·m: scale the QP."
     )
+
+
+def test_every_kind_of_finding_has_a_short_text() -> None:
+    kinds = [kind for part in get_args(Cause) for kind in get_args(part)]
+    kinds += [kind for part in (Doubt, Near, Gap) for kind in get_args(part)]
+    assert len(kinds) > 40 and all(shorten_findings(kind) for kind in kinds)
+    assert shorten_findings("") == ""
+    assert shorten_findings("p99 late, failed") == "p99 above its limit; failed steps"
 
 
 @pytest.mark.slow

@@ -96,10 +96,10 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
         assert row["p99"] == format_time(verdict.replay_p99_ns)
         interval = format_p99_interval(verdict.p99_interval)
         assert row["worst p99"] == format_time(verdict.p99_ns) + interval
-        assert row["p99 of timings"] == format_time(verdict.raw_p99_ns)
-        assert row["hardest step"] == format_time(verdict.algo_max_ns)
+        assert row["p99 of single timings"] == format_time(verdict.raw_p99_ns)
+        assert row["longest step"] == format_time(verdict.algo_max_ns)
         assert row["largest error"] == format_error(verdict.error_move)
-        assert row["failed answers"] == str(verdict.failed_steps)
+        assert row["failed steps"] == str(verdict.failed_steps)
 
 
 def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(records: Any) -> None:
@@ -114,7 +114,7 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
     report = Report.from_results(records.results())
     waits = " (6.00 ms of it a wait for the core)", " (39.0 ms of it a wait for the core)"
     slower = dict(report.summary_rows())["slower"]
-    hardest = f"Its hardest step takes 10.0 ms{waits[0]} in step 7 of paper"
+    hardest = f"Its longest step takes 10.0 ms{waits[0]} in step 7 of paper"
     assert hardest in slower and "reaches the deadline of 300 ms at × 30.0." in slower
     assert f"the largest timing is 40.0 ms{waits[1]} in paper" in slower
     assert f"| 10.0 ms{waits[0]} |" in make_report_markdown(report)
@@ -473,8 +473,10 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     assert "is not recommended: written in Python" in notes["faster"]
     assert notes["next"].startswith("Next: `scs` (qpsolvers fresh), p99 ")
     assert records.ending()["next"].startswith("scs (qpsolvers fresh), p99 ")
-    licence = "Licence: MIT; language: C, library-free; C code: yes, it writes its workspace as C."
-    assert notes["deployment"] == licence
+    assert notes["deployment"] == (
+        "Licence: MIT. Language: C, without external libraries. C code: yes, it writes its "
+        "workspace as C."
+    )
 
 
 def test_the_p99_of_a_replay_has_its_interval(records: Any) -> None:

@@ -35,7 +35,7 @@ def test_solvers_that_do_for_three_forces_only_are_named_with_their_fault(record
     solvers = {"daqp": (40.0, 1e-9), "piqp": (4000.0, 1e-9), "osqp": (60.0, 0.3)}
     first, second = output(campaign(records, solvers))
     assert first.startswith(
-        "To steer thrusters take daqp (native, warm, default): its hardest step, k "
+        "To steer thrusters take daqp (native, warm, default): its longest step, k "
     )
     assert first.endswith(
         "3 solvers pass with three forces (three_forces); 2 of them fail with "
@@ -51,7 +51,7 @@ def test_a_solver_that_ran_alone_is_not_chosen(records: Any) -> None:
     solvers = {"daqp": (40.0, 1e-9)}
     first, _ = output(campaign(records, solvers, forces=False))
     assert first.startswith(
-        "With commanded thrusters daqp (native warm) passes; only daqp was run: its hardest step"
+        "With commanded thrusters daqp (native warm) passes; only daqp was run: its longest step"
     )
     for name in ("thrusters", "thrusters_loss"):
         records.loop("daqp", name, steps=500)

@@ -63,8 +63,8 @@ def test_contradicting_rows_are_believed(
     _pair(records, **{column: value})
     assert _states(records)[claim] == "opposite"
     topic = build_paper_topic(records.view())
-    assert topic is not None and "The opposite was measured: “" in topic.lines[0]
-    assert f"“{claim}”" in topic.lines[0].split("The opposite was measured: ")[1]
+    assert topic is not None and "Contradicted by the measurement: the claim" in topic.lines[0]
+    assert f"“{claim}”" in topic.lines[0].split("Contradicted by the measurement: ")[1]
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def test_what_the_machine_hides_is_said(records: Any) -> None:
     topic = build_trust_topic(records.view())
     (quiet,) = (line for line in topic.lines if line.startswith("The machine was quiet"))
     assert "2 of 3 rounds were disturbed and repeated, and 0 remained disturbed." in quiet
-    assert quiet.endswith("The machine does not report its frequency and throttling.")
+    assert quiet.endswith("The machine reports neither its frequency governor nor throttling.")
 
 
 def test_a_wait_is_said_by_its_largest_replay(records: Any) -> None:
@@ -107,4 +107,4 @@ def test_a_wait_is_said_by_its_largest_replay(records: Any) -> None:
     (waits,) = (line for line in topic.lines if line.startswith("Waits of known length"))
     assert "50 µs as 52.0 µs (largest p50 of the replays)" in waits
     assert "accurate to 4.0 %" in waits
-    assert "busy_wait_50us 52.0 µs" in records.ending()["harness"]
+    assert "busy_wait_50us 52.0 µs" in records.ending()["timing"]

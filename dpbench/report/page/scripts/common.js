@@ -84,7 +84,8 @@ function vegaTooltip() {
   const box = $("tip");
   return (_, event, __, value) => {
     if (!value) { box.hidden = true; return; }
-    box.replaceChildren(...Object.entries(value).map(([name, text]) => {
+    const known = Object.entries(value).filter(([, text]) => !["–", "null"].includes(String(text)));
+    box.replaceChildren(...known.map(([name, text]) => {
       const row = document.createElement("div"), head = document.createElement("b");
       head.textContent = name; row.append(head, ` ${String(text).replaceAll("`", "")}`);
       return row;

@@ -13,7 +13,7 @@ function beside() {
 function drawChosen() {
   const c = state.c, timed = facts.experiments[C().timed_experiment_index[c]]?.label, longest = facts.experiments[C().longest_at[c]]?.label;
   const times = [["p50", "p50"], ["p99", "replay_p99", timed && ` in \`${timed}\``],
-    ["hardest step of all replays", "max", C().max_wait[c]], ["largest timing", "longest", longest && `${C().longest_wait[c]} in \`${longest}\``]]
+    ["longest step time in all replays", "max", C().max_wait[c]], ["largest timing", "longest", longest && `${C().longest_wait[c]} in \`${longest}\``]]
     .filter(([, column]) => C()[column][c] !== null)
     .map(([name, column, where]) => `, ${name} ${time(C()[column][c])}${where ?? ""}`);
   const verdict = C().verdict[c] === "not judged" ? "" : `: ${C().verdict[c]}`;
