@@ -59,6 +59,10 @@ def describe_how_results_were_made(
         for solver, own in of_solver.items()
     ]
     steps = sum(int(run.steps_done) for run in runs)
+    refused = sum(run.outcome == "refused" for run in runs)
+    notes = [f"{plural(refused, 'refused run')} included"] if refused else []
+    notes += ["calibration runs not included"] if records.calibration else []
+    note = f" ({', '.join(notes)})" if notes else ""
     numpy = machine.get("versions", {}).get("numpy", "")
     computer = (
         f"{machine.get('cpu_model', 'an unnamed CPU')}, {plural(machine.get('cores', 0), 'core')}, "
@@ -67,7 +71,7 @@ def describe_how_results_were_made(
     software = ", ".join([machine.get("python", ""), *[f"NumPy {numpy}"] * bool(numpy)])
     return (
         f"The suite {suite.get('name', '')} was run with {describe_version(suite)}: "
-        f"{plural(len(runs), 'run')} with {plural(steps, 'step')}, "
+        f"{plural(len(runs), 'run')} with {plural(steps, 'step')}{note}, "
         f"{describe_commands(runs, suite.get('started_utc', ''))}. "
         f"Solvers: {', '.join(solvers)}. Machine: {computer}; {software}."
     )

@@ -198,7 +198,7 @@ def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
         return ""
     have = "Its outcome is" if len(stopped) == 1 else "Their outcome is"
     return (
-        f"The time limit (`cell_limit_s`) stopped {len(stopped)} of {plural(len(ran), 'run')}: "
+        f"The time limit (`cell_limit_s`) stopped {len(stopped)} of {plural(len(ran), 'started run')}: "
         f"{name_counts(Counter(stopped).most_common())}. {have} `timed_out` in `tables/runs.csv`."
     )
 

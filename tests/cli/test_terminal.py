@@ -222,7 +222,10 @@ def test_what_takes_long_after_all_work_is_a_line(
                 now_s = at_s
                 bar.advance(0, what)
     lines = capsys.readouterr().err.splitlines()
-    assert lines == 2 * ["dpbench: 100% after 12 s: charts", "dpbench: 100% after 23 s: page"]
+    assert lines == 2 * [
+        "dpbench: all steps done after 12 s: charts",
+        "dpbench: all steps done after 23 s: page",
+    ]
 
 
 @pytest.mark.parametrize(

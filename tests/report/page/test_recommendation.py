@@ -448,8 +448,8 @@ def test_loops_without_times_and_stopped_runs_are_named(records: Any) -> None:
     notes = dict(_answer(records).notes)
     assert notes["slower"].endswith("Not timed, as no replay has their QPs: `calm` and `rough`.")
     assert notes["stopped"] == (
-        "The time limit (`cell_limit_s`) stopped 1 of 4 runs: 1 of `osqp` (qpsolvers fresh). "
-        "Its outcome is `timed_out` in `tables/runs.csv`."
+        "The time limit (`cell_limit_s`) stopped 1 of 4 started runs: 1 of `osqp` (qpsolvers "
+        "fresh). Its outcome is `timed_out` in `tables/runs.csv`."
     )
 
 
