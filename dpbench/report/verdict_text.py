@@ -198,8 +198,9 @@ def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
         return ""
     have = "Its outcome is" if len(stopped) == 1 else "Their outcome is"
     return (
-        f"The time limit (`cell_limit_s`) stopped {len(stopped)} of {plural(len(ran), 'started run')}: "
-        f"{name_counts(Counter(stopped).most_common())}. {have} `timed_out` in `tables/runs.csv`."
+        f"The time limit (`cell_limit_s`) stopped {len(stopped)} of "
+        f"{plural(len(ran), 'started run')}: {name_counts(Counter(stopped).most_common())}. "
+        f"{have} `timed_out` in `tables/runs.csv`."
     )
 
 
