@@ -151,7 +151,7 @@ def test_the_doctor_says_what_there_is(
         "governor",
         "BLAS",
         "solver builds",
-        "reading the clock",
+        "read the clock",
         "context switches",
         "stolen",
     )
