@@ -330,6 +330,9 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
     hardest = p99 = _describe_slow_step(margin.hardest, wait)
     if margin.p99.time_ns != margin.hardest.time_ns:
         p99 = _describe_slow_step(margin.p99)
+    if (more := margin.p99.run.untimed_iterations) > 1.0:
+        bound = format_time(margin.p99.time_ns * more)
+        p99 = f"{p99}, {bound} if scaled up to the iterations of its closed loop,"
     time = "p99" if isfinite(chosen.p99_ns) else "largest step time (in place of a p99)"
     is_of_own_plant = any(run.is_of_own_plant for run in data.records.runs)
     computer = "the computer" if is_of_own_plant else "the ship's computer"

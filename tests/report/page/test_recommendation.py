@@ -430,6 +430,19 @@ NOBODY = [
 ]
 
 
+def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(records: Any) -> None:
+    """Half of the iterations are timed: (1 + 9) / (1 + 4) times 20 µs."""
+    records.loop("daqp", "turn", iterations_p99=9.0)
+    cell = json.dumps({"source": {"kind": "hardest", "name": "turn hardest 30", "of": 450}})
+    window = {"sequence": "turn hardest 30", "scenario": "turn", "cell": cell}
+    records.replay("daqp", steps=30, spread=0.0, iterations_p99=4.0, **window)
+    data = Report.from_results(records.results()).data
+    (verdict,) = data.verdicts.all_verdicts
+    text = " ".join(list_speed_margin_sentences(data, verdict))
+    assert ", 40.0 µs if scaled up to the iterations of its closed loop, and reaches" in text
+    assert "reaches the limit of 3 ms at × 75.0." in text
+
+
 def test_a_replay_of_the_same_horizons_by_another_name_times_the_loop(records: Any) -> None:
     """`horizons = ["30/5"]` of `paper` names it `paper-30-5`."""
     for scenario in ("paper", "calm"):
