@@ -15,7 +15,7 @@ from dpbench.solvers.table import find_solver_availability
 def test_a_warm_start_outlives_a_change_of_the_matrices(solver: str) -> None:
     """Along `turn`, whose model turns with the ship: fewer iterations than from a cold start."""
     if not find_solver_availability(solver).ok:
-        pytest.skip(f"{solver} is not installed")
+        pytest.skip(f"{solver} is not installed")  # an extra; the core is tested without it
     recorded = _record_turning_ship()
     workspaces = [
         open_workspace(solver, route="native", policy=policy) for policy in ("fresh", "warm")

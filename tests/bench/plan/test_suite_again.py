@@ -22,8 +22,9 @@ def test_a_suite_plans_the_same_runs_again(name: str, tmp_path: Path) -> None:
 
 
 def test_the_choices_of_the_command_are_in_the_file(tmp_path: Path) -> None:
-    choices = {"solvers": ["daqp", "osqp[rho=1.6]"], "settings": ["1e-2"], "steps": 12}
-    plan = RunRequest("seas", **choices, policies=["fresh"]).make_plan()  # type: ignore[arg-type]
+    solvers = ["daqp", "osqp[rho=1.6]"]
+    request = RunRequest("seas", solvers=solvers, settings=["1e-2"], steps=12, policies=["fresh"])
+    plan = request.make_plan()
     assert _plan_again(plan, tmp_path).digest == plan.digest
 
 
