@@ -69,7 +69,11 @@ class Workspace(ABC):
         self.solver, self.route, self.policy = solver, route, policy
 
     def __repr__(self) -> str:
-        return f"<Workspace of {self.solver} ({self.route}, {self.policy})>"
+        settings = self.requested_settings
+        if isinstance(settings, Mapping):
+            settings = ", ".join(f"{key}={value!r}" for key, value in settings.items())
+        shown = "" if settings in ("", "default") else f", {settings}"
+        return f"<Workspace of {self.solver} ({self.route}, {self.policy}{shown})>"
 
     @abstractmethod
     def setup(self, qp: QuadraticProgram) -> None:

@@ -58,7 +58,7 @@ def open_workspace(
     Examples
     --------
     >>> open_workspace("osqp", route="native", policy="warm", settings={"eps_abs": 1e-5})
-    <Workspace of osqp (native, warm)>
+    <Workspace of osqp (native, warm, eps_abs=1e-05)>
     """
     if not isinstance(solver, str):
         raise TypeError(f"solver: found {shorten_found(solver)}; allowed: the name of a solver")
