@@ -57,7 +57,7 @@ from dpbench.scenario.scenario import Scenario, resolve_to_scenario
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.own_settings import encode_options_as_json, format_options_as_toml
-from dpbench.solvers.table import Availability
+from dpbench.solvers.table import Availability, find_solver_availability
 
 UNNAMED = ("", "default")  # Settings that a label leaves out
 
@@ -425,7 +425,10 @@ def _make_run(
     steps = make_step_columns(cell, evaluated)
     detail = "; ".join(list_failure_descriptions(timed_solver.details))
     outcome = Outcome("finished", detail, workspace.form, *timed_solver.size)
-    row = make_run_row("in-process", cell, outcome, Availability(True), "", evaluated, steps)
+    # A workspace of somebody's own class has no library that could be asked.
+    known = workspace.reopen is not None
+    library = find_solver_availability(cell.solver) if known else Availability(True)
+    row = make_run_row("in-process", cell, outcome, library, "", evaluated, steps)
     return Run(
         make_step_rows("in-process", steps),
         convert_to_run_columns(pd.DataFrame([row])).iloc[0],

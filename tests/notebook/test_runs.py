@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib.metadata import version
 
 import numpy as np
 import pandas as pd
@@ -125,6 +126,10 @@ def test_a_run_carries_the_settings_of_its_solver() -> None:
         "osqp (native, fresh, high)",
         "osqp (native, fresh, eps_abs=1e-5,max_iter=400)",
     ]
+
+
+def test_a_run_names_the_version_of_its_solver(loop: Run, replayed: Run) -> None:
+    assert loop.summary["solver_version"] == version("daqp") == replayed.summary["solver_version"]
 
 
 def test_objects_say_what_they_are_in_a_line(loop: Run, replayed: Run) -> None:
