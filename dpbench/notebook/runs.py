@@ -137,6 +137,7 @@ class Run:
             f"{self._sequence_text}, {self._steps_text}, "
             f"{format_share(row['true_share'])} verified, "
             f"{f'{unverified} reported solved but not verified, ' if unverified else ''}"
+            f"{self._late_text}"
             f"error_move ≤ {format_error(row['error_move_max'])}, p50 {time}{note and f' ({note})'}"
             f"{f'; {self._machine_text}' if self._machine_text else ''}"
             f"{f'; {self._caching_text}' if self.remembers else ''}"
@@ -153,6 +154,7 @@ class Run:
             "answers verified": format_share(row["true_share"]),
             "reported solved but not verified": self._unverified_text or "0",
             "failed steps": format_count(row["failed_steps"]),
+            "late": self._late_text.removesuffix(", "),
             "failures": row["outcome_detail"],
             "largest error of the first move": format_error(row["error_move_max"]),
             f"median step time{note and f', {note}'}": time,
@@ -182,6 +184,18 @@ class Run:
         return (
             f"{format_count(count)} of {format_count(row['raw_samples'])} answers" if count else ""
         )
+
+    @property
+    def _late_text(self) -> str:
+        """Steps that missed their deadline or ended in a fallback, with a comma; "" for none."""
+        if not self._is_closed_loop:
+            return ""
+        missed, fallbacks = (
+            0 if pd.isna(count) else int(count)
+            for count in self.summary[["deadline_misses", "fallbacks"]]
+        )
+        late = f"deadline missed in {plural(missed, 'step')}, " if missed else ""
+        return late + (f"{plural(fallbacks, 'fallback')}, " if fallbacks else "")
 
     @property
     def _time_text(self) -> tuple[str, str]:

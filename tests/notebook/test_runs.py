@@ -132,6 +132,14 @@ def test_a_run_names_the_version_of_its_solver(loop: Run, replayed: Run) -> None
     assert loop.summary["solver_version"] == version("daqp") == replayed.summary["solver_version"]
 
 
+def test_a_run_that_is_always_late_says_so() -> None:
+    """A computer so slow that no answer arrives in its sample."""
+    late = run_closed_loop("paper", open_workspace("daqp", route="native"), slowdown=1e7, steps=4)
+    assert late.summary["deadline_misses"] == 4
+    assert "100 % verified, deadline missed in 4 steps, " in repr(late)
+    assert "deadline missed in 4 steps" in late._repr_html_()
+
+
 def test_objects_say_what_they_are_in_a_line(loop: Run, replayed: Run) -> None:
     scenario = load_scenario("paper")
     qp = condense(scenario).problem(condense(scenario).emit(np.ones(9), np.zeros(3), np.zeros(3)))

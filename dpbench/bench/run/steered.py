@@ -141,12 +141,18 @@ class ObservedPlant:
             if member not in dir(self._plant) and not hasattr(self._plant, member):
                 sentence = f"{member} is missing; a plant has state, step(u) and measure()"
                 raise PlantError(self.name, sentence)
-        self._shape = (size,)
+        self._shape, self._samples, self._input = (size,), 0, np.zeros(0)
         self.state = self._checked("state", self._plant.state)
 
     def step(self, u: Vector) -> None:
         """Advance the plant by one sample; PlantError for a state that is not finite."""
-        self._call(self._plant.step, u.copy())
+        self._input = u.copy()
+        try:
+            self._call(self._plant.step, u.copy())
+        except Exception as error:
+            error.add_note(f"{self.name}: {self._describe_last_step()}")
+            raise
+        self._samples += 1
         self.state = self._checked("state", self._plant.state)
 
     def measure(self) -> Vector:
@@ -173,11 +179,22 @@ class ObservedPlant:
         array = np.array(values, dtype=np.float64)
         if array.shape != self._shape:
             found = f"{what} has shape {array.shape}, not {self._shape}"
-            raise PlantError(self.name, found)
+            raise PlantError(self.name, found + self._describe_call_before())
         # A fifth of the time of numpy.isfinite; squares beyond 1e308 are no state of a plant.
         if not math.isfinite(array.dot(array)):
-            raise PlantError(self.name, f"{what} is not finite: {array}")
+            found = f"{what} is not finite: {array}"
+            raise PlantError(self.name, found + self._describe_call_before())
         return array
+
+    def _describe_last_step(self) -> str:
+        """Return the sample and the input of the latest call of `step`."""
+        return f"step(u) of sample {self._samples}, u = {self._input}"
+
+    def _describe_call_before(self) -> str:
+        """Return the latest finished call of `step` as the end of a sentence; "" at the start."""
+        if not self._samples:
+            return ""
+        return f", after step(u) of sample {self._samples - 1}, u = {self._input}"
 
 
 def build_steered_system(

@@ -1,5 +1,6 @@
 """A custom linear MPC, and plants by the public contract."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -190,6 +191,36 @@ def test_a_plant_that_does_not_fit_is_named() -> None:
         run_closed_loop(mpc, "daqp", plant=Cart())  # type: ignore[arg-type] # is no maker
     with pytest.raises(PlantError, match="plant Cart: state is not finite"):
         run_closed_loop(mpc, "daqp", plant=lambda: Cart(np.inf))
+
+
+class Failing(Cart):
+    """A cart that fails at its third sample, by an exception or by a state that is no number."""
+
+    raises, calls = True, 0
+
+    def step(self, u: Vector) -> None:
+        self.calls += 1
+        if self.calls < 3:
+            super().step(u)
+        elif self.raises:
+            raise ValueError("the axle broke")
+        else:
+            self.state = np.full(2, np.nan)
+
+
+def test_a_failure_of_a_plant_names_the_sample_and_the_input() -> None:
+    mpc = LinearMPC(**GIVEN)
+    with pytest.raises(ValueError, match="the axle broke") as caught:
+        run_closed_loop(mpc, "daqp", plant=Failing)
+    (note,) = caught.value.__notes__
+    assert re.fullmatch(r"plant Failing: step\(u\) of sample 2, u = \[-?[\d.e-]+\]", note)
+
+    class Vanishing(Failing):
+        raises = False
+
+    where = r"state is not finite: \[nan nan\], after step\(u\) of sample 2, u = \["
+    with pytest.raises(PlantError, match=where):
+        run_closed_loop(mpc, "daqp", plant=Vanishing)
 
 
 class OwnShip:
