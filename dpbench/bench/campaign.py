@@ -223,7 +223,7 @@ class Campaign:
         rows = {"run_rows": len(runs), "step_rows": step_rows}
         write_json(self._out / "machine.json", self.machine)
         write_json(self._out / "suite.json", suite | rows)
-        write_text_atomically(self._out / "suite.toml", self._plan.format_suite())
+        write_text_atomically(self._out / "suite.toml", self._plan.format_suite(self._out))
         self._write_capability_plots()
 
     def _write_capability_plots(self) -> None:

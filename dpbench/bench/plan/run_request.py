@@ -1,6 +1,7 @@
 """A request of a user, a suite or a part of it in its call modes, and the plan it means."""
 
 import hashlib
+import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -63,8 +64,8 @@ class Plan:
     solvers: Sequence[str] = ()
     scenarios: Sequence[str] = ()
 
-    def format_suite(self) -> str:
-        """Return the suite as it is run, as TOML that runs it again; keys at defaults are left out.
+    def format_suite(self, folder: Path) -> str:
+        """Return the suite as TOML that runs it again from `folder`; keys at defaults are left out.
 
         Its comment has the options that the file cannot contain.
         """
@@ -72,8 +73,10 @@ class Plan:
         if self.solvers:
             update = {"solvers": list(self.solvers), "baseline_law": False, "calibration": False}
             document = _copy_table_with(document, **update)
-        options = "".join(f" --scenario {name}" for name in self.scenarios)
-        text = format_as_toml(document.model_dump(mode="json", exclude_defaults=True))
+        scenarios = _rename_files(list(self.scenarios), Path(), folder)
+        options = "".join(f" --scenario {name}" for name in scenarios)
+        tables = document.model_dump(mode="json", exclude_defaults=True)
+        text = format_as_toml(_rename_files(tables, self.path.parent, folder))
         return f"# Run again: dpbench run suite.toml{options}\n{text}"
 
     @cached_property
@@ -161,6 +164,20 @@ class RunRequest:
             raise InputError("run", "", "nothing", "a suite or a sequence")
         found = f"suite {self.suite} and sequence {self.sequence}"
         raise InputError("run", "", found, "one of the two")
+
+
+def _rename_files(value: Any, base: Path, folder: Path) -> Any:
+    """Return a value of a suite with its files, relative to `base`, named relative to `folder`."""
+    if isinstance(value, dict):
+        return {key: _rename_files(one, base, folder) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_rename_files(one, base, folder) for one in value]
+    if not isinstance(value, str) or Path(value).is_absolute():
+        return value
+    is_path = "/" in value or bool(Path(value).suffix)
+    if not (is_path and (base / value).exists()):
+        return value
+    return os.path.relpath((base / value).resolve(), folder.resolve())
 
 
 def reduce_suite(
