@@ -51,7 +51,7 @@ environments: setup $(CORE)/.installed $(LOWEST)/.installed ## make those of tes
 bench: setup ## run the standard suite (five to twelve minutes) and write its report
 	$(BIN)/dpbench run standard --out $(OUT)
 
-full: setup ## run everything at full length with twenty replays (hours)
+full: setup ## run everything at full length with twenty rounds (hours)
 	$(BIN)/dpbench run full
 
 test: setup ## run the tests: on both cores, then those that need a quiet machine

@@ -1,4 +1,4 @@
-"""The reference over time: a set-point, or the trajectory of a reference filter towards it.
+"""The reference over time: a setpoint, or the trajectory of a reference filter towards it.
 
     η_d''' + (2ζ+1) ω η_d'' + (2ζ+1) ω² η_d' + ω³ η_d = ω³ η_r        (Fossen 2021, section 12.1.1)
 

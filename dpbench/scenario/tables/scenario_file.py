@@ -324,7 +324,7 @@ class ReferenceTable(PoseTable):
     """Setpoint of position and heading, with optional filter and preview."""
 
     filter: FilterTable | None = None
-    """Filters the set-point; none by default."""
+    """Filters the setpoint; none by default."""
     preview: bool = False
     """true: the controller sees the reference of the coming samples."""
 

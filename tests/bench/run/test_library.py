@@ -92,7 +92,7 @@ def test_squall_meets_the_rate_then_the_amplitude_limit_and_the_ship_returns() -
 
 
 def test_move_arrives_after_rate_and_amplitude_limits_in_all_axes() -> None:
-    """The ship ends within 5 cm and 0.1° of the new set-point, 25 m and 30° away."""
+    """The ship ends within 5 cm and 0.1° of the new setpoint, 25 m and 30° away."""
     found, last = metrics("move"), exact("move").state[-1]
     assert min(found[f"at_rate_{axis}"] for axis in ("surge", "sway", "yaw")) > 0.02
     assert found["at_amplitude_sway"] > 0.02
