@@ -4,6 +4,8 @@ Bad input is an `InputError`, one line that the command line prints and exits wi
 failure is never an exception that leaves the run: it is a `Status` in a record.
 """
 
+import errno
+import os
 import warnings
 from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
@@ -11,6 +13,8 @@ from numbers import Integral
 from os import PathLike
 
 _MOST = 80  # Characters of what was found in a message
+_SYSTEM_ERRORS = frozenset(map(os.strerror, errno.errorcode))
+"""What the system reports of files, such as "Permission denied"."""
 
 
 class DpbenchError(Exception):
@@ -32,7 +36,7 @@ class InputError(DpbenchError, ValueError):
         the command line prints them as its options, `jobs` as --jobs.
     key : the key inside it ("" when the whole of it is meant).
     found : the value there; "nothing" for a key or option that is missing; "no such file" and the
-        like for a name without a file.
+        like for a name without a file; or what the system reports of a file.
     allowed : the values that are accepted.
 
     Examples
@@ -48,16 +52,22 @@ class InputError(DpbenchError, ValueError):
     def __init__(self, where: str, key: str, found: object, allowed: str) -> None:
         self.where, self.key, self.found, self.allowed = where, key, found, allowed
         place = f"{where}: {key}" if key else where
+        text = str(found)
         if found == "nothing":
             fault = f"missing; required: {allowed}"
-        elif str(found).lower().startswith("no such "):  # in capitals where the system reports it
-            fault = f"{found}; required: {allowed}"
+        elif text in _SYSTEM_ERRORS or text.startswith("no such "):
+            fault = f"{begin_in_lower_case(text)}; required: {allowed}"
         else:
             fault = f"found {found}; allowed: {allowed}"
         super().__init__(" ".join(f"{place}: {fault}".split()))
 
     def __reduce__(self) -> "tuple[type[InputError], tuple[str, str, object, str]]":
         return type(self), (self.where, self.key, self.found, self.allowed)
+
+
+def begin_in_lower_case(text: str) -> str:
+    """Return a report of the system, such as "Permission denied", as part of a sentence."""
+    return f"{text[:1].lower()}{text[1:]}"
 
 
 def shorten_found(value: object) -> str:

@@ -52,7 +52,11 @@ def test_a_long_list_is_cut_for_a_name_like_no_other() -> None:
         (InputError("a.toml", "key", 3, "0 to 1"), "a.toml: key: found 3; allowed: 0 to 1"),
         (
             InputError("a.toml", "", "No such file or directory", "a file"),
-            "a.toml: No such file or directory; required: a file",
+            "a.toml: no such file or directory; required: a file",
+        ),
+        (
+            InputError("a.toml", "", "Permission denied", "a readable file"),
+            "a.toml: permission denied; required: a readable file",
         ),
         (SituationError("--against", "add\n --for SOLVER"), "--against: add --for SOLVER"),
     ],

@@ -202,7 +202,7 @@ def load_run(path: Path) -> BenchmarkRun:
         if SELECTION in stored:
             run = replace(run, selection=Selection.from_json_entry(stored[SELECTION]))
     except OSError as error:
-        raise InputError(str(path), "", error.strerror or "unreadable", ALLOWED) from error
+        raise InputError(str(path), "", error.strerror or "an unreadable file", ALLOWED) from error
     except (ValueError, TypeError, AttributeError) as error:
         raise SituationError(str(path), f"cannot be read ({error}); required: {ALLOWED}") from error
     except KeyError as error:

@@ -27,6 +27,7 @@ from dpbench.errors import (
     InputError,
     RenamedWarning,
     SituationError,
+    begin_in_lower_case,
     warn_of_outdated_name,
 )
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe
@@ -140,8 +141,9 @@ def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interru
             raise
         # Whatever else cannot be read or written: a full disk, a folder in a file's place.
         name = f"{error.filename}: " if error.filename else ""
-        remedy = "name a file or folder that can be read and written, on a disk with free space"
-        print(f"dpbench: {name}{error.strerror or error}; {remedy}", file=sys.stderr)
+        required = "a file or folder that can be read and written, on a disk with free space"
+        fault = begin_in_lower_case(error.strerror or str(error))
+        print(f"dpbench: {name}{fault}; required: {required}", file=sys.stderr)
         return 2
     except MemoryError as error:
         print(f"dpbench: out of memory: {error or 'no details'}", file=sys.stderr)

@@ -47,6 +47,7 @@ from dpbench.solvers.contract import (
 
 GROUP = "dpbench.solvers"
 _IMPORTABLE = "a file that can be imported"
+_PLUGIN_FILE = "a Python file with RECORD and open"
 TRIAL_S = 60.0  # Time limit of a plug-in's file in `try_plugin_file_in_child`
 # The last line that the process of `try_plugin_file_in_child` prints.
 _RAN = b"\ndpbench: ran\n"
@@ -159,7 +160,7 @@ def _require_plugin_file_and_label(path: str | Path) -> tuple[str, Path]:
     """Return a plug-in file's label for errors and its full path; InputError if missing."""
     where, file = f"solver module {path}", Path(path).resolve()
     if not file.is_file():
-        raise InputError(where, "", "no such file", "a Python file with RECORD and open")
+        raise InputError(where, "", "no such file", _PLUGIN_FILE)
     return where, file
 
 
@@ -177,6 +178,9 @@ def _import_plugin_file(where: str, file: Path) -> ModuleType:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a stranger's code may raise anything; it becomes an InputError
+        if isinstance(error, OSError) and error.filename == str(file):
+            fault = error.strerror or "an unreadable file"
+            raise InputError(where, "", fault, _PLUGIN_FILE) from error
         raise InputError(where, "", _describe_exception_on_one_line(error), _IMPORTABLE) from error
     return module
 

@@ -134,7 +134,7 @@ def read_arrays_and_pickles(path: Path, what: str) -> tuple[Arrays, dict[str, by
             found = f"a damaged file ({str(error)[:120]})"
             raise InputError(str(path), "", found, what) from error
         except OSError as error:
-            raise InputError(str(path), "", error.strerror or "unreadable", what) from error
+            raise InputError(str(path), "", error.strerror or "an unreadable file", what) from error
     return arrays, objects
 
 

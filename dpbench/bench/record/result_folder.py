@@ -30,7 +30,7 @@ from dpbench.bench.record.recorded_steps import (
 )
 from dpbench.bench.record.schema import SCHEMA_VERSION, STUDY_PREFIX
 from dpbench.bench.record.step_table import add_missing_run_columns, runs_to_frame
-from dpbench.errors import InputError, ResultsError, SituationError
+from dpbench.errors import InputError, ResultsError, SituationError, begin_in_lower_case
 from dpbench.files.regular_files import (
     is_plain_file_name,
     make_folder_if_missing,
@@ -239,7 +239,7 @@ def lock_result_folder(
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
         lock = os.open(make_folder_if_missing(folder / "cells") / ".lock", flags, 0o666)
     except OSError as error:
-        fault = f"cannot create {folder} ({error.strerror or error})"
+        fault = f"cannot create {folder} ({begin_in_lower_case(error.strerror or str(error))})"
         raise SituationError(
             where, f"{fault}; required: a folder that can be written to"
         ) from error

@@ -180,7 +180,7 @@ def hash_sequence_files(path: Path) -> str:
                 while block := stream.read(2**20):
                     total.update(block)
     except OSError as error:
-        found = error.strerror or "unreadable"
+        found = error.strerror or "an unreadable file"
         raise InputError(str(error.filename or path), "", found, _FILES) from error
     return total.hexdigest()
 

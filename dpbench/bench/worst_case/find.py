@@ -20,7 +20,12 @@ from dpbench.bench.workers.interrupts import first_signal_only
 from dpbench.bench.workers.scratch import open_scratch_folder
 from dpbench.bench.worst_case.search import GOALS, Case, Goal, Search, SearchedSolver, WorstStep
 from dpbench.bench.worst_case.space import SearchSpace
-from dpbench.errors import InputError, require_integer_at_least
+from dpbench.errors import (
+    InputError,
+    SituationError,
+    begin_in_lower_case,
+    require_integer_at_least,
+)
 from dpbench.scenario.scenario import MAX_STEPS, Scenario, load_scenario
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.table import (
@@ -155,13 +160,13 @@ def _refuse_unwritable(path: Path) -> None:
     trial = path.with_name(path.name + ".part")
     try:
         if path.is_dir():
-            raise IsADirectoryError(None, "a folder", str(path))
+            raise IsADirectoryError(None, "it is a folder", str(path))
         path.parent.mkdir(parents=True, exist_ok=True)
         trial.touch()
         trial.unlink()
     except OSError as error:
-        reason = f"{path} ({error.strerror or error})"
-        raise InputError("--out", "", reason, "a file that can be written") from error
+        fault = f"cannot write {path} ({begin_in_lower_case(error.strerror or str(error))})"
+        raise SituationError("--out", f"{fault}; required: a file that can be written") from error
 
 
 def _make_baseline_cell(
