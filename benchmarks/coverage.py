@@ -315,7 +315,7 @@ def rows(rng: Random, draws: int, tables: int) -> Iterator[Row]:
     bound = {
         f"no case in {count} realisations": partial(draw_none, count=count) for count in (10, 30)
     }
-    kinds |= {"bound of a share": cast(dict[str, Draw], bound)} | STEPS
+    kinds |= {"bound on a share": cast(dict[str, Draw], bound)} | STEPS
     for kind, cases in kinds.items():
         for case, draw in cases.items():
             found = [draw(rng) for _ in range(draws)]
@@ -331,7 +331,13 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="draw little and write nothing")
     quick: bool = parser.parse_args().quick
     draws, tables = (QUICK_DRAWS, QUICK_TABLES) if quick else (DRAWS, TABLES)
-    heads = ("interval or claim", "truth", "draws", "draws with an interval [%]", "share [%]")
+    heads = (
+        "interval or claim",
+        "simulated data",
+        "draws",
+        "draws with an interval [%]",
+        "share [%]",
+    )
     lines = [" | ".join(("", *heads, "")).strip(), "|---|---|--:|--:|--:|"]
     print("\n".join(lines))
     outside = []
