@@ -412,7 +412,7 @@ def _compare_times(
     took = [f"{math.exp(one.log):.3g} on {one.pair.a.problem}" for one in known]
     wording.append(
         f"step times are compared as ratios to {known[0].pair.configuration_label}, "
-        f"which takes B/A {join_with_and(took)}"
+        f"whose B/A is {join_with_and(took)}"
     )
     return compare_times_to_reference(timings, margin, alpha, rows), [], wording
 

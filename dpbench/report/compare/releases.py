@@ -184,7 +184,7 @@ def _list_comparability_notes(histories: Histories, records: Mapping[str, Record
         )
     if math.isfinite(histories.spread):
         lines.append(
-            "what did not change its version differs by a factor of up to "
+            "solvers of unchanged version differ by a factor of up to "
             f"{significant(histories.spread)} between two folders: a smaller change is no evidence"
         )
     if histories.alone:
@@ -196,7 +196,7 @@ def _make_version_tables(histories: Histories) -> list[Table]:
     """Return a table of versions for each solver, and one of solvers with one version."""
     changed = _group_histories_by_solver(histories)
     note = (
-        "To the one before: p50 over that of the previous release; below 1 is faster. The "
+        "Ratio to previous: p50 divided by that of the previous release; below 1 is faster. The "
         "calibration workload, timed in the same rounds, shows the effect of other load. Counts "
         "are per round. Closed loops run in parallel and are not timed."
     )
@@ -218,13 +218,13 @@ def _make_version_tables(histories: Histories) -> list[Table]:
             for row in _make_version_rows(h, histories)
         ]
         kept = [{head: row[head] for head in row if head not in BEFORE} for row in rows]
-        note = "For comparison: what these differ by is no change of a solver."
+        note = "For comparison: differences of these times are not changes of a solver."
         title = "Of one version in all folders"
         tables.append(Table.from_rows(kept, title, note=note, text_columns=5))
     return tables
 
 
-BEFORE = ("to the one before", "calibration workload")
+BEFORE = ("ratio to previous", "calibration workload")
 """Columns on the release before."""
 
 
@@ -248,9 +248,9 @@ def _make_version_rows(history: History, histories: Histories) -> list[dict[str,
             if i
             else MISSING,
             f"p99{unit}": _format_time(release.p99, histories),
-            f"largest step{unit}": _format_time(release.largest, histories),
+            f"longest step{unit}": _format_time(release.largest, histories),
             "largest error": format_error(release.largest_error_move),
-            "claimed, not true": _format_count(release.most_claimed_not_true_per_round),
+            "false claims": _format_count(release.most_claimed_not_true_per_round),
             "failed steps": _format_count(release.most_failed_steps_per_round),
             "outcome": release.worst_outcome.replace("_", " "),
         }
@@ -280,7 +280,7 @@ def write_releases(path: Path, releases: Releases) -> Path:
     table["age"] = table["age"].map(AGES)
     unit = f"× {releases.histories.reference}" if releases.histories.reference else "µs"
     charts = {
-        "Point p50, bar to p99 where 1000 steps support one, line to the largest step; replays, "
+        "Point p50, bar to p99 where 1000 steps support one, line to the longest step; replays, "
         "the most usual configuration of each solver.": draw_release_times(table, unit),
         "The same runs; dashed: what the requirements allow. An error of exactly 0 has no point.": (
             draw_release_errors(table, releases.requirements.error_move)
@@ -304,7 +304,7 @@ def write_releases(path: Path, releases: Releases) -> Path:
 
 
 def draw_release_times(table: pd.DataFrame, unit: str) -> Any:
-    """Return a chart of each solver version's p50, p99 and largest step time, a panel a problem.
+    """Return a chart of each solver version's p50, p99 and longest step, a panel a problem.
 
     table : of `tabulate_releases`, age in words, the first row on top; unit : of the times.
     """
