@@ -88,7 +88,7 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) ->
     why = f": {reasons}" if (reasons := describe_kinds_of_reasons(verdict)) else ""
     return (
         f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
-        f"{plural(verdict.failed_steps, 'failed answer')}{time}{why}."
+        f"{plural(verdict.failed_steps, 'failed step')}{time}{why}."
         f"{_describe_tolerances_left(verdict)}{_describe_failing_modes(verdict, modes)}"
     )
 
@@ -100,7 +100,7 @@ def _describe_tolerances_left(verdict: Verdict) -> str:
     if not is_inaccurate or find_solver_record_or_none(solver) is None:
         return ""
     left = list_tolerances_left_at_default(solver, _format_options_by_name(verdict))
-    return f" At {solver}'s default: {join_with_and(left)}." if left else ""
+    return f" Tolerances at {solver}'s defaults: {join_with_and(left)}." if left else ""
 
 
 def _describe_failing_modes(verdict: Verdict, modes: Sequence[Verdict]) -> str:

@@ -167,11 +167,11 @@ class Tuning:
         title = f"Settings of {self._call}"
         heads = ("", "sequence", "settings", "time", "error", "result")
         note = (
-            "Time: p99 of the steps, each the fastest of its rounds; where a sequence is too short "
-            "for it the p95 or p50, named next to it. Error: of the first move, at most "
-            f"{limit.error_move:g} of the maximum increment. Late: a p99, or p95 without one, "
-            f"above the limit of {limit.p99_ms:g} ms, also without waits for the processor core "
-            "and by more than the uncertainty of the times."
+            "Time: p99 over steps, each timed by its fastest round; if the sequence is too short "
+            "for a p99, the p95 or p50, as marked. Error: of the first move, at most "
+            f"{limit.error_move:g} of the maximum increment. Late: the p99, or the p95 in its "
+            f"place, exceeds the limit of {limit.p99_ms:g} ms by more than the uncertainty of the "
+            "times, even without waits for the processor core."
         )
         return Table(heads, tuple(rows), title, note, text_columns=3)
 
@@ -202,7 +202,7 @@ class Tuning:
             lines.append(
                 "no accurate settings that were tried are in time on the training sequences"
             )
-        lines.append("no other call mode was measured: --route, --policy")
+        lines.append("only this call mode was measured; --route and --policy select another")
         lines += [*self.request.searched, *self._iterations, *self._measured]
         lines += [line for role in self.roles for line in role.describe_failed_steps()]
         lines += [*self._cautions, *self._not_done]

@@ -174,12 +174,12 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
     report = Report.from_results(records.results())
     lines = [text for about, text in report.summary_rows() if about == "options"]
     assert lines[0].startswith(
-        "osqp[rho=0.16] (native warm): fail, largest error 0.55, 2 failed answers, "
+        "osqp[rho=0.16] (native warm): fail, largest error 0.55, 2 failed steps, "
     )
     assert "the error of its first move reaches 0.55 times the maximum increment" in lines[0]
     # With the steps that the percentile is of: other settings may have those of a window.
     assert re.search(
-        r"answers, p99 [\d.]+ µs \(95 %: .*\) in the replay of paper: the error", lines[0]
+        r"steps, p99 [\d.]+ µs \(95 %: .*\) in the replay of paper: the error", lines[0]
     )
     best = "Best of 3 settings of osqp by largest error (0.22): rho=16.0"
     best += ", at the edge of the grid in rho: widen it."
@@ -203,7 +203,7 @@ def test_inaccurate_settings_that_are_late_too_name_both_reasons(records: Any) -
 @pytest.mark.parametrize(
     ("own", "error", "left"),
     [
-        ({"rho": 1.6, "eps_abs": 1e-5}, 0.33, " At osqp's default: eps_rel."),
+        ({"rho": 1.6, "eps_abs": 1e-5}, 0.33, " Tolerances at osqp's defaults: eps_rel."),
         ({"eps_abs": 1e-5, "eps_rel": 1e-5}, 0.33, ""),
         ({"rho": 1.6}, 0.33, ""),
         ({"eps_abs": 1e-5}, 1e-9, ""),
@@ -216,7 +216,7 @@ def test_a_tolerance_that_inaccurate_settings_leave_is_named(
     records.loop("osqp", error=error, **options)
     records.replay("osqp", error=error, **options)
     line = records.ending()["options"]
-    assert ("At osqp's" in line) is bool(left) and left in line
+    assert ("Tolerances at osqp's" in line) is bool(left) and left in line
 
 
 def test_a_grid_that_is_best_at_zero_cannot_be_widened(records: Any) -> None:
