@@ -223,7 +223,7 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     cells, cost, rates, *others, remark = said.out.splitlines()
     assert cells == "83 cells to run and 1 refused: 1 089 recorded steps"
     assert "s on this machine" in cost and "MB of tables" in cost
-    assert rates.startswith("by stated rates") and "for a p99" in remark
+    assert rates.startswith("by rates of another machine") and "for a p99" in remark
     assert others[0].startswith("not included: waits")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tiny.toml"]
     assert main(["run", "tiny.toml", "--quiet", "--solver", "daqp", "--out", "mine"]) == 0
