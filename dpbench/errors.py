@@ -14,7 +14,7 @@ from os import PathLike
 
 _MOST = 80  # Characters of what was found in a message
 _SYSTEM_ERRORS = frozenset(map(os.strerror, errno.errorcode))
-"""What the system reports of files, such as "Permission denied"."""
+"""Error messages of the system about files, such as "Permission denied"."""
 
 
 class DpbenchError(Exception):
