@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 CHECKED = (
     "a TOML file of a vessel, scenario or suite; a .npz, .json or .mat file of QPs, or a folder of "
-    "them; a folder of results/community"
+    "them; a folder in results/community"
 )
 """Files that `dpbench check` reads, for errors."""
 NONE_PASSES = (
@@ -124,12 +124,17 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
     from dpbench.bench.plan.suite import SuiteFile, load_path_and_suite, name_file_in_errors
 
     of_suite = SuiteFile.list_names_of_run_tables()
-    if not any(table in document for table in of_suite):
+    of_vessel = VesselFile.model_fields.keys()
+    # A vessel has one table [capability]; a suite has a list of them.
+    if not any(
+        table in document and (table not in of_vessel or isinstance(document[table], list))
+        for table in of_suite
+    ):
         allowed = (
             "[limits] or [[thrusters]] (a vessel), [controller] and [environment] (a scenario), "
             f"or {', '.join(f'[[{table}]]' for table in of_suite)} (a suite)"
         )
-        raise InputError(str(file), "", f"the tables {', '.join(document) or '(none)'}", allowed)
+        raise InputError(str(file), "", f"the keys {', '.join(document) or '(none)'}", allowed)
     suite_path, suite = load_path_and_suite(file)
     from dpbench.bench.design import pair_controllers_with_vessels
     from dpbench.bench.embedded_counts import pair_sequences_with_cores
