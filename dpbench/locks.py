@@ -19,7 +19,7 @@ from pathlib import Path
 
 import psutil
 
-from dpbench.errors import InputError, SituationError
+from dpbench.errors import SituationError
 
 FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW  # Flags to open a lock
@@ -58,7 +58,7 @@ class WaitLimit:
     limit_s: float | None = None
 
 
-class BusyError(InputError):
+class BusyError(SituationError):
     """A file or folder lock that other processes still hold at the end of the wait."""
 
 
@@ -154,10 +154,8 @@ def _wait_for_lock_or_raise_busy(
         if _try_lock_open_file(lock, how):
             return
     waited = f" after a wait of {patience.limit_s:g} s" if patience.limit_s else ""
-    found = f"in use by {describe_lock_holders(lock)}{waited}"
-    raise BusyError(
-        where, "", found, "another time; or a wait without --no-wait, or with a longer --wait"
-    )
+    remedy = "run the command later, or without --no-wait, or with a longer --wait"
+    raise BusyError(where, f"in use by {describe_lock_holders(lock)}{waited}; {remedy}")
 
 
 def _try_lock_open_file(lock: int, how: int) -> bool:

@@ -520,6 +520,8 @@ def _native(records: Records, sequence: str, steps: int) -> None:
             wrong=(3, 5) if policy == "warm" else (),
         )
     asked = {"route": "native", "policy": "warm", "sequence": sequence}
-    records.refused("piqp", "policy warm: PIQP has no interface for a start", "replay", **asked)
+    records.refused(
+        "piqp", "policy warm: PIQP has no interface for a starting point", "replay", **asked
+    )
     records.replay("piqp", sequence, steps=steps, median_us=60.0, route="native", policy="reuse")
     records.replay("qoco", sequence, steps=steps, median_us=70.0, route="native", policy="reuse")

@@ -117,7 +117,10 @@ def _open_solver(solver: Workspace | str | Path, options: dict[str, Any]) -> Wor
     """Open a solver by name or file; a workspace is returned as it is."""
     if isinstance(solver, Workspace):
         if options:
-            raise SituationError("dpbench_replay", "give the options to open_workspace instead")
+            raise SituationError(
+                "dpbench_replay",
+                "found options with an open workspace; give them to open_workspace",
+            )
         return solver
     if isinstance(solver, Path) or solver.endswith(".py"):
         try:

@@ -329,7 +329,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         for tree in trees:
             if not tree.is_dir():
-                raise InputError(str(tree), "", "no folder", "a working tree")
+                raise InputError(str(tree), "", "no such folder", "a working tree")
         found, lines = compare_trees(
             trees,
             max(1, arguments.pairs),

@@ -53,7 +53,7 @@ _PARSER_ERRORS = {
     r"argument (.+): invalid int value: (.+)": r"\1: found \2; allowed: a whole number",
     r"argument (.+): invalid float value: (.+)": r"\1: found \2; allowed: a number",
     r"argument (.+): expected one argument": r"\1: missing; required: a value",
-    r"argument (.+): expected (\d+) arguments": r"\1: missing; required: \2 values",
+    r"argument (.+): expected (\d+) arguments": r"\1: found another number of values; allowed: \2",
     r"argument (.+): not allowed with argument (.+)": r"\1: found with \2; allowed: one of the two",
     r"argument (.+): ignored explicit argument (.+)": r"\1: found \2; allowed: no value",
     r"the following arguments are required: (.+)": r"\1: missing",

@@ -50,7 +50,7 @@ def describe_capability(arguments: argparse.Namespace) -> str:
     """Return the largest wind that a vessel's thrusters hold, by direction, as text or JSON."""
     figure = None if arguments.figure is None else Path(arguments.figure)
     if figure is not None and figure.suffix not in FIGURES:
-        allowed = f"a file name that ends in {' or '.join(FIGURES)}"
+        allowed = f"a file name that ends in {', '.join(FIGURES[:-1])} or {FIGURES[-1]}"
         raise InputError("--figure", "", arguments.figure, allowed)
     for name in arguments.solver or ():
         if name != "all":

@@ -41,7 +41,7 @@ from dpbench.embedded.toolchain import (
     find_target_by_name,
     require_extra,
 )
-from dpbench.errors import DpbenchError, InputError
+from dpbench.errors import DpbenchError, InputError, format_allowed_names
 from dpbench.report.formats import MISSING, Table, format_count, format_error
 from dpbench.scenario.scenario import Scenario, load_scenario
 
@@ -198,7 +198,7 @@ def _read_settings(texts: list[str], recipes: list[Recipe]) -> dict[str, dict[st
                 "--settings",
                 "",
                 repr(text),
-                f"SOLVER.KEY=N with SOLVER one of {', '.join(solvers)}",
+                f"SOLVER.KEY=N with SOLVER {format_allowed_names(solver, solvers)}",
             )
         try:
             number = float(value)

@@ -106,6 +106,7 @@ _OPTIONS = {
     "routes": "route",
     "policies": "policy",
     "wait_s": "wait",
+    "table": "latex",
 }
 """Options that are not called as the argument of the function."""
 
@@ -254,10 +255,11 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
     if arguments.against and arguments.solver is None:
         raise SituationError("--against", "add --for SOLVER, the solver to compare with these")
     later = count_batches_newer_than_tables(Path(arguments.dir))
-    interrupted = f"a later run was interrupted (its batches in no table: {later})"
+    interrupted = f"a later run was interrupted (batches that are in no table: {later})"
     if later and arguments.statement:
         raise SituationError(
-            "--statement", f"{interrupted}; finish it by the same `dpbench run` in {arguments.dir}"
+            "--statement",
+            f"{interrupted}; finish it with the same `dpbench run` in {arguments.dir}",
         )
     options = _collect_options(arguments, "dir", "tables", "latex", "columns", *HOW_TO_END)
     with ProgressBar(transient=True, quiet=arguments.quiet or arguments.json) as bar:
@@ -315,9 +317,8 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
     if len(arguments.folders) != 2:
         count = len(arguments.folders)
         given = "one folder was given" if count == 1 else f"{count} folders were given"
-        raise SituationError(
-            "compare", f"{given}; name two, A and B, or add --releases or --solver"
-        )
+        instead = "two or more --solver" if count == 1 else "--releases"
+        raise SituationError("compare", f"{given}; name two, A and B, or add {instead}")
     limits = {"margin": arguments.margin, "alpha": arguments.alpha}
     compared = compare(*arguments.folders, reference=arguments.reference, **limits)
     if arguments.html is not None:
@@ -333,8 +334,8 @@ def _compare_configurations(arguments: argparse.Namespace) -> None:
     from dpbench.report.compare.chosen import compare_configurations_of_folder
 
     if len(arguments.folders) != 1 or arguments.html or arguments.reference:
-        allowed = "one folder, two or more --solver, and --markdown"
-        raise SituationError("compare", f"found --solver with other arguments; allowed: {allowed}")
+        found = "several folders, --html or --reference"
+        raise InputError("--solver", "", f"with {found}", "one folder, with --markdown")
     chosen = compare_configurations_of_folder(arguments.folders[0], arguments.choices)
     _print_comparison(chosen.markdown(), [chosen.table], chosen.lines, arguments.markdown)
 

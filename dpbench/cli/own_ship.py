@@ -282,7 +282,8 @@ def _read_thrust(
         if not TO_WEIGHT[0] <= share <= TO_WEIGHT[1]:
             weight = value / share
             unit = QUANTITIES[option].unit
-            allowed = f"{TO_WEIGHT[0] * weight:.3g} to {TO_WEIGHT[1] * weight:.3g} {unit}"
+            least, most = (float(f"{share * weight:.3g}") for share in TO_WEIGHT)
+            allowed = f"{least:g} to {most:.9g} {unit}"
             raise InputError(WHERE, f"--{option}", f"{value:g}", f"{allowed} for this displacement")
     ahead = numbers["thrust"]
     if ahead is None:

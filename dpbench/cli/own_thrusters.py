@@ -223,9 +223,9 @@ def read_own_thrusters(
     share = scaling.compute_thrust_to_weight_ratio(own, float(thrusters.largest_thrusts_N.sum()))
     if share > MOST_TO_WEIGHT:
         total_kN = thrusters.largest_thrusts_N.sum() / 1e3
-        found = f"{total_kN:.3g} kN in all, {share:.2g} of the ship's weight"
+        found = f"{total_kN:.0f} kN in all, {share:.2g} times the ship's weight"
         raise InputError(
-            where, "power_kW, thrust_kN", found, f"at most {MOST_TO_WEIGHT:g} of the weight"
+            where, "power_kW, thrust_kN", found, f"at most {MOST_TO_WEIGHT:g} times the weight"
         )
     return OwnThrusters(where, rows, tables, thrusters)
 

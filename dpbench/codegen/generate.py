@@ -61,7 +61,7 @@ def generate_controller(
     data = read_controller_data_of_scenario(resolve_to_scenario(scenario))
     sources = SOLVERS[solver](data.qp)
     if fmu is not None and not sources.copies:
-        allowed = "paper_active_set, which uses memory of the caller"
+        allowed = "`solver` paper_active_set, which uses only memory of its caller"
         raise InputError("`fmu`", "", f"`solver` {solver}", allowed)
     tables = list_constant_tables(data)
     sizes = {

@@ -205,7 +205,7 @@ def verify_calibration_counts(target: Target) -> None:
     for name, expected in known.items():
         _, counts = core.call_function_and_count(name, DATA)
         if counts != expected:
-            raise EmulationError(f"{target.title}: {name} counts {counts}, and not {expected}")
+            raise EmulationError(f"{target.title}: {name} counts {counts} instead of {expected}")
 
 
 TOOLS = {"x86": "valgrind", "a53": "qemu-aarch64", "m7": "qemu-arm"}

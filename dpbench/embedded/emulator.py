@@ -159,7 +159,9 @@ class Core:
                 ctypes.c_uint64(0),
             )
             if error:
-                raise EmulationError(f"{self._target.name}: Unicorn takes no counter ({error})")
+                raise EmulationError(
+                    f"{self._target.name}: Unicorn does not accept the counter ({error})"
+                )
             self._hooks.append(hook)
 
     def call_function_and_count(self, name: str, argument: int) -> tuple[int, Counts]:

@@ -241,9 +241,8 @@ def select_recipes(
         known[name] = Recipe(known[name].folder, source)
     for name in names:
         if name not in known:
-            raise UnknownNameError(
-                "--solver", "", repr(name), format_allowed_names(name, list(known))
-            )
+            allowed = f"a solver with a build recipe: {format_allowed_names(name, list(known))}"
+            raise UnknownNameError("--solver", "", repr(name), allowed)
     able = [name for name, recipe in known.items() if not recipe.missing]
     return [known[name] for name in (dict.fromkeys(names) or able)]
 

@@ -124,7 +124,7 @@ def parse_json(text: str) -> Any:
     try:
         document = json.loads(text)
     except RecursionError as failure:
-        raise ValueError("nested too deep") from failure
+        raise ValueError("nested too deeply") from failure
     refuse_deep_or_huge_values(document)
     if "\\ud" in text.lower():
         # An escape of half a surrogate pair gives a text that can be neither printed nor written.

@@ -74,7 +74,7 @@ def read_parquet_footer(file: BinaryIO) -> Footer:
     tail = file.read(8)
     size = int.from_bytes(tail[:4], "little")
     if tail[4:] != MAGIC or size > end - 12:
-        raise ValueError("no Parquet file")
+        raise ValueError("not a Parquet file")
     file.seek(end - 8 - size)
     data = file.read(size)
     return Footer(data, _decode_struct_and_end(data, 0, _FOOTER_SPEC)[0])
@@ -161,7 +161,7 @@ def _decode_struct_list_and_end(
     """Decode a list of structures in a Parquet footer; return each with its range, and the end."""
     size, kind, at = _decode_list_size_type_and_start(data, at)
     if size and kind != _STRUCT:
-        raise ValueError("a footer with a list of other things")
+        raise ValueError("a footer with a list of another type")
     found = []
     for _ in range(size):
         fields, end = _decode_struct_and_end(data, at, spec)

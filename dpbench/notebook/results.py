@@ -216,19 +216,19 @@ class Results(result_folder.Results):
         """
         require_lists_of_names(columns=columns, solvers=solvers)
         if isinstance(table, str):
-            _refuse_unknown_name("table", table, self.tables)
+            _refuse_unknown_name("table", table, self.tables, "dpbench report DIR --tables")
             frame = self.tables[table]
         else:
             frame = table
         if solvers is not None:
-            _refuse_unknown_name("column", "solver", frame.columns)
+            _refuse_unknown_name("solvers", "solver", frame.columns)
             for name in solvers:
-                _refuse_unknown_name("solver", name, frame["solver"].unique())
+                _refuse_unknown_name("solvers", name, frame["solver"].unique())
             frame = frame[frame["solver"].isin(solvers)]
         if only_run and "verdict" in frame:
             frame = frame[frame["verdict"] != "not run"]
         for name in columns or ():
-            _refuse_unknown_name("column", name, frame.columns)
+            _refuse_unknown_name("columns", name, frame.columns)
         if "finding" in frame:
             values = frame.columns.intersection(["ratio", "low", "high"])
             frame = frame.copy()
@@ -361,10 +361,11 @@ def _find_heads_with_unit(frame: pd.DataFrame) -> dict[str, str]:
     return {name: f"{name} [{units[0]}]" for name in _OF_UNIT if name in frame}
 
 
-def _refuse_unknown_name(key: str, name: str, known: Iterable[str]) -> None:
+def _refuse_unknown_name(argument: str, name: str, known: Iterable[str], listing: str = "") -> None:
     """Raise InputError unless a table, column or solver is known, with the nearest that are."""
     if name not in (names := list(known)):
-        raise InputError("results", key, repr(name), format_allowed_names(name, names))
+        allowed = format_allowed_names(name, names, listing=listing)
+        raise InputError(f"`{argument}`", "", repr(name), allowed)
 
 
 def load_results(out: str | Path) -> Results:

@@ -161,7 +161,7 @@ def _read_coefficients_by_name(path: Path) -> dict[str, float]:
         if name not in known or name in values:
             found = "a second row" if name in values else "an unknown coefficient"
             raise InputError(
-                str(path), repr(name)[:80], found, f"each once: {format_allowed_names(name, known)}"
+                str(path), repr(name)[:80], found, f"{format_allowed_names(name, known)}; each once"
             )
         values[name] = _parse_valid_hull_coefficient(path, name, rest[0] if rest else "")
     return values

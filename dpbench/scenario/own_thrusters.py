@@ -107,7 +107,13 @@ def complete_thruster_values(
         keys = {"name": f"{keys.get('kind', '')} {number}", "rise_s": berth.rise_s} | keys
         _join_sector_columns(keys, at)
         _add_assumed_propeller_values(keys)
-        tables.append(validate_settings_as_model(keys, ThrusterTable, at))
+        try:
+            tables.append(validate_settings_as_model(keys, ThrusterTable, at))
+        except InputError as error:
+            if error.key:
+                raise
+            found = f"columns {', '.join(row)}"  # without the values that are added here
+            raise InputError(at, "", found, error.allowed) from error
         _require_thruster_inside_ship(tables[-1], berth, at)
     return tuple(tables), ThrusterSet(tuple(table.build_thruster() for table in tables), where)
 

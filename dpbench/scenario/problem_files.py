@@ -13,6 +13,7 @@ from pydantic import (
     ValidationError,
     model_serializer,
 )
+from pydantic_core import ErrorDetails
 
 from dpbench.errors import InputError, UnknownNameError, format_allowed_names, warn_of_outdated_name
 from dpbench.files.regular_files import (
@@ -32,6 +33,21 @@ OLD_NAMES = {("suites", "ladder"): "levels"}
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_DEPTH}}}")
 _PACKAGE = Path(__file__).resolve().parents[1]
+_ALLOWED = {
+    "greater_than": "above {gt:g}",
+    "greater_than_equal": "{ge:g} or more",
+    "less_than": "below {lt:g}",
+    "less_than_equal": "at most {le:g}",
+    "too_short": "a length of {min_length} or more",
+    "too_long": "a length of at most {max_length}",
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "string_type": "a string",
+    "bool_type": "true or false",
+    "list_type": "an array",
+}
+"""What is allowed, by the type of a fault that Pydantic finds; of other types its own words."""
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
@@ -128,7 +144,7 @@ def resolve_sequence_path(name_or_path: str | Path, beside: Path | None = None) 
             return base / text
     if "/" not in text and not text.endswith(SEQUENCE_SUFFIXES):
         raise make_unknown_problem_name_error(
-            SEQUENCES, text, "a .npz, .json or .mat path, or a folder of problems"
+            SEQUENCES, text, "a .npz, .json or .mat path, or a folder of QPs"
         )
     return Path(text)
 
@@ -161,7 +177,7 @@ def read_toml_as_dict(path: Path) -> dict[str, Any]:
         raise
     except RecursionError as error:
         raise InputError(
-            where, "", "tables nested too deep", f"at most {MOST_DEPTH} levels"
+            where, "", "tables nested too deeply", f"at most {MOST_DEPTH} levels"
         ) from error
     # Besides TOMLDecodeError a plain ValueError: an integer of thousands of digits.
     except ValueError as error:
@@ -199,10 +215,17 @@ def validate_settings_as_model(document: dict[str, Any], model: type[_Model], wh
             raise InputError(where, key, "an unknown key", allowed) from None
         if first["type"] == "missing":
             raise InputError(where, key, "nothing", "a value") from None
-        message = str(first["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
+        message = _word_allowed_values(first)
         value = first["input"]
         found = f"keys {', '.join(value)}" if isinstance(value, dict) else repr(value)[:200]
         raise InputError(where, key, found, message) from None
+
+
+def _word_allowed_values(fault: ErrorDetails) -> str:
+    """Return what is allowed at a faulty key, as a noun where the library has a sentence."""
+    if wording := _ALLOWED.get(fault["type"]):
+        return wording.format(**fault.get("ctx", {}))
+    return fault["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
 
 
 def _list_allowed_keys_of_nested_table(model: type[BaseModel], keys: list[str]) -> list[str]:

@@ -357,7 +357,9 @@ def load_scenario(name_or_path: str | Path, *, beside: Path | None = None) -> Sc
         vessel_path = find_problem_path("vessels", vessel, beside=path.parent)
     except InputError as error:
         where = str(name_or_path) if at else str(path)
-        raise UnknownNameError(where, "vessel", repr(vessel), error.allowed) from None
+        is_name = isinstance(error, UnknownNameError)
+        found = repr(vessel) if is_name else f"{error.found} {vessel!r}"
+        raise UnknownNameError(where, "vessel", found, error.allowed) from None
     files: ScenarioDocuments = {
         "name": f"{path.stem}@{vessel_path.stem}" if other else path.stem,
         "scenario": scenario.model_dump(),
@@ -371,7 +373,7 @@ def _check_and_identify_fmu(spec: ScenarioFile, table: FmuTable, path: Path) -> 
     file = next((p for p in (path.parent / table.file, Path(table.file)) if p.is_file()), None)
     if file is None:
         allowed = "an FMU; a relative path starts at the folder of this file"
-        raise InputError(str(path), "plant.fmu.file", f"no file {table.file!r}", allowed)
+        raise InputError(str(path), "plant.fmu.file", f"no such file {table.file!r}", allowed)
     read_fmu_interface(file, table, str(path))
     own = hash_fmu(file)
     if table.sha256 not in ("", own):

@@ -174,7 +174,10 @@ class ThrusterSet:
                 self.where, "thrusters.name", f"{twice[0]!r} twice", "a different name for each"
             )
         if np.linalg.matrix_rank(self.T_e / [[1.0], [1.0], [self.longest_arm_m]]) < AXES:
-            found = f"no independent forces in surge, sway and yaw by {', '.join(names) or 'none'}"
+            found = (
+                f"{', '.join(names) or 'none'}, which cannot make forces in surge, sway and yaw "
+                "independently"
+            )
             raise InputError(
                 self.where, "thrusters", found, "thrusters that make each force independently"
             )

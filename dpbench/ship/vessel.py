@@ -127,7 +127,8 @@ class Vessel:
         self._require_valid_matrices()
         if not (self.tau_min < 0).all() or not (self.tau_max > 0).all():
             limits = f"[{self.tau_min.tolist()}, {self.tau_max.tolist()}]"
-            raise InputError(self.where, "tau_min, tau_max", limits, "limits with zero inside")
+            allowed = "a minimum below 0 and a maximum above 0 in each axis"
+            raise InputError(self.where, "tau_min, tau_max", limits, allowed)
 
     def _require_valid_matrices(self) -> None:
         """Raise InputError where M is not symmetric, or M or D is not positive definite."""

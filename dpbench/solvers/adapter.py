@@ -184,7 +184,9 @@ def import_all_adapters(
             elif isinstance(value, QpsolversAdapter):
                 duplicate = wrapped.setdefault(value.record.name, value) is not value
             if duplicate:
-                raise DpbenchError(f"{module.__name__}: solver {value.record.name} is there twice")
+                raise DpbenchError(
+                    f"{module.__name__}: solver {value.record.name} is defined twice"
+                )
         if len(native) + len(wrapped) == before:
-            raise DpbenchError(f"{module.__name__} holds no adapter")
+            raise DpbenchError(f"{module.__name__} has no adapter")
     return native, wrapped

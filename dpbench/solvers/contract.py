@@ -141,7 +141,7 @@ class Workspace(ABC):
         <Workspace of daqp (native, warm)>
         """
         if self.reopen is None:
-            sentence = "a cascade needs two workspaces; open this one by open_workspace"
+            sentence = "a cascade needs two workspaces; open this solver with open_workspace"
             raise SituationError(f"solver {self.solver}", sentence)
         return self.reopen()
 
@@ -219,7 +219,7 @@ POLICIES: Mapping[Policy, str] = {
 NOT_OFFERED = "not offered"
 REFUSED_BY_QPSOLVERS: Mapping[Policy, str] = {
     "reuse": "qpsolvers sets the library up again at every solve, so nothing can be reused",
-    "warm": "it ignores a start handed over by qpsolvers, so it cannot differ from fresh",
+    "warm": "it ignores a starting point passed by qpsolvers, so it cannot differ from fresh",
 }
 
 # Faults several libraries share. A NaN compares false with everything.

@@ -231,7 +231,8 @@ def _check_and_register_plugin(
     """Add a loaded plug-in to the known solvers if RECORD and open() are right; return it."""
     record, opener = getattr(module, "RECORD", None), getattr(module, "open", None)
     if not isinstance(record, SolverRecord):
-        raise InputError(where, "RECORD", repr(record), "a SolverRecord, see solver_record")
+        found = "nothing" if record is None else repr(record)
+        raise InputError(where, "RECORD", found, "a SolverRecord, made by solver_record()")
     if not callable(opener):
         raise InputError(where, "open", repr(opener), "a function of (policy, options)")
     if not is_plain_file_name(record.name):

@@ -233,7 +233,9 @@ def block_imports_of_other_solvers(*solvers: str) -> None:
     """
     rows = [find_solver_record(solver) for solver in solvers]
     if "qpsolvers" in sys.modules:
-        raise DpbenchError("isolate comes too late: qpsolvers has been imported in this process")
+        raise DpbenchError(
+            "isolate was called too late: qpsolvers has been imported in this process"
+        )
     used = {module for row in rows for module in (row.module, *row.needs_modules)}
     modules = {entry.module for entry in TABLE.values() if entry.module}
     # The modules that a solver outside the table needs are unknown.

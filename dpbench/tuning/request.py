@@ -25,7 +25,7 @@ from dpbench.bench.workers.child import has_compiled_kernels
 from dpbench.errors import InputError, PolicyError, ResultsError, require_integer_at_least
 from dpbench.report.formats import join_with_and
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_public_settings_attributes
-from dpbench.solvers.contract import DEFAULT, HIGH, Options, Policy, Route
+from dpbench.solvers.contract import DEFAULT, HIGH, POLICIES, Options, Policy, Route
 from dpbench.solvers.own_settings import (
     expand_option_grid,
     parse_options_of_choice,
@@ -236,10 +236,11 @@ def _choose_call_mode(
     own: Route = "native" if "native" in row.routes else row.default_route
     chosen = route or own
     if chosen not in row.routes:
-        raise PolicyError(f"solver {solver}", "route", repr(chosen), " | ".join(row.routes))
+        raise PolicyError("`route`", "", repr(chosen), f"{' | '.join(row.routes)} for {solver}")
     if reason := row.state_why_policy_is_unavailable(chosen, policy):
         runs = " | ".join(row.get_route_record(chosen).policies)
-        raise PolicyError(f"solver {solver}", "policy", f"{policy!r} ({reason})", runs)
+        found = f"{policy!r} ({reason})" if policy in POLICIES else repr(policy)
+        raise PolicyError("`policy`", "", found, f"{runs} for {solver}")
     return TunedSolver(solver, chosen, policy, requirements, solver_module)
 
 

@@ -16,13 +16,15 @@ from scipy.stats import qmc
 
 from dpbench.analysis.verdict.requirements import Finding
 from dpbench.arrays import Matrix, Vector
-from dpbench.errors import InputError
+from dpbench.errors import InputError, format_allowed_names
 from dpbench.solvers.contract import Options
 from dpbench.solvers.own_settings import format_options_as_toml, parse_options_of_choice
-from dpbench.solvers.table import find_solver_record
+from dpbench.solvers.table import find_solver_record, list_all_solver_names
 
 LOGARITHMIC_FROM = 20.0
 """A range whose ends differ by this factor is searched on a logarithmic scale."""
+_NUMBERS = "two increasing numbers, such as [1e-3,10]"
+_RANGE = "an option and two increasing numbers, such as 'rho=[1e-3,10]'"
 _DIGITS = 3
 _EDGE = 0.01
 """A value this near to an end is at the edge of its range [share of the range]."""
@@ -162,12 +164,18 @@ def make_space(
         stated = _read_stated_ranges()
         usual = stated.get(solver) or stated.get(record.module)
         if usual is None and not widened:
-            allowed = f"one of {', '.join(sorted(stated))}; or --range 'OPTION=[LEAST,LARGEST]'"
+            names = list_all_solver_names()
+            ranged = [n for n in names if {n, find_solver_record(n).module} & stated.keys()]
+            nearest = format_allowed_names(solver, ranged)
+            allowed = f"{nearest}; or --range 'OPTION=[LEAST,LARGEST]'"
             raise InputError("tune-solver", "", f"{solver}, which has no predefined range", allowed)
         found = {name: OptionRange(name, *ends) for name, ends in (usual or {}).items()}
     for option, texts in (("--range", ranges), ("--widen", widened)):
         for text in texts:
-            given = parse_options_of_choice(f"{solver}[{text}]")
+            try:
+                given = parse_options_of_choice(f"{solver}[{text}]")
+            except InputError as error:
+                raise InputError(option, "", repr(text)[:80], _RANGE) from error
             for name, ends in given.items():
                 limited = found[name].limited if name in found else ""
                 found[name] = replace(_parse_range(option, name, ends), limited=limited)
@@ -180,7 +188,7 @@ def _parse_range(option: str, name: str, ends: object) -> OptionRange:
     numbers = ends if isinstance(ends, list) else []
     known = all(isinstance(x, int | float) and not isinstance(x, bool) for x in numbers)
     if len(numbers) != 2 or not known or not -math.inf < numbers[0] < numbers[1] < math.inf:
-        raise InputError(option, name, repr(ends), "two increasing numbers, such as [1e-3,10]")
+        raise InputError(option, name, repr(ends), _NUMBERS)
     return OptionRange(name, *numbers)
 
 

@@ -94,7 +94,7 @@ def test_a_solver_that_overwrites_its_problem_fails_the_test(
 
 def test_options_are_not_for_a_workspace(few: QPSequence) -> None:
     """They would be ignored."""
-    with pytest.raises(InputError, match="give the options to open_workspace"):
+    with pytest.raises(InputError, match="give them to open_workspace"):
         ReplayBenchmark(CallsTwice())(few, open_workspace("quadprog"), policy="fresh")
 
 

@@ -121,7 +121,7 @@ def test_exit_codes_and_first_lines(
 def test_a_missing_tree_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One line names it."""
     assert main([str(tmp_path / "none"), str(tmp_path)]) == 2
-    assert "none: found no folder" in capsys.readouterr().err
+    assert "none: no such folder" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -143,7 +143,7 @@ def empty(place: Path) -> None:
         ("alone.npz", cut, ["a damaged file"]),
         ("robot", spoil("robot/step_10.npz", h=np.ones(3)), ["step_10.npz", "h", "(3,)"]),
         ("robot", other_size, ["step_11.npz", "1 variables and 0 rows"]),
-        ("hollow", empty, ["no .npz or .json or .mat file"]),
+        ("hollow", empty, ["no .npz, .json or .mat file"]),
         ("rough@ovs", None, ["vessel", "'ovs'", "osv"]),
         ("ruogh@osv", None, ["'ruogh'", "rough"]),
         ("rough@", None, ["vessel", "''"]),

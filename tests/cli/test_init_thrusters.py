@@ -452,7 +452,7 @@ def test_thrusters_are_asked_for(
         (TABLE.replace("-38", "-380", 1), (), "thruster 1: x_m: found -380; allowed: -48 to 48"),
         (TABLE.replace("azimuth", "pod"), (), "thruster 5: kind: found 'pod'"),
         (TABLE.replace("2000", "2000000"), (), "of the ship's weight"),
-        ("kind,x_m,thrust_kN\nmain,-38,100\n", (), "no independent forces in surge"),
+        ("kind,x_m,thrust_kN\nmain,-38,100\n", (), "cannot make forces in surge"),
         ("kind,x_m,power_kW\nazimuth,-30,3000\n", (), "forces in surge, sway and yaw by azimuth 1"),
         (
             "kind,x_m,thrust_kN,sector_from_deg,sector_to_deg\n"

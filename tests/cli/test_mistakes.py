@@ -134,7 +134,7 @@ def test_an_unknown_word_is_named_as_it_was_typed(
         (["run", "smoke", "--jobs", "x"], "--jobs: found 'x'; allowed: a whole number "),
         (["compare", "a", "b", "--margin", "x"], "--margin: found 'x'; allowed: a number "),
         (["run", "smoke", "--wait"], "--wait: missing; required: a value "),
-        (["run", "smoke", "--tls", "a", "b"], "--tls: missing; required: 3 values "),
+        (["run", "smoke", "--tls", "a", "b"], "--tls: found another number of values; allowed: 3 "),
         (["run", "smoke", "--wait", "3", "--no-wait"], "--no-wait: found with --wait; allowed: "),
         (["run", "smoke", "--quiet=1"], "--quiet: found '1'; allowed: no value "),
         (["check"], "FILE: missing "),

@@ -13,7 +13,7 @@ from dpbench.files.regular_files import MOST_DEPTH, MOST_JSON_BYTES, parse_json
 def test_deep_large_and_half_documents_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "suite.json"
     for text, found in (
-        ("[" * 100_000, "nested too deep"),
+        ("[" * 100_000, "nested too deeply"),
         (
             '{"a":' * (MOST_DEPTH + 1) + "1" + "}" * (MOST_DEPTH + 1),
             f"more than {MOST_DEPTH} nested",

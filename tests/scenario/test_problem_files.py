@@ -124,7 +124,7 @@ def test_a_file_that_is_no_toml_is_told_with_the_place(
         ({**GOOD, "inner": {}}, "inner.depth_m", "nothing", "a value"),
         ({**GOOD, "inner": 3}, "inner", "3", "valid dictionary or instance of Inner"),
         ({**GOOD, "inner": {"depth_m": float("nan")}}, "inner.depth_m", "nan", "finite number"),
-        ({**GOOD, "title": 3}, "title", "3", "valid string"),
+        ({**GOOD, "title": 3}, "title", "3", "a string"),
     ],
 )
 def test_a_document_that_does_not_fit_names_key_found_and_allowed(
@@ -184,7 +184,7 @@ def test_a_sequence_is_a_stored_name_or_a_path(
         ("a" + ".a" * 50_000 + " = 1", "line 1: found a key of more than 32 parts"),
         ('\n\n["a"' + ' . "b"' * 50_000 + "]", "line 3: found a key of more than 32 parts"),
         ("x = {a" + ".'a'" * 50_000 + " = 1}", "line 1: found a key"),
-        ("a = " + "[" * 100_000, "nested too deep"),
+        ("a = " + "[" * 100_000, "nested too deeply"),
         ("a = " + "[" * 50 + "]" * 50, "more than 32 nested levels"),
         ("a = " + "9" * 5000, "invalid TOML"),
         ("[[a]]\nb = [0x" + "f" * 5000 + "]", "an integer of more than 300 digits"),

@@ -80,16 +80,22 @@ BAD_SCENARIOS = [
     ("[controller]", "[start]\nsurge_mps = 340.0\n[controller]", "start.surge_mps", "340.0", "100"),
     ("[controller]", "[wind]\n[controller]", "wind", "unknown key", "… 9 more"),
     ("[environment]", "[controller.environment]", "controller.environment", "unknown", "… 12 more"),
-    ("-20.0, 55.0, 500.0]", "-20.0, 55.0]", "environment.mean_kN", "[-20.0, 55.0]", "3 items"),
+    (
+        "-20.0, 55.0, 500.0]",
+        "-20.0, 55.0]",
+        "environment.mean_kN",
+        "[-20.0, 55.0]",
+        "length of 3 or more",
+    ),
     ("sample_s = 0.3", "sample_s = true", "sample_s", "True", "number"),
-    ("= 5", "= 5.5", "controller.control_horizon", "5.5", "integer"),
+    ("= 5", "= 5.5", "controller.control_horizon", "5.5", "whole number"),
     ("500.0]", "nan]", "environment.mean_kN.2", "nan", "finite"),
-    ("sample_s = 0.3", "sample_s = -0.3", "sample_s", "-0.3", "greater than or equal to 0.0001"),
+    ("sample_s = 0.3", "sample_s = -0.3", "sample_s", "-0.3", "0.0001 or more"),
     ("duration_s = 300.0", "duration_s = 0.1", "duration_s", "0.1", "samples of 0.3 s"),
-    ("[150.0, 120.0", "[150.0, 0.0", "environment.period_s.1", "0.0", "greater than 0"),
+    ("[150.0, 120.0", "[150.0, 0.0", "environment.period_s.1", "0.0", "above 0"),
     ("= 5", "= 31", "controller.control_horizon", "31", "1 to prediction_horizon (30)"),
-    ("[1.0, 1.0, 100.0]", "[1.0, -1.0, 1.0]", "controller.output_weight.1", "-1.0", "equal to 0"),
-    ("[1e-10, 1e-10", "[1e-10, 0.0", "controller.move_weight.1", "0.0", "greater than 0"),
+    ("[1.0, 1.0, 100.0]", "[1.0, -1.0, 1.0]", "controller.output_weight.1", "-1.0", "0 or more"),
+    ("[1e-10, 1e-10", "[1e-10, 0.0", "controller.move_weight.1", "0.0", "above 0"),
     (
         "move_weight =",
         "move_weight_relative = [1.0, 1.0, 1.0]\nmove_weight =",
@@ -101,11 +107,11 @@ BAD_SCENARIOS = [
 
 
 BAD_VESSELS = [
-    ("3.7454e9]]", "3.7454e9], [1.0, 1.0, 1.0]]", "inertia", "[1.0, 1.0, 1.0]", "3 items"),
+    ("3.7454e9]]", "3.7454e9], [1.0, 1.0, 1.0]]", "inertia", "[1.0, 1.0, 1.0]", "at most 3"),
     ("[[5.3122e6", "[[-5.3122e6", ": inertia:", "-5.31e+06", "positive definite"),
     ("4.1894e8", "0.0", ": damping:", "eigenvalue", "positive definite"),
-    ("sway_N = [-417000.0", "sway_N = [1000.0", ": limits:", "1000.0", "zero inside"),
-    ("[109120.0", "[0.0", "limits.rate_max_N_per_s.0", "0.0", "greater than 0"),
+    ("sway_N = [-417000.0", "sway_N = [1000.0", ": limits:", "1000.0", "a minimum below 0"),
+    ("[109120.0", "[0.0", "limits.rate_max_N_per_s.0", "0.0", "above 0"),
     ("inertia =", "inertia_bis =", "", "", "either inertia and damping"),
     ("inertia =", "mass_kg = 6e6\ninertia =", "", "mass_kg", "either inertia and damping"),
     ("length_m = 76.2", "length_m = 1e-320", "length_m", "1e-320", "0.001"),
@@ -172,5 +178,5 @@ def test_a_vessel_with_drag_has_it_in_every_scenario(write: Callable[..., Path])
 def test_drag_without_a_hull_is_refused(write: Callable[..., Path]) -> None:
     """In the line of any other mistake."""
     path = write("vessels", "supply_fs99", "length_m =", 'drag = "cross_flow"\nlength_m =')
-    with pytest.raises(InputError, match="capability, whose hull drag"):
+    with pytest.raises(InputError, match="whose hull it uses"):
         load_vessel(path)

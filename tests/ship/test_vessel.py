@@ -27,8 +27,8 @@ def vessel(**changes: object) -> Vessel:
         ("M", np.array([[5e6, 0, 0], [0, 8e6, 1e7], [0, 0, 4e9]]), "10000000.0", "symmetric"),
         ("M", np.diag([5e6, -8e6, 4e9]), "-8e+06", "positive definite"),
         ("D", np.diag([5e4, 3e5, 0.0]), "eigenvalue 0", "positive definite"),
-        ("tau_min", np.array([-1e6, 1.0, -2e7]), "1.0", "zero inside"),
-        ("tau_max", np.array([1e6, 4e5, 0.0]), "0.0]", "zero inside"),
+        ("tau_min", np.array([-1e6, 1.0, -2e7]), "1.0", "a minimum below 0"),
+        ("tau_max", np.array([1e6, 4e5, 0.0]), "0.0]", "a minimum below 0"),
     ],
 )
 def test_a_vessel_that_cannot_exist_is_refused_in_one_line(

@@ -108,9 +108,9 @@ def test_a_file_without_an_adapter_is_an_error(
     for name in ("one", "two"):
         (folder / f"{name}.py").write_text((HERE / "example_native.py").read_text())
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(DpbenchError, match=r"two_solvers.helper holds no adapter"):
+    with pytest.raises(DpbenchError, match=r"two_solvers.helper has no adapter"):
         import_all_adapters("two_solvers", besides=())
-    with pytest.raises(DpbenchError, match=r"two_solvers.two: solver newcomer is there twice"):
+    with pytest.raises(DpbenchError, match=r"two_solvers.two: solver newcomer is defined twice"):
         import_all_adapters("two_solvers", besides=("helper",))
     native, wrapped = import_all_adapters("two_solvers", besides=("helper", "two"))
     assert list(native) == ["newcomer"] and not wrapped

@@ -107,7 +107,7 @@ def test_what_a_plugin_raises_is_an_answer(sequence):
     ("text", "words"),
     [
         (None, "no such file"),
-        ("x = 1", "RECORD: found None"),
+        ("x = 1", "RECORD: missing"),
         ("import os; os._exit(0)", r"ended its process when imported \(exit code 0\)"),
         # Each starts a process.
         *(

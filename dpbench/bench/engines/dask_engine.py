@@ -172,7 +172,7 @@ class DaskEngine(ExitStack):
         if any(map(self.cluster.addresses.isdisjoint, self._given_to.values())):
             self.cluster.client.cancel([*self._sources.values()])
             self._drop_tasks_and_sources()
-            raise HandOverError("no worker is left of those that a task was given to")
+            raise HandOverError("every worker that was given a task has left")
 
     def _read_results(self, batch: Batch, future: Future) -> Sequence[Result]:
         """Return the run results of a completed Dask task; none where its workers died."""
@@ -198,7 +198,7 @@ class DaskEngine(ExitStack):
         """Wait for a lost Dask scheduler; return the error to raise: submit again, or give up."""
         self._drop_tasks_and_sources()
         if not self.cluster.wait_for_reconnection():
-            return EngineGoneError(f"the scheduler {self._where} went away")
+            return EngineGoneError(f"the connection to the scheduler {self._where} was lost")
         self._update_workers_or_hand_over()
         return HandOverError("the connection was lost for a while")
 

@@ -127,8 +127,10 @@ class ShardRecord:
         """Read `shard.json` of a result folder; InputError where it is missing or damaged."""
         path = folder / SHARD_FILE
         if not path.exists():
-            found, allowed = f"{folder} without a shard", "a folder written by `dpbench cells`"
-            raise InputError("gather", "", found, allowed)
+            allowed = "a folder written by `dpbench cells`"
+            if not folder.exists():
+                raise InputError(str(folder), "", "no such folder", allowed)
+            raise InputError("gather", "", f"{folder} without a shard", allowed)
         read = check_document_as_type(read_json(path), _ShardFile, path)
         return cls(**{name: getattr(read, name) for name in _ShardFile.model_fields})
 

@@ -163,7 +163,7 @@ def plan_recorded_replays(
         known = digests.setdefault(sequence.name, sha256)
         if known != sha256 or sequence.name in taken:
             allowed = "different names for all sequences and scenarios, as results are kept by name"
-            raise InputError(str(path), "name", f"another called {sequence.name!r}", allowed)
+            raise InputError(str(path), "name", f"{sequence.name!r} twice", allowed)
         source = RecordedSource(sequence.name, origin, sha256)
         planned = plan_replay_per_configuration(
             suite, table, solvers, len(sequence), scenario={}, source=source

@@ -82,7 +82,7 @@ def _parse_arrays(data: NDArray[np.uint8]) -> Arrays:
     """Return the arrays in the bytes of a file in dpbench's own array format, without copying."""
     _, size, check = _HEAD.unpack_from(data.data)
     if zlib.crc32(data[_HEAD.size :].data) != check:
-        raise ValueError("another check sum than it was written with")
+        raise ValueError("a checksum that differs from the stored one")
     at = _HEAD.size + size
     arrays: Arrays = {}
     for name, (dtype, shape) in json.loads(data[_HEAD.size : at].tobytes()).items():
@@ -158,12 +158,12 @@ def _read_array_of_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> 
         # An array read from the stream itself: its check sum is compared at the end.
         array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
         if stream.read(1):
-            raise ValueError(f"{member.filename} goes on after its array")
+            raise ValueError(f"{member.filename} has data after its array")
     if array.dtype.kind == "U":
         codes = array.reshape(-1).view(np.dtype("u4").newbyteorder(array.dtype.byteorder))
         # Python builds a broken text of such, and crashes when that is used.
         if ((codes > sys.maxunicode) | (codes >> 11 == _SURROGATES)).any():
-            raise ValueError(f"{member.filename} has codes that are no characters")
+            raise ValueError(f"{member.filename} has codes that are not characters")
     return array
 
 
@@ -231,7 +231,7 @@ def read_stored_text(arrays: Arrays, where: str, name: str) -> str:
             where, name, "nothing", f"a string array of this name (the file has {others})"
         )
     if array.dtype.kind != "U" or array.shape:
-        raise InputError(where, name, f"type {array.dtype}, shape {array.shape}", "one text")
+        raise InputError(where, name, f"type {array.dtype}, shape {array.shape}", "a single string")
     return str(array)
 
 

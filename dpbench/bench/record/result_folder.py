@@ -225,7 +225,7 @@ def lock_result_folder(
     """
     where = "`out`"
     if str(folder) in ("", "."):
-        raise InputError(where, "", "the current folder", "a folder of its own")
+        raise InputError(where, "", "the current folder", "another folder")
     previous = folder / "suite.json"
     if previous.is_file():
         stored = read_json(previous).get("name")
@@ -297,7 +297,9 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
     ResultsError : naming the file, when one is missing, damaged or of another schema.
     """
     if not isinstance(out, (str, os.PathLike)):
-        raise TypeError(f"results: found a {type(out).__name__}; allowed: the path of a folder")
+        raise TypeError(
+            f"results: found an object of type {type(out).__name__}; allowed: the path of a folder"
+        )
     folder = Path(out)
     if not folder.is_dir():
         allowed = "a folder written by `run_campaign()` or `dpbench run`"

@@ -94,7 +94,7 @@ def _refuse_missing_numbers(runs: pa.Table) -> pa.Table:
     """Return a table of runs unchanged; ValueError if it lacks a number which every run has."""
     for name in _WHOLE_NUMBERS:
         if runs[name].null_count:
-            raise ValueError(f"{name}: no number")
+            raise ValueError(f"{name}: not a number")
     return runs
 
 
@@ -287,7 +287,7 @@ def parse_runs_of_part(metadata: Mapping[bytes, bytes] | None) -> dict[str, list
     try:
         columns = json.loads((metadata or {})[RUNS.encode()])
     except RecursionError as error:
-        raise ValueError("runs that are nested too deep") from error
+        raise ValueError("runs that are nested too deeply") from error
     values = columns.values() if isinstance(columns, dict) else []
     sizes = {len(column) if isinstance(column, list) else -1 for column in values}
     if len(sizes) != 1 or -1 in sizes or "run_id" not in columns:

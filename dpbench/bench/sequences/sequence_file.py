@@ -186,7 +186,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
     if units == "scaled":
         return recorded.sequence
     if recorded.sequence.units is None:
-        found = "1 everywhere: units of its own"
+        found = "1 everywhere, so its units in SI are unknown"
         raise InputError(str(path), "unit_z, unit_row", found, "units in SI, or units='scaled'")
     return convert_sequence_to_units(recorded.sequence, recorded.sequence.units)
 
@@ -262,7 +262,8 @@ def _read_optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> lis
     ]
     bound = read_float_array(arrays, where, "bound", (K,), infinite="+")
     if "certificate" not in arrays or arrays["certificate"].shape != (K,):
-        raise InputError(where, "certificate", "nothing of that shape", f"shape {(K,)}")
+        found = f"shape {arrays['certificate'].shape}" if "certificate" in arrays else "nothing"
+        raise InputError(where, "certificate", found, f"shape {(K,)}")
     kinds = [str(kind) for kind in arrays["certificate"].tolist()]
     for k, kind in enumerate(kinds):
         if kind not in get_args(Kind):
@@ -319,7 +320,8 @@ def list_problem_files(folder: Path) -> list[Path]:
     by_format = ([path for path in paths if path.suffix == suffix] for suffix in _READERS)
     files = next(filter(None, by_format), [])
     if not files:
-        found = f"no {' or '.join(_READERS)} file"
+        *others, last = _READERS
+        found = f"no {', '.join(others)} or {last} file"
         raise InputError(str(folder), "", found, "a folder of files with one QP each")
     return sorted(files, key=lambda path: (_natural_sort_key(path.stem), path.name))
 

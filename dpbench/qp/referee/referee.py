@@ -418,7 +418,9 @@ def certify(qp: QuadraticProgram) -> Optimum:
     array([1., 1.])
     """
     if not isinstance(qp, QuadraticProgram):
-        raise TypeError(f"qp: found a {type(qp).__name__}; allowed: a QuadraticProgram")
+        raise TypeError(
+            f"qp: found an object of type {type(qp).__name__}; allowed: a QuadraticProgram"
+        )
     return Referee(qp.P, qp.A, qp.lb, qp.ub).certify_vectors(qp.q, qp.l, qp.u)
 
 

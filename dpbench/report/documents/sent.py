@@ -235,7 +235,7 @@ def _check_runs(folder: Path, results: Results) -> None:
     lost = int((runs["outcome"] == "lost").sum())
     if lost:
         raise ResultsError(
-            path, "outcome", f"{lost} lost", "none; give the same `dpbench run` again"
+            path, "outcome", f"{lost} lost", "none; run the same `dpbench run` again"
         )
 
 

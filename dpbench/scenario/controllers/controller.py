@@ -151,10 +151,10 @@ class ControllerSpec:
         """Raise InputError for a kind of fault that the controller cannot have."""
         for i, (_, fault) in enumerate(self._samples_and_faults_in_order):
             if not (lost if fault.lost is not None else limit_share):
-                found = "lost" if fault.lost is not None else "limit_share"
-                allowed = (
-                    "lost where thrusters limit the force or are commanded, limit_share where each "
-                    "axis of the force has a limit of its own"
+                found, allowed = (
+                    ("lost", "limit_share, as each axis of the force has its own limit")
+                    if fault.lost is not None
+                    else ("limit_share", "lost, as thrusters limit the force or are commanded")
                 )
                 raise InputError(self.where, f"faults.{i}", found, allowed)
 

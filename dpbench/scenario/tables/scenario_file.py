@@ -150,7 +150,7 @@ class FaultTable(FileModel):
         if (self.limit_share is None) == (self.lost is None):
             raise ValueError("exactly one of limit_share and lost")
         if self.loss == "trip" and self.lost is None:
-            raise ValueError('loss = "trip" together with lost')
+            raise ValueError('loss = "trip" only together with lost')
         return self
 
 
@@ -241,7 +241,7 @@ class ControllerTable(FileModel):
         of_forces = (self.move_weight is not None) + (self.move_weight_relative is not None)
         plans_thrusters = self.kind == "thrusters"
         if (self.kind != "forces") != (self.thrusters is not None):
-            allowed = 'controller.thrusters for, and only for, kind = "thrusters" or "cascade"'
+            allowed = 'controller.thrusters if, and only if, kind is "thrusters" or "cascade"'
             raise ValueError(allowed)
         if of_forces != (not plans_thrusters):
             raise ValueError(
@@ -265,7 +265,9 @@ class ControllerTable(FileModel):
             if table.slack_weight_relative is not None or table.allocation is not None:
                 raise ValueError('slack_weight_relative and allocation for kind = "cascade" only')
         elif table.slack_weight_relative is None or table.thrust_weight_relative == 0.0:
-            raise ValueError("slack_weight_relative, and a thrust_weight_relative above 0")
+            raise ValueError(
+                'slack_weight_relative, and a thrust_weight_relative above 0, for kind = "cascade"'
+            )
         elif table.azimuth_turning:
             raise ValueError('azimuth_turning for kind = "thrusters" only')
 

@@ -260,9 +260,9 @@ class VesselFile(FileModel):
         if self.limits is None and not self.thrusters:
             raise ValueError("limits, or thrusters to derive them from")
         if self.capability is not None and self.windage is None:
-            raise ValueError("windage together with capability, which uses its areas")
+            raise ValueError("[capability] only with [windage], whose areas it uses")
         if self.drag == "cross_flow" and self.capability is None:
-            raise ValueError('capability, whose hull drag = "cross_flow" needs')
+            raise ValueError('drag = "cross_flow" only with [capability], whose hull it uses')
         return self
 
     def build_vessel(self, name: str, where: str) -> Vessel:

@@ -31,7 +31,7 @@ RECORD = SolverRecord(
             ("fresh", "reuse"),
             updates="vectors",
             keeps="the equilibration it took from P, A and q at its set-up",
-            refused={"warm": "Clarabel has no interface for a start"},
+            refused={"warm": "Clarabel has no interface for a starting point"},
         ),
     },
     levels=make_tolerance_presets("tol_gap_abs", "tol_gap_rel", "tol_feas", max_iter=500),

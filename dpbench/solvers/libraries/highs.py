@@ -39,8 +39,8 @@ RECORD = SolverRecord(
             updates="vectors",
             two_sided=True,
             refused={
-                "warm": "its QP solver takes no start: with the basis kept or cleared the answers "
-                "and iterations are the same to the last bit"
+                "warm": "its QP solver accepts no starting point: with the basis kept or cleared "
+                "the answers and iterations are the same to the last bit"
             },
         ),
     },

@@ -89,7 +89,7 @@ def load_hpipm() -> HpipmLibrary:
         functions = ctypes.CDLL(f"{folder}/libhpipm.so")
     if not _solves_small_qp(functions):
         found = f"HPIPM solves a QP of 9 variables wrongly on {chosen.path}"
-        raise DpbenchError(f"{found}; use casadi's build by {VARIABLE}={CASADI}")
+        raise DpbenchError(f"{found}; use casadi's build with {VARIABLE}={CASADI}")
     build = read_instruction_set_of_blasfeo(functions)
     # Where casadi itself has loaded HPIPM before, that one is in use, with casadi's BLASFEO.
     if _find_address(functions) == _find_address(ctypes.CDLL(str(chosen.path))):

@@ -40,7 +40,7 @@ RECORD = SolverRecord(
             ("fresh", "reuse"),
             updates="vectors",
             two_sided=True,
-            refused={"warm": "PIQP has no interface for a start"},
+            refused={"warm": "PIQP has no interface for a starting point"},
             faults=NAN_IGNORED,
         ),
     },

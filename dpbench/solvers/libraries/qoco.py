@@ -29,7 +29,7 @@ RECORD = SolverRecord(
             ("fresh", "reuse"),
             updates="vectors",
             detects_infeasibility=False,
-            refused={"warm": "QOCO has no interface for a start"},
+            refused={"warm": "QOCO has no interface for a starting point"},
         )
     },
     levels=make_tolerance_presets("abstol", "reltol", max_iters=500),

@@ -37,8 +37,8 @@ RECORD = SolverRecord(
         "qpsolvers": RouteRecord(
             ("fresh",),
             refused={
-                "warm": "qpsolvers sets the start as a setting `x`, which QPALM does not have, and "
-                "drops the error"
+                "warm": "qpsolvers sets the starting point as a setting `x`, which QPALM does not "
+                "have, and drops the error"
             },
         ),
         "native": RouteRecord(

@@ -59,8 +59,8 @@ RECORD = SolverRecord(
             start="active set",
             two_sided=True,
             refused={
-                "reuse": "casadi keeps its working set from solve to solve and cannot reset it "
-                "without a new set-up of everything, which is fresh"
+                "reuse": "casadi keeps its working set from solve to solve and can reset it only "
+                "by a complete setup, which is fresh"
             },
         )
     },

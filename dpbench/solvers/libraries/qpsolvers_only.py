@@ -199,7 +199,7 @@ QTQP = QpsolversAdapter(
             "qpsolvers": RouteRecord(
                 ("fresh",),
                 refused={
-                    "warm": "qpsolvers does not hand a start on, and QTQP would need slacks and "
+                    "warm": "qpsolvers passes no starting point on, and QTQP would need slacks and "
                     "multipliers as well"
                 },
             )

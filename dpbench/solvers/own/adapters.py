@@ -74,7 +74,7 @@ UNCONSTRAINED_CLIPPED = replace(
             ("fresh", "reuse"),
             gives_multipliers=False,
             detects_infeasibility=False,
-            refused={"warm": "a direct solve has no start"},
+            refused={"warm": "a direct solve has no starting point"},
         )
     },
 )

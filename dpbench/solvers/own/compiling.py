@@ -22,7 +22,7 @@ FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-shared", "-fPIC")
 # The oldest glibc that zig links against, and the processors of wheels with the tag manylinux.
 GLIBC = (2, 17)
 MANYLINUX_MACHINES = ("aarch64", "x86_64")
-REMEDY = "install ziglang, or name a C compiler by DPBENCH_CC=cc"
+REMEDY = "install ziglang, or name a C compiler with DPBENCH_CC=cc"
 
 
 def make_library_file_name() -> str:

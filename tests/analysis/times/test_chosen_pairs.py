@@ -95,5 +95,5 @@ def test_the_command_prints_ratios_with_verdicts(
     assert (row["ratio"], row["first_us"]) == (pytest.approx(0.25), pytest.approx(40.0))
     assert main(["compare", str(out), str(out), *words]) == 2
     assert capsys.readouterr().err.startswith(
-        "dpbench: compare: found --solver with other arguments"
+        "dpbench: --solver: found with several folders, --html or --reference"
     )

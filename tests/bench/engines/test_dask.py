@@ -248,7 +248,9 @@ def test_without_its_scheduler_cells_are_lost_until_there_is_one(
     runs = load_results(out).runs
     assert set(runs["outcome"]) == {"finished", "lost"}
     assert lost == (runs["outcome"] == "lost").sum()
-    assert any("went away" in line and "same command" in line for line in remarks), remarks
+    assert any(
+        "connection to the scheduler" in line and "same command" in line for line in remarks
+    ), remarks
     run_campaign(suite, out)
     assert_same(out, undisturbed)
 
@@ -295,7 +297,7 @@ def test_a_scheduler_that_dies_as_files_are_made_is_one_line(
         _kill_with_files(process.kill, patch, gone_before=gone_before)
         assert main([*words, "--engine", "dask", "--scheduler", address]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert "went away" in line and "same command" in line
+    assert "connection to the scheduler" in line and "same command" in line
     became = "finished" if text == DESIGN else "lost"
     assert set(load_results(out).runs["outcome"]) == {became}
     assert main(words) == 0

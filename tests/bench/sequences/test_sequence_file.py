@@ -158,7 +158,7 @@ def renamed(a: Arrays) -> Arrays:
         (without("format"), ["format", "missing"]),
         (without("q"), ["q", "missing"]),
         (without("bound"), ["bound", "missing"]),
-        (without("certificate"), ["certificate"]),
+        (without("certificate"), ["certificate", "missing"]),
         (put("format", "spam"), ["format", "'spam'", "dpbench-sequence"]),
         (put("version", 2), ["version", "2", "newer"]),
         (put("version", "1"), ["version", "whole number"]),

@@ -38,7 +38,7 @@ def read_changed(fmu: Path, folder: Path, old: str, new: str) -> None:
         ("[plant.fmu]", '[plant.fmu]\nsha256 = "00"', "sha256: found '00'; allowed: [0-9a-f]{64}"),
         ("[plant.fmu]", "[plant]\nmass_percent = 5.0\n[plant.fmu]", "mass_percent and damping_"),
         ("[environment]", "[environment]\nmean_kN = [1.0, 0.0, 0.0]", "environment.mean_kN: found"),
-        ("ship2.fmu", "none.fmu", "plant.fmu.file: found no file '.*none.fmu'"),
+        ("ship2.fmu", "none.fmu", "plant.fmu.file: no such file '.*none.fmu'"),
     ],
 )
 def test_what_does_not_fit_is_said_with_its_key(

@@ -62,7 +62,9 @@ def _find_finite_inequality_limits(name: str, limits: Matrix, equal: Any) -> Any
     """Return the indices of finite limits other than equalities."""
     finite = np.isfinite(limits)
     if (finite.any(axis=0) != finite.all(axis=0)).any():
-        raise InputError("qoco", "", f"limits of some steps only in {name}", "limits of every step")
+        raise InputError(
+            "qoco", "", f"limits in {name} that only some steps have", "limits that every step has"
+        )
     return np.setdiff1d(np.flatnonzero(finite[0]), equal)
 
 
