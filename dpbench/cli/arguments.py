@@ -25,7 +25,7 @@ _STORED = {
 }
 """Arguments whose values are names of stored files, with their kind."""
 _BAD_INPUT = "2 bad input"
-_LOST = "1 runs were lost through a fault of dpbench, not of a solver: run the same command again"
+_LOST = "1 runs were lost through a fault of dpbench (run the same command again)"
 _NOT_HELD = "with --strict, the controller does not hold a ship"
 _BUSY = f"{_BAD_INPUT}, or another dpbench benchmark is running (--no-wait, or after --wait)"
 
@@ -199,7 +199,7 @@ COMMANDS: dict[str, CommandHelp] = {
         "Run a suite and write its report",
         options.add_run_options,
         ("run smoke --open", "run standard --solver daqp --solver 'osqp[rho=[0.1,1]]'"),
-        f"0 done, even if solvers failed; {_LOST}, or, {_NOT_HELD}; {_BUSY}",
+        f"0 done, even if solvers failed; {_LOST} or, {_NOT_HELD}; {_BUSY}",
     ),
     "cells": CommandHelp(
         _BENCHMARK,
@@ -208,15 +208,15 @@ COMMANDS: dict[str, CommandHelp] = {
         ("cells standard --shard 1/8 --out shard-1", "gather shard-* --out results/all"),
         f"0 done, even if solvers failed; {_LOST}; {_BUSY}",
         "Run one of N shards of a suite; several machines can run different shards at the same "
-        "time. After an interruption, give the same command again.",
+        "time. After an interruption, run the same command again.",
     ),
     "gather": CommandHelp(
         _BENCHMARK,
         "Join the shards of a suite and write the report",
         options.add_gather_options,
         ("gather shard-* --out results/all", "gather a b --out results/all --open"),
-        "0 done; 1 runs are missing: run them on this machine with `dpbench run` and the same "
-        f"--out, or, {_NOT_HELD}; {_BAD_INPUT}",
+        "0 done; 1 runs are missing (run them on this machine with `dpbench run` and the same "
+        f"--out) or, {_NOT_HELD}; {_BAD_INPUT}",
     ),
     "report": CommandHelp(
         _BENCHMARK,
@@ -298,14 +298,15 @@ COMMANDS: dict[str, CommandHelp] = {
         ),
         text="Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml; their comments "
         "explain how each value was derived. With --thrusters, also write: NAME_thrusters.toml, a "
-        "scenario whose controller commands the thrusters; NAME_loss_*.toml, scenarios that "
-        "simulate the loss of other switchboards; and NAME_capability.svg, the capability plot. "
-        "Give sectors and barred zones of azimuth thrusters as the directions in which the "
-        "thruster pushes the ship, clockwise from ahead; its race (wash) goes the opposite way. "
-        "For example, if the race of a port azimuth thruster must not point between 60 and 120 "
-        "deg, towards the starboard one, set barred_from_deg to 240 and barred_to_deg to 300. If "
-        "NAME.toml exists and only --sea is given, write the scenario and the suite of that ship "
-        "for that sea.",
+        "scenario whose controller commands the thrusters, with the worst loss of a switchboard "
+        "that the ship holds; NAME_loss_*.toml, scenarios with other losses; NAME_weak_side.toml, "
+        "a scenario with weather from the direction in which the ship holds the least wind; and "
+        "NAME_capability.svg, the capability plot. Give the sector or barred zone of an azimuth "
+        "thruster as the directions in which it pushes the ship, clockwise from ahead; its race "
+        "(wash) goes the opposite way. For example, if the race of a port azimuth thruster must "
+        "not point between 60° and 120°, towards the starboard one, set barred_from_deg to 240 and "
+        "barred_to_deg to 300. If NAME.toml exists and only --sea is given, write the scenario and "
+        "the suite of that ship for that sea.",
     ),
     "check": CommandHelp(
         _SHIP,
@@ -322,7 +323,7 @@ COMMANDS: dict[str, CommandHelp] = {
         f"{_BAD_INPUT}",
         "Find weights and horizons that hold the ship with a margin and little thruster wear, test "
         "them in other realisations of the sea, and write the scenario with them. After an "
-        "interruption, give the same command again.",
+        "interruption, run the same command again.",
     ),
     "capability": CommandHelp(
         _SHIP,

@@ -166,7 +166,7 @@ def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interru
 def _print_interrupted(arguments: argparse.Namespace) -> int:
     """Print that a command was stopped by a signal; return its exit code."""
     resumes = arguments.call in (_run_suite, _run_shard, _tune_controller, _tune_solver)
-    kept = "; finished cells are kept; give the same command again to continue" if resumes else ""
+    kept = "; finished cells are kept; run the same command again to continue" if resumes else ""
     print(f"dpbench: interrupted{kept}", file=sys.stderr)
     return INTERRUPTED
 

@@ -58,7 +58,10 @@ def _add_suite_options(run: Command) -> None:
     choice = run.add_argument_group("selection")
     sequence = "replay recorded QPs instead of a suite: name, file or folder (.npz, .json, .mat)"
     _option(choice, "--sequence", "SEQUENCE", sequence)
-    solver = "run only this solver, such as osqp or, with options, 'osqp[rho=[0.1,1]]'"
+    solver = (
+        "run only this solver, such as osqp; 'osqp[rho=[0.1,1]]' makes a configuration of each "
+        "value"
+    )
     _repeated(choice, "--solver", "SOLVER", solver, dest="solvers")
     scenario = (
         "run only this scenario: one of the suite, or a name or file that replaces its scenarios"
@@ -209,7 +212,7 @@ def add_worst_case_options(worst_case: Command) -> None:
     worst_case.add_argument("solver", metavar="SOLVER", help=searched)
     _add_call_options(worst_case.add_argument_group("solver"), has_settings=True)
     search = worst_case.add_argument_group("search")
-    goal = "figure to maximise: iterations (default) or error"
+    goal = "quantity to maximise: iterations (default) or error"
     _option(search, "--goal", "GOAL", goal, default="iterations")
     start = "scenario whose initial state and disturbances are varied (default: paper)"
     _option(search, "--scenario", "SCENARIO", start, default="paper")
@@ -283,7 +286,7 @@ def add_init_options(init: Command) -> None:
     _option(ship, "--displacement", "T", "displacement [t]")
     _option(ship, "--like", "VESSEL", "library vessel to scale (default: the nearest in size)")
     _option(ship, "--from-mss", "FILE.mat", "read the hull from a vessel of the MSS toolbox")
-    _option(ship, "--from-csv", "FILE", "read the hull from rows of coefficient,value")
+    _option(ship, "--from-csv", "FILE.csv", "read the hull from rows of coefficient,value")
     thrust = init.add_argument_group("thrust")
     _option(thrust, "--thrust", "KN", "largest force ahead [kN]")
     _option(

@@ -111,6 +111,13 @@ def test_the_tables_of_a_suite_are_named(place: Path, refuse: Say) -> None:
     assert tables in line and "[[thrusters]] (a vessel)" in line
 
 
+def test_a_vessel_with_a_hull_and_misspelt_limits_is_no_suite(place: Path, refuse: Say) -> None:
+    """A vessel has one table [capability], a suite a list of them."""
+    (place / "hull.toml").write_text("[limitz]\n[capability]\nbreadth_m = 18.0\n", encoding="utf-8")
+    line = refuse("check", "hull.toml")
+    assert "found the keys limitz, capability; allowed: [limits] or [[thrusters]]" in line
+
+
 def spoil(name: str, **arrays: object) -> Callable[[Path], None]:
     def apply(place: Path) -> None:
         path = place / name

@@ -34,7 +34,7 @@ steps = 20
 scenario = "rough"
 """
 INT, TERM, HUP, KILL = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL
-LINE = "dpbench: interrupted; finished cells are kept; give the same command again to continue\n"
+LINE = "dpbench: interrupted; finished cells are kept; run the same command again to continue\n"
 
 
 @pytest.fixture
