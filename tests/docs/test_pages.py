@@ -141,7 +141,7 @@ def test_generated_tables_have_as_many_cells_in_each_row(maker: Any) -> None:
 def test_a_page_of_a_solver_says_what_its_record_says() -> None:
     page = solvers.pages()["solvers/clarabel.md"]
     assert "| licence | Apache-2.0 |" in page
-    assert "no: Clarabel has no interface for a start |" in page
+    assert "no: Clarabel has no interface for a starting point |" in page
     assert "`tol_feas=1e-09`" in page
     assert "a kept workspace also keeps | the equilibration" in page
     assert "- Its presolve drops rows" in page
