@@ -33,8 +33,11 @@ def _list_vessels() -> RenderableType:
         vessel = problems.read_toml_as_model(path, VesselFile).build_vessel(name, str(path))
         times = ", ".join(f"{t:.3g}" for t in vessel.linear_model_time_constants_s())
         surge, sway, yaw = 1e3 * vessel.accelerations_at_force_limits()[1]
-        reached = f"{surge:.3g} and {sway:.3g} mm/s², {yaw:.3g} mrad/s²"
-        about = [f"time constants: {times} s", f"acceleration at full thrust: {reached}"]
+        reached = f"surge {surge:.3g}, sway {sway:.3g} mm/s², yaw {yaw:.3g} mrad/s²"
+        about = [
+            f"time constants of the linear model: {times} s",
+            f"acceleration at full thrust: {reached}",
+        ]
         entries.append(format_heading_and_paragraphs(name, [vessel.title, *about]))
     return make_unstyled_text("\n".join(entries))
 
@@ -55,18 +58,18 @@ def _list_scenarios() -> RenderableType:
         vessel = Path(scenario.vessel).stem
         about = f"vessel {vessel}, tuning {controller.tuning} {horizons}, {scenario.steps} steps"
         drawn = scenario.environment.build_environment(Froude(1.0)).random_parts
-        about += f"; at random: {', '.join(drawn) or 'nothing'}"
+        about += f"; random: {', '.join(drawn) or 'none'}"
         entries.append(format_heading_and_paragraphs(name, [about, scenario.shows]))
     return make_unstyled_text("\n".join(entries))
 
 
 def _list_suites() -> RenderableType:
-    """Return a table of all stored suites: number of cells and question."""
+    """Return a table of all stored suites: number of cells and purpose."""
     from dpbench.bench.plan.plan import plan_suite
     from dpbench.bench.plan.suite import load_path_and_suite
     from dpbench.scenario import problem_files as problems
 
-    table = make_small_table("name", "cells", "question")
+    table = make_small_table("name", "cells", "purpose")
     for name in problems.list_shipped_problem_names("suites"):
         path, suite = load_path_and_suite(name)
         table.add_row(name, str(len(plan_suite(suite, beside=path.parent))), suite.title)
@@ -90,8 +93,8 @@ def _list_sequences() -> RenderableType:
             name,
             *(str(count) for count in (base.n, base.m, len(sequence))),
             f"{np.count_nonzero(sets) / np.size(sets):.1%}" if sets else MISSING,
-            "constant" if sequence.P is None else "each step's",
-            "each" if every == 1 else f"each {every}th",
+            "constant" if sequence.P is None else "varying",
+            "all" if every == 1 else f"every {every}th",
         )
     return Group(table, make_unstyled_text(SEQUENCES_ARE))
 
@@ -110,7 +113,7 @@ def _describe_solver(name: str) -> str:
 
     # Importing all libraries takes longer than all the rest.
     row, library = find_solver_record(name), find_solver_availability(name, imported=False)
-    version = library.version or "" if library.ok else f"not installed: {library.reason}"
+    version = library.version or "" if library.ok else f"({library.reason})"
     policies = "; ".join(f"{route}: {', '.join(p)}" for route, p in row.policies_by_route.items())
     about = [
         row.method,

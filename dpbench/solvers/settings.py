@@ -144,7 +144,7 @@ def describe_option_presets(solver: str) -> str:
         )
         if not text and (name == DEFAULT or has_distinct_tolerance_presets(solver)):
             text = "the library's defaults"
-        lines.append(f"{name}: {text or 'as default: it has no tolerance to set'}")
+        lines.append(f"{name}: {text or 'same as default (no tolerance to set)'}")
     return "\n".join(lines)
 
 

@@ -202,5 +202,5 @@ def test_the_list_of_scenarios_names_what_each_draws_at_random(say: Say) -> None
     """`rough` has sines and ramps alone; `weather` has gusts and a sea."""
     text = " ".join(say("list", "scenarios").split())
     about = {name: text.partition(f" {name} vessel ")[2][:120] for name in ("rough", "weather")}
-    assert "steps; at random: nothing" in about["rough"]
-    assert "steps; at random: gusts, waves" in about["weather"]
+    assert "steps; random: none" in about["rough"]
+    assert "steps; random: gusts, waves" in about["weather"]

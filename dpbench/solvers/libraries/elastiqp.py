@@ -1,4 +1,4 @@
-"""ElastiQP: dual active set or augmented Lagrangian on rows relaxed at an L1 penalty, one-sided.
+"""ElastiQP: dual active set or augmented Lagrangian on rows relaxed with an L1 penalty, one-sided.
 
     min ½ zᵀPz + qᵀz + w Σ max(G z − h, 0),  A z = b
 
@@ -32,7 +32,7 @@ NO_MULTIPLIERS = np.empty(0)
 RECORD = SolverRecord(
     name="elastiqp",
     family="active set",
-    method="dual active set on rows relaxed at an L1 penalty, after DAQP",
+    method="dual active set on rows relaxed with an L1 penalty, after DAQP",
     distribution="elastiqp",
     module="elastiqp",
     extra="solvers",
@@ -59,7 +59,7 @@ PDAL_RECORD = replace(
     name="elastiqp_pdal",
     choose_instead="elastiqp",
     family="augmented Lagrangian",
-    method="primal-dual augmented Lagrangian on rows relaxed at an L1 penalty, after ProxQP",
+    method="primal-dual augmented Lagrangian on rows relaxed with an L1 penalty, after ProxQP",
     routes={
         "native": replace(RECORD.get_route_record("native"), start="primal and dual", faults={})
     },

@@ -51,7 +51,7 @@ from dpbench.solvers.libraries.native_workspace import (
 RECORD = SolverRecord(
     name="proxqp",
     family="augmented Lagrangian",
-    method="proximal augmented Lagrangian, semismooth Newton inside",
+    method="proximal augmented Lagrangian with semismooth Newton steps",
     distribution="proxsuite",
     module="proxsuite",
     extra="core",

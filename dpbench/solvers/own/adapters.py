@@ -44,7 +44,7 @@ PAPER_ACTIVE_SET = SolverRecord(
 ACTIVE_SET_MEMORY = replace(
     PAPER_ACTIVE_SET,
     name="active_set_memory",
-    method="affine laws of the active sets found before, else the paper's method",
+    method="stored affine laws of earlier active sets, otherwise the paper's method",
     project=make_project_facts(
         licence=LICENCE,
         language=("Python around C99", "dpbench, solvers/own/active_set_memory.py"),
