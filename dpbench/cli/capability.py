@@ -145,8 +145,8 @@ def format_wind_table(
     shape = "circles" if capability.sides is None else f"{capability.sides}-sided polygons"
     about = (
         f"{vessel.id}: DP capability level 1 of DNV-ST-0111, azimuths as {shape}. Largest wind "
-        "held [m/s] and DP capability number, by where wind, waves and current come from (90° is "
-        "starboard); + at the end of the standard's table."
+        "held [m/s] and DP capability number, by the direction from which wind, waves and current "
+        "come (90° is starboard); + marks the largest wind of the standard's table."
     )
     table = [f" from {head}".rstrip(), *rows]
     assumed = list_assumptions_on_vessel(vessel)
@@ -211,8 +211,8 @@ def _format_wind_limit(held: WindLimit) -> str:
 def _explain_notation(capability: Capability, vessel: Vessel) -> list[str]:
     """Return notes on a DP capability notation, its zeros, the thrusters lost."""
     lines = [
-        f"{format_notation(capability, vessel)}: least number intact within 30° of the bow and all "
-        "round, and the same after the worst failure."
+        f"{format_notation(capability, vessel)}: smallest number within 30° of the bow and in all "
+        "directions, intact and after the worst failure."
     ]
     if any(at.number == 0 for held in capability.held.values() for at in held):
         wind_mps, hs_m, _, current_mps = DP_CONDITIONS[1]
@@ -229,8 +229,8 @@ def _explain_notation(capability: Capability, vessel: Vessel) -> list[str]:
 def _suggest_closed_loops(capability: Capability, vessel: str) -> list[str]:
     """Return lines on what a static balance does not show, and on commands that show it."""
     about = (
-        "This is a static balance of means. A closed loop can still leave its station, in gusts, "
-        "waves or after a loss. To try one:"
+        "This is a static balance of mean loads. In gusts, in waves or after a loss, the ship can "
+        "still leave its station in closed loop. To simulate it:"
     )
     path = Path(vessel)
     if path.suffix != ".toml":

@@ -36,9 +36,9 @@ def describe_sector(start_deg: float, end_deg: float) -> str:
     """Return a sentence: where an azimuth may push, where its race goes, and what is barred.
 
     >>> describe_sector(0.0, 120.0)
-    'pushes 0° to 120° (its race goes 180° to 300°), barred 120° to 360° (race 300° to 180°)'
+    'pushes 0° to 120° (race 180° to 300°), barred 120° to 360° (race 300° to 180°)'
     """
-    race = f"its race goes {format_directions(start_deg + 180.0, end_deg + 180.0)}"
+    race = f"race {format_directions(start_deg + 180.0, end_deg + 180.0)}"
     barred = f"barred {format_directions(end_deg, start_deg)}"
     not_there = f"race {format_directions(end_deg + 180.0, start_deg + 180.0)}"
     return f"pushes {format_directions(start_deg, end_deg)} ({race}), {barred} ({not_there})"

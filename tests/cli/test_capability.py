@@ -43,7 +43,7 @@ def test_the_table_fits_a_terminal_and_names_what_is_assumed(say: Say) -> None:
 def test_it_names_the_closed_loop_that_a_static_balance_does_not_replace(say: Say) -> None:
     """The sea is the largest that is held near the bow, of those that `init` knows."""
     assert say("capability", "osv").splitlines()[-2:] == [
-        "gusts, waves or after a loss. To try one:",
+        "ship can still leave its station in closed loop. To simulate it:",
         "  dpbench run smoke --scenario thrusters@osv",
     ]
     Path("here").mkdir()

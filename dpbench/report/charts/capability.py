@@ -70,7 +70,7 @@ def draw_capability_rose(table: pd.DataFrame, title: str) -> Any:
     layers = alt.layer(*web, lines, *points, width=SIZE, height=SIZE)
     chart = style.set_style(layers, title, about)
     chart.title.subtitle = [
-        "by where wind, waves and current come from;",
+        "by the direction from which the weather comes;",
         "rings: DP capability numbers",
     ]
     chart.title.subtitleColor = style.SOFT

@@ -122,9 +122,7 @@ def test_a_sector_is_listed_with_its_thruster() -> None:
     """Both what it pushes towards and what is barred; without power and sector the name alone."""
     azimuth = {"name": "azimuth", "power_kW": 1200.0, "group": "A", "sector_deg": [-30.0, 60.0]}
     said = describe_thrusters([azimuth, {"name": "bow", "group": "A", "sector_deg": None}])
-    sector = (
-        "pushes 330° to 60° (its race goes 150° to 240°), barred 60° to 330° (race 240° to 150°)"
-    )
+    sector = "pushes 330° to 60° (race 150° to 240°), barred 60° to 330° (race 240° to 150°)"
     assert said == f"A: azimuth (1200 kW, {sector}), bow"
     planned = azimuth | {"sector_deg": [240.0, 60.0], "controller_sector_deg": [240.0, 60.0]}
     assert describe_thrusters([planned]).endswith(", controllers plan with 240° to 60°)")
