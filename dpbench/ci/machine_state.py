@@ -61,7 +61,7 @@ class MachineState:
         share = self.processor_s / self.wall_s
         gives_up = self.voluntary_switches > MAX_SWITCHES_PER_S * self.wall_s
         if share < LEAST_PROCESSOR_SHARE and not gives_up:
-            lines.append(f"a processor for {100 * share:.0f} % of the time only")
+            lines.append(f"a processor for only {100 * share:.0f} % of the time")
         kernels = np.array([[self.kernel_before_ns, self.kernel_after_ns]])
         if mask_disturbed_rounds(kernels)[0]:
             slower = kernels.max() / kernels.min()

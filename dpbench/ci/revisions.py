@@ -275,8 +275,8 @@ def compare_trees(
         row = Row("all benchmarks of the head", NOT_TIMED, remarks=(head.reason,))
         found = replace(found, rows=[row, *found.rows])
     names = [_name_tree(*side) for side in zip(("base", "head"), trees, strict=True)]
-    by_turns = f"{plural(len(pairs), 'pair')} of runs by turns, {disturbed} of them disturbed"
-    lines = [f"{found.describe_scope(*names)}; {by_turns}", found.describe_verdict(names[0])]
+    runs = f"{plural(len(pairs), 'pair')} of runs, {disturbed} of them disturbed"
+    lines = [f"{found.describe_scope(*names)}; {runs}", found.describe_verdict(names[0])]
     end = describe_early_end(pairs, count)
     if end == STOPPED:
         end = ADVICE + ("" if disturbed_exit else OPTION)

@@ -78,7 +78,7 @@ def test_turns_alternate_and_one_disturbed_pair_is_repeated(
     found = capsys.readouterr()
     assert found.err.splitlines()[-1] == f"pair 1 of 3 disturbed: {STOPPED}"
     scope, verdict, advice = found.out.splitlines()[-3:]
-    assert scope.endswith("; 2 pairs of runs by turns, 2 of them disturbed")
+    assert scope.endswith("; 2 pairs of runs, 2 of them disturbed")
     assert verdict.startswith("times not judged (machine disturbed) in 1 of 1 benchmark; ")
     assert advice == ADVICE + OPTION
     stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
