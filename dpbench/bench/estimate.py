@@ -60,7 +60,7 @@ STEP_BYTES, RUN_BYTES = 90.0, 500.0
 """Size of a step and of a run in the tables, for runs that have nothing in common
 (`docs/guide/scale.md`)."""
 LONG_CERTIFICATES = (
-    "a lower bound: some steps of a reference loop with commanded thrusters need a long certificate"
+    "a lower bound: some steps of a reference loop with commanded thrusters take long to certify"
 )
 """Remark on a forecast that takes all steps of a reference loop for equally long."""
 _KIND = ["mode", *CONFIGURATION_COLUMNS]
@@ -120,7 +120,7 @@ class Estimate:
         cells, finished, refused, more, steps = (f"{n:,}".replace(",", " ") for n in numbers)
         done = f"{', ' if self.refused else ' and '}{finished} finished" if self.finished else ""
         without = f" and {refused} refused" if self.refused else ""
-        apart = f"; {more} more of capability plots" if self.unmeasured else ""
+        apart = f"; {more} more cells, of capability plots, not included" if self.unmeasured else ""
         parts = f"{format_duration(self.report_s)} for the report"
         if self.compile_s:
             parts += f" and {format_duration(self.compile_s)} to compile kernels, once"
@@ -129,7 +129,7 @@ class Estimate:
             f"{'at least' if self.is_lower_bound else 'about'} {format_duration(self.time_s)} on "
             f"this machine, {self.slots} closed loops at a time, with {parts}; "
             f"{self.size_bytes / 1e6:.1f} MB of tables{apart}",
-            *([f"by {self.rates}"] if self.cells else []),
+            *([f"estimated from {self.rates}"] if self.cells else []),
             *([LONG_CERTIFICATES] if self.is_lower_bound else []),
             *self.remarks,
         ]

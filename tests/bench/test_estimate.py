@@ -223,14 +223,14 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     cells, cost, rates, *others, remark = said.out.splitlines()
     assert cells == "83 cells to run and 1 refused: 1 089 recorded steps"
     assert "s on this machine" in cost and "MB of tables" in cost
-    assert rates.startswith("by rates of another machine") and "for a p99" in remark
+    assert rates.startswith("estimated from rates of another machine") and "for a p99" in remark
     assert others[0].startswith("not included: waits")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tiny.toml"]
     assert main(["run", "tiny.toml", "--quiet", "--solver", "daqp", "--out", "mine"]) == 0
     assert main(["run", "tiny.toml", "--dry-run", "--out", "mine"]) == 0
     found_lines = capsys.readouterr().out.splitlines()
     assert found_lines[1] == "41 cells to run, 42 finished and 1 refused: 523 recorded steps"
-    assert "by the runs in mine" in found_lines
+    assert "estimated from the runs in mine" in found_lines
     before = {path: path.stat().st_mtime_ns for path in Path("mine").rglob("*")}
     assert main(["run", "tiny.toml", "--dry-run", "--solver", "daqp", "--out", "mine"]) == 0
     done, cost = capsys.readouterr().out.splitlines()[:2]
