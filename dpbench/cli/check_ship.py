@@ -189,7 +189,9 @@ def _describe_sideways_force(vessel: Vessel, current_mps: float, unit: str, per:
     largest = (
         format_rounded_down(current_mps, 2) if current_mps <= most else f"> {significant(most, 2)}"
     )
-    needed = f"1 m/s sideways needs {_format_number(needs)} {unit} of {_format_number(has)}"
+    needed = (
+        f"1 m/s sideways needs {_format_number(needs)} {unit} (limit {_format_number(has)} {unit})"
+    )
     return f"{needed}; holds {largest} m/s of current abeam"
 
 
@@ -242,14 +244,14 @@ def compare_with_level_1(scenario: Scenario) -> list[str]:
         "".join(f"{cell:<{at}}" for cell, at in zip(row, _WIDTHS, strict=True)) for row in rows
     ]
     most = float(shares["simulated"].max())
-    about = "% of the largest force"
+    about = "Percentages are of the largest force"
     if reach is not None:
         taken = {name: reach.find_least_thrust_share(-load) for name, load in loads.items()}
         # A force in one axis may make one in another easier.
         most = taken["simulated"]
         about += (
-            f"; all together {taken['simulated']:.0%} of the thrust simulated, "
-            f"{taken['level 1']:.0%} by level 1, which holds {SPARE:.0%} at most"
+            f"; all axes together need {taken['simulated']:.0%} of the thrust (simulated) or "
+            f"{taken['level 1']:.0%} (level 1, which holds at most {SPARE:.0%})"
         )
     about += " - the simulated one cannot be held" if most > 1.0 else ""
     notes = [about, *_caution_on_difference(loads, shares, has_current=weather.current is not None)]
@@ -333,8 +335,8 @@ def _describe_bracket(bracket: Bracket, scale: float) -> str:
     """Return in words the largest sideways offset recovered and the smallest that is not [m]."""
     holds = f"{float(format_rounded_down(scale * bracket.holds_m)):g}"
     if bracket.fails_m is None:
-        return f"holds calm water, from {holds} m sideways and all below"
+        return f"calm water: returns from {holds} m sideways (largest tried)"
     fails = f"{float(format_rounded_up(scale * bracket.fails_m)):g}"
     if bracket.holds_m == 0.0:
-        return f"does not hold calm water: {fails} m sideways is too far"
-    return f"holds calm water, up to {holds} m sideways (not {fails} m)"
+        return f"calm water: does not return from {fails} m sideways"
+    return f"calm water: returns from {holds} m sideways, not {fails} m"
