@@ -516,16 +516,17 @@ def describe_longest_wait(records: Records, run: RunRecord | None) -> str:
 
 
 def describe_answer(steps: RunSteps, at: int) -> str:
-    """Return words on a solver's answer at one step: claimed solved or not, true or not.
+    """Return words on a solver's answer at one step: reported as solved or not, verified or not.
 
     A claim of a QP without an optimum, or beyond the limits, is stated by its violation.
     """
-    claimed, violation = "claimed" if steps.claimed[at] else "not claimed", steps.violation[at]
+    claimed, violation = steps.claimed[at], steps.violation[at]
+    reported = "reported as solved" if claimed else "not reported as solved"
     if steps.true[at]:
-        return f"{claimed}, true"
-    if steps.claimed[at] and (isnan(steps.error[at]) or violation > TRUE_TOL) and violation > 0.0:
-        return f"claimed, violates a limit by {format_error(violation)}"
-    return f"{claimed}, not true"
+        return f"{reported}, verified"
+    if claimed and (isnan(steps.error[at]) or violation > TRUE_TOL) and violation > 0.0:
+        return f"{reported}, violates a limit by {format_error(violation)}"
+    return f"{reported}, not verified"
 
 
 def name_experiment(row: RunRecord) -> str:

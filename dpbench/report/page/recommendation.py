@@ -187,11 +187,11 @@ def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> t
     call = f"`{c.solver}` ({c.route}, {c.policy}, {c.settings})"
     if is_lost:
         verdicts = {"pass": f"{call} passes", "borderline": f"{call} is borderline"}
-        verdict = verdicts.get(chosen.state, f"nothing contradicts {call}")
+        verdict = verdicts.get(chosen.state, f"{call} is inconclusive")
         opening = f"As a solver of these QPs alone, {verdict}"
     else:
-        heads = {"pass": "Use", "borderline": "Borderline:"}
-        opening = f"{heads.get(chosen.state, 'Nothing contradicts')} {call}"
+        openings = {"pass": f"Use {call}", "borderline": f"Borderline: {call}"}
+        opening = openings.get(chosen.state, f"{call} is inconclusive")
     lacks = "" if chosen.state == "pass" else f": {Recommendation.why(chosen)}"
     both = describe_consequence_solver(data.records, c.solver)
     timed = copy_with_thruster_times(data.records, data.requirements, chosen)

@@ -153,19 +153,19 @@ def _describe_solver_to_use(
     is_alone : whether no other solver was run.
     """
     if chosen is None:
-        return "No solver can be recommended for a controller that steers thrusters."
+        return "No solver can be recommended for a controller that commands thrusters."
     c = chosen.configuration
-    label = f"To steer thrusters take {c.solver} ({c.route}, {c.policy}, {c.settings})"
+    label = f"For commanded thrusters use {c.solver} ({c.route}, {c.policy}, {c.settings})"
     if is_alone and chosen.state == "pass":
         label = f"With commanded thrusters {c.label} passes; only {c.solver} was run"
     elif chosen.state != "pass":
-        label = f"Nothing contradicts {c.label}"
+        label = f"With commanded thrusters {c.label} is {chosen.state}"
     if margin is None:
         return f"{label}; no replay times its QPs."
     step, share = margin.hardest, format_sample_share(1.0 / margin.deadline)
-    where = f"k {step.k} of the replay of {step.run.sequence}"
+    where = f"step {step.k} of the replay of {step.run.sequence}"
     wait = describe_hardest_wait(records, step.run)
-    return f"{label}: its longest step, {where}, takes {share} of the sample{wait}."
+    return f"{label}: its longest step, {where}, takes {share} of the sample time{wait}."
 
 
 def _compare_with_forces(commanded: ThrusterVerdicts) -> str:

@@ -112,10 +112,10 @@ def test_what_is_known_of_a_failure_stands_where_it_is_met(
 @pytest.mark.parametrize(
     ("error", "violation", "words"),
     [
-        (math.nan, 1e-6, "claimed, violates a limit by 1.0e-06"),  # of an infeasible QP
-        (0.5, 0.02, "claimed, violates a limit by 0.020"),
-        (0.5, 1e-6, "claimed, not true"),
-        (math.nan, 0.0, "claimed, not true"),
+        (math.nan, 1e-6, "reported as solved, violates a limit by 1.0e-06"),  # of an infeasible QP
+        (0.5, 0.02, "reported as solved, violates a limit by 0.020"),
+        (0.5, 1e-6, "reported as solved, not verified"),
+        (math.nan, 0.0, "reported as solved, not verified"),
     ],
 )
 def test_a_claim_beyond_the_limits_is_stated_by_its_violation(
@@ -128,7 +128,9 @@ def test_a_claim_beyond_the_limits_is_stated_by_its_violation(
     flags = {"claimed": np.array([True]), "true": np.array([False])}
     numbers = {"error": np.array([error]), "violation": np.array([violation])}
     assert describe_answer(replace(step, **flags, **numbers), 0) == words
-    assert describe_answer(replace(step, **numbers, true=np.array([True])), 0).endswith(", true")
+    assert describe_answer(replace(step, **numbers, true=np.array([True])), 0).endswith(
+        ", verified"
+    )
 
 
 @pytest.mark.parametrize(

@@ -418,7 +418,7 @@ def test_a_chip_says_how_other_ways_did_where_the_first_was_not_run(records: Any
 def test_open_is_not_recommended(records: Any) -> None:
     records.replay("daqp")
     sentence = _answer(records).sentence
-    assert "Nothing contradicts `daqp` (qpsolvers, fresh, default): no closed loop" in sentence
+    assert "`daqp` (qpsolvers, fresh, default) is inconclusive: no closed loop" in sentence
     assert "was correct on every step of 1 replay. Step time: p99 " in sentence
     records.replay("daqp", policy="reuse", route="native", median_us=5.0)
     assert "inconclusive" not in dict(_answer(records).notes), "the sentence says so"

@@ -35,7 +35,7 @@ def test_solvers_that_do_for_three_forces_only_are_named_with_their_fault(record
     solvers = {"daqp": (40.0, 1e-9), "piqp": (4000.0, 1e-9), "osqp": (60.0, 0.3)}
     first, second = output(campaign(records, solvers))
     assert first.startswith(
-        "To steer thrusters take daqp (native, warm, default): its longest step, k "
+        "For commanded thrusters use daqp (native, warm, default): its longest step, step "
     )
     assert first.endswith(
         "3 solvers pass with three forces (three_forces); 2 of them fail with "
@@ -65,7 +65,7 @@ def test_without_runs_of_three_forces_nothing_is_said_of_them(records: Any) -> N
     solvers = {"daqp": (40.0, 1e-9), "piqp": (4000.0, 1e-9)}
     first, _ = output(campaign(records, solvers, forces=False))
     assert "three forces" not in first
-    assert first.endswith(" % of the sample.") and "piqp" not in first
+    assert first.endswith(" % of the sample time.") and "piqp" not in first
 
 
 def test_a_ship_that_drifts_off_after_a_loss_is_said_to(records: Any) -> None:
@@ -82,7 +82,9 @@ def test_a_ship_that_drifts_off_after_a_loss_is_said_to(records: Any) -> None:
 
 def test_where_nobody_qualifies_nobody_is_named(records: Any) -> None:
     (first,) = output(campaign(records, {"osqp": (60.0, 0.3)}))
-    assert first.startswith("No solver can be recommended for a controller that steers thrusters.")
+    assert first.startswith(
+        "No solver can be recommended for a controller that commands thrusters."
+    )
     assert first.endswith("with three forces (three_forces); it fails with thrusters: osqp, wrong.")
 
 
