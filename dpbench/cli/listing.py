@@ -11,9 +11,9 @@ from dpbench.cli.terminal import format_heading_and_paragraphs, make_small_table
 from dpbench.report.formats import MISSING, plural
 
 SEQUENCES_ARE = """
-Each is the reference loop of the scenario it is named after, at the
-horizons N_p-N_c of its name, every optimum certified. n: variables; m: rows;
-K: QPs; active: share of all limits; samples: which of the loop were kept."""
+Each sequence has QPs of the reference loop of the scenario in its name, at the
+horizons N_p-N_c. Every optimum is certified. n: variables; m: rows; K: QPs;
+active: share of all limits; samples: stored samples of the loop."""
 
 
 def list_table(kind: str) -> RenderableType:

@@ -45,9 +45,12 @@ def _quick_trials(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        ("robot", "robot: 2 QPs, n = 2, m = 1; certificates: 2 linear; largest bound "),
-        ("robot/", "robot: 2 QPs, n = 2, m = 1; certificates: 2 linear; largest bound "),
-        ("alone.npz", "alone.npz: 1 QPs, n = 2, m = 1; certificates: 1 linear; largest bound "),
+        ("robot", "robot: 2 QPs, n = 2, m = 1; certificates: 2 linear; largest error bound "),
+        ("robot/", "robot: 2 QPs, n = 2, m = 1; certificates: 2 linear; largest error bound "),
+        (
+            "alone.npz",
+            "alone.npz: 1 QP, n = 2, m = 1; certificates: 1 linear; largest error bound",
+        ),
         ("rough@osv", "rough@osv: a scenario of 2000 steps with vessel osv"),
         ("mine.toml@osv", "mine.toml@osv: a scenario of 2000 steps with vessel osv"),
         ("rough", "a scenario of 2000 steps with vessel "),

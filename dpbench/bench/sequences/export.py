@@ -99,7 +99,7 @@ def export_sequence(
     >>> export_sequence("paper-30-5", "paper.mat", format="mat", steps=20).split(";")[0]
     'paper.mat: 20 QPs, n = 15, m = 15'
     >>> export_sequence("turn", "step-4.npz", at=4).split(";")[0]
-    'step-4.npz: 1 QPs, n = 30, m = 30'
+    'step-4.npz: 1 QP, n = 30, m = 30'
     """
     target = Path(out)
     if format not in FORMATS:

@@ -58,7 +58,7 @@ def test_two_stages_have_the_optimum_of_a_hand_calculation(
 ) -> None:
     path = write(tmp_path / "qp.json", two_stages(lowest))
     assert solve(path) == pytest.approx([u, 1.0, 1.5 + u], abs=1e-9)
-    assert check_file(str(path)).startswith(f"{path}: 1 QPs, n = 3, m = 1")
+    assert check_file(str(path)).startswith(f"{path}: 1 QP, n = 3, m = 1")
     # Without `idxb`, as of older versions: all entries have bounds.
     older = {key: value for key, value in two_stages(lowest).items() if key != "idxb_0"}
     assert solve(write(path, older)) == pytest.approx([u, 1.0, 1.5 + u], abs=1e-9)

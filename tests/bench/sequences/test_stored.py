@@ -157,7 +157,7 @@ def test_check_certifies_every_step_again(
     line = " ".join(capsys.readouterr().out.split())
     a = arrays_of(resolve_sequence_path("paper-30-5"))
     assert f"{len(a['q'])} QPs, n = 15, m = 15; certificates: " in line
-    assert f"largest bound {a['bound'].max():.1e}" in line
+    assert f"largest error bound {a['bound'].max():.1e}" in line
     monkeypatch.chdir(tmp_path)
     Path("mine.npz").write_bytes(resolve_sequence_path("thruster_loss_hard-30-5").read_bytes())
     assert main(["check", "mine.npz"]) == 0
