@@ -76,13 +76,13 @@ def make_solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[Figu
                 "step times": _merge_verdicts(times, TIMES),
                 "accuracy and control": _merge_verdicts(changes, CHANGES),
                 "configurations": counts,
-                "figures": format_count(changes.total()),
+                "metrics": format_count(changes.total()),
             }
         )
     note = (
         "Over all its configurations: slower, faster, worse or better where a configuration is "
         "and none is the contrary; equivalent where every configuration is; same where every "
-        "figure that is comparable is. Claims on step times hold together over all solvers."
+        "metric that is comparable is. Claims on step times hold together over all solvers."
     )
     return Table.from_rows(rows, "Verdict per solver", note=note, text_columns=4)
 
@@ -457,7 +457,7 @@ def _make_summary_lines(
         counts = ", ".join(
             f"{n} {words.get(change, change)}" for change, n in changes.most_common()
         )
-        lines.append(f"figures of accuracy and control: {counts}")
+        lines.append(f"accuracy and control: {counts}")
     for what, cells in (
         ("only in A", pairs.only_a),
         ("only in B", pairs.only_b),
