@@ -244,7 +244,8 @@ def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
             | {"error": format_error(run["error_move"])}
             for run in group
         ]
-        note = "Error: largest of the first move against the optimum, in maximum increments."
+        unit = "input limit" if name.startswith("random_mpc") else "maximum increment"
+        note = f"Error: largest error of the first move, as a share of the {unit}."
         yield Table.from_rows(sizes, f"{title}bytes of memory, error", note=note)
 
 
