@@ -112,7 +112,7 @@ def _draw_group(group: LimitedGroup, requirements: Requirements) -> Figure | Non
     table = pd.DataFrame(points)
     table["y"] = table["y"].clip(lower=FLOOR)
     name, quantity, caption = (
-        ("Cost of the loop", "cost over the reference loop", "Dashed line: 10 % more cost.")
+        ("Cost of the loop", "cost relative to the reference loop", "Dashed line: 10 % more cost.")
         if steered
         else ("Error", "largest error of the first move", "Dashed line: largest error allowed.")
     )

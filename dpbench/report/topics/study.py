@@ -140,8 +140,8 @@ def yield_disturbance_sentences(studies: Sequence[Study]) -> Iterator[str]:
         if study.disturbance and study.is_disturbed:
             yield (
                 f"{study.name}: other work disturbed the machine: "
-                f"{join_with_and(study.disturbance.complaints())}. Effects on step times may be "
-                "those of the machine and are not given."
+                f"{join_with_and(study.disturbance.complaints())}. Effects on step times are not "
+                "shown, because the machine may have caused them."
             )
 
 

@@ -161,7 +161,7 @@ def build_slowdown_topic(records: Records) -> Topic | None:
                 pd.DataFrame(points),
                 title,
                 ("times slower than this machine", "~g"),
-                ("cost over the reference loop", "~g"),
+                ("cost relative to the reference loop", "~g"),
                 limit=1.0 + MARGIN,
             )
             figures.append(

@@ -132,7 +132,7 @@ def test_a_disturbed_machine_is_said_of_a_study(records: Any, switches: int) -> 
     said = [line for line in found.lines if "other work disturbed the machine" in line]
     expected = (
         "seas: other work disturbed the machine: 10 involuntary context switches a second. "
-        "Effects on step times may be those of the machine and are not given."
+        "Effects on step times are not shown, because the machine may have caused them."
     )
     assert said == ([expected] if switches == 101 else [])
     assert records.ending().get("times") == (expected if switches == 101 else None)
