@@ -95,7 +95,8 @@ def write_reproduction(runs: Path, folder: Path) -> Reproduction:
     judged = judge_claims(records)
     radius = compute_linear_record(scenario).spectral_radius
     stable = (
-        f"stability: largest |λ| {radius:.4f} (eq. 35); sway offset held: `dpbench check {PAPER}`"
+        f"stability: largest |λ| {radius:.4f} (eq. 35); largest sway offset: "
+        f"`dpbench check {PAPER}`"
     )
     places = (
         f"figures 4-7: {folder / 'figure*.pdf'}, .svg and .csv",
@@ -146,7 +147,12 @@ def _make_claims_document(topic: Topic, results: Results) -> str:
 
 def _list_contradicted(judged: Sequence[Claim]) -> list[str]:
     """Return the claims that the runs contradict or do not cover, at most `MOST_NAMED`."""
-    named = [f"{claim.state}: {claim.claim}" for claim in judged if claim.state != "reproduced"]
+    states = {"opposite": "contradicted"}
+    named = [
+        f"{states.get(claim.state, claim.state)}: “{claim.claim}”"
+        for claim in judged
+        if claim.state != "reproduced"
+    ]
     rest = len(named) - MOST_NAMED
     unnamed = [f"and {plural(rest, 'other')}: see claims.md"] if rest > 0 else []
     return [strip_markdown(line) for line in named[:MOST_NAMED]] + unnamed
