@@ -192,8 +192,8 @@ def describe_assumed_values(
     propellers = values.get("propellers", "")
     astern = values.get("thrust astern over that ahead", "")
     sentences = {
-        f"Rise times: {rises}, scaled from the ship of Xia, Liu, Pang & Xue by the root of the "
-        "length.": rises,
+        f"Rise times: {rises}, scaled from the ship of Xia, Liu, Pang & Xue with the square root "
+        "of the length.": rises,
         f"Diameters, from the power as on the rescue ship Ratownik: {sizes}.": sizes,
         f"Propellers: {propellers}.": propellers,
         "Shaft heights are unknown: no thrust is lost to air in waves.": any(
