@@ -614,7 +614,7 @@ def list_disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
         ),
         (
             "involuntary context switches",
-            f"{significant(disturbance.switches_per_s, 2)} per second",
+            f"{significant(disturbance.switches_per_s, 3)} per second",
         ),
         ("time stolen by the host", stolen),
         ("throttle events", "not visible" if throttled == MISSING else throttled),
