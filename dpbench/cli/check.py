@@ -149,7 +149,7 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
         counts = (
             pair_sequences_with_cores(suite.embedded, suite_path.parent) if suite.embedded else []
         )
-    also = [f"and {len(counts)} counts on embedded cores"] if counts else []
+    also = [f"also {len(counts)} instruction counts on embedded cores"] if counts else []
     missing = [] if _can_pass(plan.cells) else [f"{file}: {NONE_PASSES}"]
     missing += [f"{file}: {text}" for text in _describe_unstable_loops(plan.cells)]
     estimate = estimate_plan(plan, Path("results") / suite_path.stem, count_slots(None))

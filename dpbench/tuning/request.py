@@ -320,18 +320,17 @@ class SearchForecast:
             ", ".join(problem.name for problem in problems)
             for problems in (request.training, request.test)
         )
-        more = len(request.first_trials)
-        given = [f"the first batch has {more} more: yours and the presets"] if more else []
+        more, start = len(request.first_trials), "" if request.start is None else "yours and "
+        given = [f"the first batch has {more} more settings: {start}the presets"]
         names = ", ".join([*request.presets, *request.name_settings({})])
-        compiled = f", with {format_duration(self.compile_s)} to compile kernels, once"
+        compiled = f", including {format_duration(self.compile_s)} to compile kernels, once"
         rates = "finished batches" if self.measured else STATED_RATES.origin.partition(";")[0]
         return [
-            f"{request.trials} settings of {request.solver.name} in batches on {training}: "
-            f"{self._batches}",
-            *given,
-            f"then {names} on these and {test}",
+            f"{request.trials} settings of {request.solver.name} on {training}: {self._batches}",
+            *(given if more else []),
+            f"then {names} are measured on these and on {test}",
             f"about {format_duration(self.time_s)} on this machine"
-            f"{compiled if self.compile_s else ''}, by {rates}",
+            f"{compiled if self.compile_s else ''}, estimated from {rates}",
             *self.remarks,
             *request.searched,
             *request.remarks,

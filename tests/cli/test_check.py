@@ -195,7 +195,10 @@ def test_a_suite_with_counts_on_embedded_cores(place: Path, say: Say, refuse: Sa
     suite = 'title = "t"\nsolvers = ["daqp"]\n[embedded]\nsequences = ["paper:0:STEPS"]\n'
     suite += 'solvers = ["daqp", "osqp", "quadprog"]\n[[replay]]\nscenario = "paper"\nsteps = 5\n'
     (place / "counts.toml").write_text(suite.replace("STEPS", "9"))
-    assert say("check", "counts.toml").splitlines()[-1] == "and 3 counts on embedded cores"
+    assert (
+        say("check", "counts.toml").splitlines()[-1]
+        == "also 3 instruction counts on embedded cores"
+    )
     (place / "counts.toml").write_text(suite.replace("STEPS", "1001"))
     line = refuse("check", "counts.toml")
     assert "counts.toml: embedded.sequences: found 'paper:0:1001'" in line

@@ -370,9 +370,10 @@ def test_a_dry_run_forecasts_and_writes_nothing(
     words = "--train calm-30-5 --test move-30-5 --trials 11 --dry-run --wait 5"
     assert main(["tune-solver", "osqp[rho=1.6]", *words.split()]) == 0
     first, given, then, time, waits, *_ = capsys.readouterr().out.splitlines()
-    assert first == "11 settings of osqp in batches on calm-30-5[:300:4]: 2 batches"
-    assert given == "the first batch has 4 more: yours and the presets"
-    assert then == "then default, high, yours, best on these and move-30-5[:300:4]"
+    assert first == "11 settings of osqp on calm-30-5[:300:4]: 2 batches"
+    assert given == "the first batch has 4 more settings: yours and the presets"
+    measured = "default, high, yours, best are measured on these and on move-30-5[:300:4]"
+    assert then == f"then {measured}"
     assert time.startswith("about ") and waits.startswith("not included: waits")
     assert list(tmp_path.iterdir()) == []
 

@@ -317,9 +317,9 @@ def _list_remarks(
         judged = (
             f"that of {of} steps is judged, as the hardest {hardest} of them are replayed"
             if of >= LEAST_STRETCH
-            else "the largest step is judged in its place"
+            else "the longest step is judged instead"
         )
-        remarks.append(f"{NO_P99} (the longest has {longest}): {judged}")
+        remarks.append(f"{NO_P99} (at most {longest}): {judged}")
     return remarks
 
 

@@ -96,7 +96,7 @@ def run_on_cores(tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[Any
 
 Sources = Mapping[str, Path]  # The files behind the QPs of a batch, by key
 WAITING = (
-    "waiting for {}: while one campaign times replays on this machine, no other runs cells "
+    "waiting for {}: while a campaign times replays, no other campaign can use this machine "
     "(--no-wait, --wait SECONDS)"
 )
 

@@ -47,9 +47,9 @@ def test_a_chosen_call_mode_replaces_those_of_every_table(suite: str) -> None:
 @pytest.mark.parametrize(
     ("steps", "hardest", "judged"),
     [
-        (5, 0, "(the longest has 5): the largest step is judged in its place"),
-        (99, 4, "(the longest has 4): the largest step is judged in its place"),
-        (450, 4, "(the longest has 4): that of 450 steps is judged, as the hardest 4 of them are"),
+        (5, 0, "(at most 5): the longest step is judged instead"),
+        (99, 4, "(at most 4): the longest step is judged instead"),
+        (450, 4, "(at most 4): that of 450 steps is judged, as the hardest 4 of them are"),
     ],
 )
 def test_a_remark_says_what_is_judged_in_place_of_a_p99(
