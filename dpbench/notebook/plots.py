@@ -27,6 +27,10 @@ class JudgedRun(Protocol):
         """Solver and way of starting each solve, as a plot's label."""
 
     @property
+    def case_name(self) -> str:
+        """Name of the scenario or sequence that was run."""
+
+    @property
     def steps(self) -> pd.DataFrame:
         """Table with one row per step of the run."""
 
@@ -263,10 +267,15 @@ def _draw_steps_together(runs: tuple[JudgedRun, ...], limit: float, backend: Bac
 
 
 def _convert_to_labelled_curves(runs: tuple[JudgedRun, ...]) -> list[Any]:
-    """Convert solvers' runs to labelled curves of a plot; number those of equal label."""
+    """Convert runs to labelled curves of a plot; name or number the cases of those alike."""
     from dpbench.analysis.suites.paper import Law
 
     names = [run.label for run in runs]
+    cases = [run.case_name for run in runs]
+    names = [
+        f"{name} in {case}" if names.count(name) > 1 and len(set(cases)) > 1 else name
+        for name, case in zip(names, cases, strict=True)
+    ]
     labels = [
         name if names.count(name) == 1 else f"{name} #{names[:i].count(name) + 1}"
         for i, name in enumerate(names)

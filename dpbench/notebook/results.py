@@ -65,14 +65,16 @@ class Results(result_folder.Results):
     def answer(self) -> str:
         """Sentence that names the recommended solver and settings, or the question of the suite.
 
-        Where the controller does not hold the ship, whatever the solver, it begins with that.
+        Where the controller does not hold the ship, whatever the solver, it begins with that. Where
+        other load disturbed the times, it ends with that.
 
         Examples
         --------
         >>> load_results("results/smoke").answer  # doctest: +ELLIPSIS
         'Use paper_active_set (native, ...'
         """
-        return " ".join(filter(None, (self._warning, self._recommendation)))
+        state = f"The machine was {self._disturbed}." if self._disturbed else ""
+        return " ".join(filter(None, (self._warning, self._recommendation, state)))
 
     def ships(self) -> pd.DataFrame:
         """Return what the controller itself does to each scenario's ship: a row per scenario.
@@ -185,6 +187,7 @@ class Results(result_folder.Results):
         ['quadprog (qpsolvers fresh)']
         """
         if choices:
+            self.recorded.require_file()
             return pd.DataFrame([one.table_row for one in compare_chosen(Records(self), choices)])
         return self.tables["paired_ratios"]
 
@@ -237,6 +240,12 @@ class Results(result_folder.Results):
         usual = [name for name in frame if not are_verdicts or name in VERDICT_COLUMNS]
         frame = frame[list(columns or usual)].rename(columns=_find_heads_with_unit(frame))
         caption = self._describe_table(table) if isinstance(table, str) else ""
+        if (
+            are_verdicts
+            and {"p50_us", "p99_us"} <= {*frame}
+            and not {"timed_on", "p99_on"} & {*frame}
+        ):
+            caption += " The p50 and the p99 are from the replays in `timed_on` and `p99_on`."
         return make_tabular(frame) + (f"% Caption: {escape_latex(caption)}\n" if caption else "")
 
     def _describe_table(self, name: str) -> str:

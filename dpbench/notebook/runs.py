@@ -167,6 +167,17 @@ class Run:
         )
 
     @property
+    def case_name(self) -> str:
+        """Name of the scenario or sequence that was run.
+
+        Examples
+        --------
+        >>> run_closed_loop("paper", "daqp", steps=2).case_name
+        'paper'
+        """
+        return str(self.summary["scenario"] or self.summary["sequence"])
+
+    @property
     def _is_closed_loop(self) -> bool:
         """True for a closed loop, False for a replay."""
         return bool(self.summary["mode"] == "closed_loop")
@@ -229,8 +240,7 @@ class Run:
     @property
     def _sequence_text(self) -> str:
         """Mode and name of the scenario or sequence of a run, as text."""
-        mode = str(self.summary["mode"]).replace("_", " ")
-        return f"{mode} {self.summary['scenario'] or self.summary['sequence']}"
+        return f"{str(self.summary['mode']).replace('_', ' ')} {self.case_name}"
 
     @property
     def _steps_text(self) -> str:

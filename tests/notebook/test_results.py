@@ -69,6 +69,8 @@ def test_a_table_in_latex_has_a_line_for_each_row(results: Results) -> None:
     assert all(len(re.findall(r"[1-9]", cell.split("\\cdot")[0])) <= 3 for cell in cells)
     (head,) = (line for line in results.to_latex().splitlines() if line.startswith("solver &"))
     assert head.count("&") < 8 and "error move" in head
+    assert r"from the replays in timed\_on and p99\_on" in results.to_latex()
+    assert r"p99\_on" not in results.to_latex(columns=["solver", "p50_us"])
     with pytest.raises(InputError, match="verdicts"):
         results.to_latex("verdict")
     with pytest.raises(InputError, match="p50_us"):
@@ -204,6 +206,8 @@ def test_a_folder_without_steps_has_the_tables_of_its_report(
         stored.steps  # noqa: B018 - reading it is the test
     with pytest.raises(ResultsError, match=r"steps\.parquet"):
         stored.plot.times()
+    with pytest.raises(ResultsError, match=r"steps\.parquet: no such file; required: a new run"):
+        stored.paired_ratios("daqp", "osqp")
     with pytest.raises(ResultsError, match=r"study\.csv.*required: .*verdicts"):
         stored.tables["study"]
 

@@ -275,10 +275,12 @@ def test_steps_of_several_runs_have_a_line_each(loop: Run, replayed: Run) -> Non
     chart = loop.plot.steps(replayed)
     chart.to_dict()
     times = chart.vconcat[0].data
-    for i, run in enumerate((loop, replayed), start=1):
-        own = times[times["law"] == f"{run.label} #{i}"]
+    for run, key in ((loop, "scenario"), (replayed, "sequence")):
+        own = times[times["law"] == f"{run.label} in {run.summary[key]}"]
         least = run.steps[run.steps["counts"]].groupby("k")["total_ns"].min()
         np.testing.assert_allclose(own["value"], least / 1e3)
+    again = loop.plot.steps(loop).vconcat[0].data
+    assert {*again["law"]} == {f"{loop.label} #1", f"{loop.label} #2"}
     assert chart.vconcat[1].layer[1].data["limit"].tolist() == [0.01]
     pytest.importorskip("matplotlib", reason="an extra")
     figure = loop.plot.steps(replayed, backend="matplotlib")

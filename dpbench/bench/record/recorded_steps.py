@@ -96,8 +96,8 @@ class StepsOnDisk:
         """Raise ResultsError in a folder without `steps.parquet`."""
         if self.is_missing:
             allowed = (
-                "`runs`, `tables`, `verdict()`, `ladder()`, `ships()`, `to_latex()`, `to_csv()`, "
-                "which need no steps; or run the suite again"
+                "a new run of the suite; without steps, only `runs`, `tables`, `verdict()`, "
+                "`ladder()`, `ships()`, `to_latex()` and `to_csv()` are available"
             )
             raise ResultsError(str(self._path), "", "no such file", allowed)
 

@@ -28,6 +28,7 @@ from dpbench.analysis.verdict.verdict import (
     choose_solver,
     find_fastest_configuration,
     find_solver_record_or_none,
+    rank_configurations,
 )
 from dpbench.bench.record.cell import Configuration
 from dpbench.errors import InputError, format_allowed_names
@@ -200,17 +201,23 @@ def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> t
         f"It was correct on every step of {describe_judged_runs(chosen)}"
         f"{_describe_infeasible_steps(data, c)}. Step time: {format_usual_time(timed)}. "
         f"The largest error of the first move was {format_error(chosen.error_move)} times the "
-        f"maximum increment.{_describe_selection(chosen, is_lost=is_lost)}",
+        f"maximum increment.{_describe_selection(data, chosen, is_lost=is_lost)}",
     )
 
 
-def _describe_selection(chosen: Verdict, *, is_lost: bool) -> str:
+def _describe_selection(data: PageData, chosen: Verdict, *, is_lost: bool) -> str:
     """Return why a solver was selected, and that it is of this project if it is; or ""."""
     solver = chosen.configuration.solver
     if chosen.state != "pass" or is_lost:
         return ""
     record = find_solver_record_or_none(solver)
     own = ", and part of dpbench itself" if record and record.extra == "own" else ""
+    of_solver = (v for v in rank_configurations(data.verdicts) if v.configuration.solver == solver)
+    if next(of_solver, chosen) is not chosen:
+        return (
+            " It has the most usual settings of the fastest deployable configurations that pass, "
+            f"which the measurement does not separate{own}."
+        )
     return f" It is the fastest deployable configuration that passes{own}."
 
 

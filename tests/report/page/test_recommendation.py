@@ -492,6 +492,27 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     )
 
 
+@pytest.mark.parametrize(
+    ("median_us", "says"),
+    [
+        (8.9, "It has the most usual settings of the fastest deployable configurations that pass"),
+        (12.0, "It is the fastest deployable configuration that passes"),
+    ],
+)
+def test_defaults_are_not_called_faster_than_settings_of_ones_own(
+    records: Any, median_us: float, says: str
+) -> None:
+    """The default is the answer where the times do not separate it from a faster one."""
+    own = {"settings": "mine", "options": '{"primal_tol": 1e-7}', "route": "native"}
+    records.loop("daqp", route="native")
+    records.replay("daqp", route="native", median_us=9.0)
+    records.loop("daqp", **own)
+    records.replay("daqp", median_us=median_us, **own)
+    answer = records.ending()["answer"]
+    assert "Use daqp (native, fresh, default)." in answer
+    assert says in answer
+
+
 def test_the_p99_of_a_replay_has_its_interval(records: Any) -> None:
     """The interval is that of order statistics of the replay's step times; it holds the p99."""
     for solver, median_us in (("daqp", 20.0), ("scs", 90.0)):
