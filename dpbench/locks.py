@@ -154,7 +154,7 @@ def _wait_for_lock_or_raise_busy(
         if _try_lock_open_file(lock, how):
             return
     waited = f" after a wait of {patience.limit_s:g} s" if patience.limit_s else ""
-    remedy = "run the command later, or without --no-wait, or with a longer --wait"
+    remedy = "run it later, or allow a longer wait (option --wait, argument `wait_s` in Python)"
     raise BusyError(where, f"in use by {describe_lock_holders(lock)}{waited}; {remedy}")
 
 
