@@ -60,7 +60,8 @@ STEP_BYTES, RUN_BYTES = 90.0, 500.0
 """Size of a step and of a run in the tables, for runs that have nothing in common
 (`docs/guide/scale.md`)."""
 LONG_CERTIFICATES = (
-    "a lower bound: some steps of a reference loop with commanded thrusters take long to certify"
+    "the time is a lower bound: some steps of a reference loop with commanded thrusters take long "
+    "to certify"
 )
 """Remark on a forecast that takes all steps of a reference loop for equally long."""
 _KIND = ["mode", *CONFIGURATION_COLUMNS]
@@ -125,9 +126,9 @@ class Estimate:
         if self.compile_s:
             parts += f" and {format_duration(self.compile_s)} to compile kernels, once"
         return [
-            f"{cells} cells to run{done}{without}: {steps} recorded steps",
+            f"{cells} cells to run{done}{without}; {steps} steps to record",
             f"{'at least' if self.is_lower_bound else 'about'} {format_duration(self.time_s)} on "
-            f"this machine, {self.slots} closed loops at a time, with {parts}; "
+            f"this machine, {self.slots} closed loops at a time, including {parts}; "
             f"{self.size_bytes / 1e6:.1f} MB of tables{apart}",
             *([f"estimated from {self.rates}"] if self.cells else []),
             *([LONG_CERTIFICATES] if self.is_lower_bound else []),
@@ -252,17 +253,18 @@ def find_finished_cells(planned: Sequence[PlannedCell], folder: Path) -> set[int
 
 def describe_what_is_not_forecast(slots: int) -> list[str]:
     """Return lines on what a forecast leaves out: other campaigns and other programs' load."""
-    lines = ["not included: waits for other campaigns on this machine (--wait), other programs"]
+    lines = ["not included: waits for other campaigns (--wait) and the load of other programs"]
     if holders := find_machine_lock_holders():
         lines.append(
-            f"now in use by {' and '.join(map(str, holders))}, so the run may have to wait"
+            f"this machine is in use by {' and '.join(map(str, holders))}, so the run may have to "
+            "wait"
         )
     cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
     slower = (load + slots) / cores
     if slower > LOADED:
         lines.append(
-            f"other programs load this machine now ({load:.1f} processes, {cores} cores): up to "
-            f"{slower:.2g} times as long"
+            f"other programs load this machine now ({load:.1f} processes, {cores} cores): the run "
+            f"may take up to {slower:.2g} times as long"
         )
     return lines
 

@@ -178,9 +178,9 @@ def _suggest_first_run(file: Path) -> list[str]:
         return []
     if FIRST_SOLVER not in name_solvers_of_suite(whole.document.solvers) or not part.cells:
         return []
-    share = f"{len(part.cells)} of its {len(whole.cells)} cells, which the complete run keeps"
+    share = f"{len(part.cells)} of the suite's {len(whole.cells)} cells; a complete run keeps them"
     command = f"dpbench run {path} --solver {FIRST_SOLVER} --settings default"
-    return [f"first run ({share}):", f"  {command}"]
+    return [f"short first run ({share}):", f"  {command}"]
 
 
 def _describe_unstable_loops(planned: Sequence[PlannedCell]) -> list[str]:

@@ -83,7 +83,7 @@ def describe_checked_scenario(
     """
     shown = name.name if isinstance(name, Path) else name
     first = f"{shown}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
-    loads = compare_with_level_1(scenario) or [_describe_weather_load(scenario)]
+    loads = compare_with_level_1(scenario) or textwrap.wrap(_describe_weather_load(scenario), WIDTH)
     about = [*format_limits_by_axis(scenario.vessel), *loads]
     return _join_lines(first, [*about, *_try_offsets([scenario], progress, quick=quick)])
 
@@ -104,7 +104,7 @@ def format_limits_by_axis(vessel: Vessel) -> list[str]:
     pure = vessel if reach is None else _limit_to_pure_forces(vessel, reach)
     forces = [("largest force", *_format_forces(pure, unit, per))]
     if (np.abs(vessel.tau_max - pure.tau_max) > _SAME * vessel.tau_max).any():
-        forces.append(("with other forces", *_format_forces(vessel, unit, per)))
+        forces.append(("combined with others", *_format_forces(vessel, unit, per)))
     rise = vessel.tau_max / vessel.rate_max
     acceleration = pure.accelerations_at_force_limits()[1] * _KILO
     speeds = (
@@ -121,7 +121,7 @@ def format_limits_by_axis(vessel: Vessel) -> list[str]:
             *(f"{_format_number(t)} s" for t in ships.compute_axis_time_constants_s(vessel)),
         ),
         ("acceleration at full", *_format_with_units(acceleration, ("mm/s²", "mm/s²", "mrad/s²"))),
-        ("drift at full" if vessel.drag else "linear drift at full", *drift),
+        ("speed at full force" if vessel.drag else "speed, linear damping", *drift),
     ]
     table = [f"{row[0]:<22}" + "".join(f"{cell:<19}" for cell in row[1:]) for row in rows]
     find_share = None if reach is None else reach.find_least_thrust_share
@@ -157,7 +157,7 @@ def _describe_drag_error(vessel: Vessel, unit: str, per: float) -> list[str]:
     if vessel.drag is None:
         return []
     linear = f"{_format_number(vessel.D[ships.SWAY, ships.SWAY] / per)} {unit}"
-    return [f"cross-flow drag; the controller's linear model has {linear} at 1 m/s sideways"]
+    return [f"drag is cross-flow; the controller's linear model has {linear} at 1 m/s sideways"]
 
 
 def _format_range(low: float, high: float) -> str:
@@ -202,15 +202,16 @@ def _describe_weather_load(scenario: Scenario) -> str:
         vessel, scenario.environment, float(scenario.reference[2])
     )
     against = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
-    shares = ", ".join(f"{share:.0%}" for share in np.abs(load) / against)
+    by_axis = zip(AXIS_NAMES, np.abs(load) / against, strict=True)
+    shares = ", ".join(f"{axis} {share:.0%}" for axis, share in by_axis)
     most = float((np.abs(load) / against).max())
     together = ""
     if vessel.thrusters is not None:
         share = ThrusterReach(vessel.thrusters).find_least_thrust_share(-load)
         together = f", {share:.0%} of the thrust"
         most = max(most, share)
-    over = " - it cannot hold" if most > 1.0 else ""
-    return f"simulated mean force: {shares} of the limits{together}{over}"
+    over = "; the ship cannot hold it" if most > 1.0 else ""
+    return f"mean force: {shares} of the limits{together}{over}"
 
 
 def compare_with_level_1(scenario: Scenario) -> list[str]:

@@ -172,7 +172,7 @@ def test_finished_cells_take_nothing_but_have_rows() -> None:
         estimate_time_and_size(loops, 1, STATED_RATES, finished=done) for done in ({0}, {0, 1})
     )
     assert (one.cells, one.finished, one.steps) == (1, 1, 200)
-    assert one.lines[0] == "1 cells to run and 1 finished: 200 recorded steps"
+    assert one.lines[0] == "1 cells to run and 1 finished; 200 steps to record"
     assert (both.cells, both.time_s) == (0, both.report_s)
     assert one.size_bytes == estimate_time_and_size(loops, 1, STATED_RATES).size_bytes
 
@@ -221,7 +221,7 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     said = capsys.readouterr()
     assert said.err == ""
     cells, cost, rates, *others, remark = said.out.splitlines()
-    assert cells == "83 cells to run and 1 refused: 1 089 recorded steps"
+    assert cells == "83 cells to run and 1 refused; 1 089 steps to record"
     assert "s on this machine" in cost and "MB of tables" in cost
     assert rates.startswith("estimated from rates of another machine") and "for a p99" in remark
     assert others[0].startswith("not included: waits")
@@ -229,12 +229,12 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     assert main(["run", "tiny.toml", "--quiet", "--solver", "daqp", "--out", "mine"]) == 0
     assert main(["run", "tiny.toml", "--dry-run", "--out", "mine"]) == 0
     found_lines = capsys.readouterr().out.splitlines()
-    assert found_lines[1] == "41 cells to run, 42 finished and 1 refused: 523 recorded steps"
+    assert found_lines[1] == "41 cells to run, 42 finished and 1 refused; 523 steps to record"
     assert "estimated from the runs in mine" in found_lines
     before = {path: path.stat().st_mtime_ns for path in Path("mine").rglob("*")}
     assert main(["run", "tiny.toml", "--dry-run", "--solver", "daqp", "--out", "mine"]) == 0
     done, cost = capsys.readouterr().out.splitlines()[:2]
-    assert done == "0 cells to run and 42 finished: 0 recorded steps"
+    assert done == "0 cells to run and 42 finished; 0 steps to record"
     assert cost.startswith("about 4.3 s on this machine")
     assert before == {path: path.stat().st_mtime_ns for path in Path("mine").rglob("*")}
     command = ["run", "tiny.toml", "--dry-run", "--fresh", "--solver", "daqp", "--out", "mine"]

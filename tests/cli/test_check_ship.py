@@ -111,14 +111,15 @@ def test_a_weather_that_is_too_much_is_named(
     """417 kN of sway force: a mean of 330 kN is 79 % of it, one of 500 kN cannot be held."""
     up_to(monkeypatch, 1.0)
     assert (
-        "simulated mean force: 11%, 79%, 14% of the limits\n"
+        "mean force: surge 11%, sway 79%, yaw 14% of the limits\n"
         in check_ship.describe_checked_scenario("extreme", load_scenario("extreme"))
     )
     text = find_problem_path("scenarios", "extreme").read_text(encoding="utf-8")
     path = tmp_path / "worse.toml"
     path.write_text(text.replace("330.0", "500.0"), encoding="utf-8")
-    assert "120%, 14% of the limits - it cannot hold" in check_ship.describe_checked_scenario(
-        path, load_scenario(path)
+    assert (
+        "sway 120%, yaw 14% of the limits; the ship cannot hold it"
+        in check_ship.describe_checked_scenario(path, load_scenario(path))
     )
 
 
@@ -166,7 +167,7 @@ def test_thrusters_show_what_they_make_together(monkeypatch: pytest.MonkeyPatch)
     ship = replace(load_vessel("osv"), thrusters=thrusters, tau_min=low, tau_max=high)
     text = check_ship.describe_checked_vessel(find_problem_path("vessels", "osv"), ship)
     assert "\nlargest force         -200..400 kN       ±44.4 kN           ±800 kN·m\n" in text
-    assert "\nwith other forces     -200..400 kN       ±200 kN            ±" in text
+    assert "\ncombined with others  -200..400 kN       ±200 kN            ±" in text
     assert "1 m/s sideways needs 143 kN (limit 44.4 kN); holds 0.5" in text
 
 
