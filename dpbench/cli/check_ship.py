@@ -252,7 +252,7 @@ def compare_with_level_1(scenario: Scenario) -> list[str]:
         most = taken["simulated"]
         about += (
             f"; all axes together need {taken['simulated']:.0%} of the thrust (simulated) or "
-            f"{taken['level 1']:.0%} (level 1, which holds at most {SPARE:.0%})"
+            f"{taken['level 1']:.0%} (level 1, which allows at most {SPARE:.0%})"
         )
     about += " - the simulated one cannot be held" if most > 1.0 else ""
     notes = [about, *_caution_on_difference(loads, shares, has_current=weather.current is not None)]

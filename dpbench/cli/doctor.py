@@ -41,7 +41,7 @@ def describe_machine_and_clock(*, offline: bool) -> list[str]:
     facts += [("newer releases", ", ".join(map(str, newer)))] if newer else []
     verdicts = (
         f"machine: {verdict.describe_disturbance(harness.disturbance)}",
-        f"quiet: {QUIET_RULE}",
+        f"a quiet machine has {QUIET_RULE}",
         f"timing: {verdict.describe_calibration(harness.p50_ns)}",
     )
     blank = " " * _WIDTH

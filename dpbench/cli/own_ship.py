@@ -333,8 +333,10 @@ def _list_files_and_commands(
     sea = f"sea: DP number {number}, wind {wind_mps:g} m/s"
     mean = f"{sea}; its level-1 mean force takes {share:.0%} of {whole}"
     if vessel.thrusters is not None:
-        edge = f"{scaling.SPARE:.0%} ({MISCELLANEOUS:g} of the thrust over {DYNAMIC_FACTOR:g})"
-        mean += f"; level 1 holds at most {edge}"
+        edge = (
+            f"{scaling.SPARE:.0%} ({MISCELLANEOUS:g} of the thrust, divided by {DYNAMIC_FACTOR:g})"
+        )
+        mean += f"; level 1 allows at most {edge}"
     lines += textwrap.wrap(mean, WIDTH)
     if share > 1.0:
         forces = "--sway-thrust and --yaw-moment" if vessel.thrusters is None else "--thrusters"

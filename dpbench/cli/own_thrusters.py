@@ -286,7 +286,7 @@ class WeakSide:
             winds.append(f"{wind} from {self.from_deg:g}° {self.when}")
         held = "" if self.limit.number else ", not held"
         sea = f"DP number {self.find_number(number)}{held}"
-        return f"weak side, the least wind held: {', '.join(winds)} ({file}, {sea})"
+        return f"weak side (direction of least wind held): {', '.join(winds)} ({file}, {sea})"
 
 
 @dataclass(frozen=True)

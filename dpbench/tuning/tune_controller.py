@@ -248,7 +248,7 @@ class ControllerTuning:
     @property
     def lines(self) -> list[str]:
         """The result of a search for controller weights in words, with what it does not promise."""
-        limit = f"{self.margin:.0%} of the station"
+        limit = f"{self.margin:.0%} of the limits of 5 m and 5°"
         if self.chosen.score.share > self.margin:
             verdict = f"none of {len(self.trials)} controllers stays within {limit}; the nearest"
         else:
@@ -256,10 +256,10 @@ class ControllerTuning:
         held = "within" if self.fresh.share <= self.margin else "NOT within"
         return [
             f"{verdict}: {self.chosen.name}",
-            f"search, {self.seas}: {_describe_score(self.chosen.score)}; own controller "
-            f"{_describe_score(self.trial_of_own_controller.score)}",
-            f"fresh realisations, {held} {limit}: {_describe_score(self.fresh)}; own controller "
-            f"{_describe_score(self.own_fresh)}",
+            f"search in {self.seas}: {_describe_score(self.chosen.score)}; the scenario's "
+            f"controller: {_describe_score(self.trial_of_own_controller.score)}",
+            f"test in other realisations, {held} the margin: {_describe_score(self.fresh)}; the "
+            f"scenario's controller: {_describe_score(self.own_fresh)}",
             *(f"wrote {path}" for path in self.paths),
             "Limits of this result:",
             *NO_PROMISE,
@@ -374,7 +374,7 @@ def tune_controller(
     found = [first, *search.trials]
     chosen = choose_controller(found, margin)
     fresh, own_fresh = (rate(options, other, "fresh: ") for options in (chosen.options, own))
-    seas_text = f"DP {', '.join(map(str, numbers))}" if numbers else "its own weather"
+    seas_text = f"DP {', '.join(map(str, numbers))}" if numbers else "the scenario's weather"
     seas_text += f", {plural(realisations, 'realisation')} each"
     tuning = ControllerTuning(found, chosen, fresh, own_fresh, margin, seas_text, ())
     return _write_tuning(tuning, base, folder, name)

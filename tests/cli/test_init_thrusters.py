@@ -414,7 +414,7 @@ def test_the_sea_comes_from_the_side_of_the_bow_from_which_less_is_held(
     said = " ".join(capsys.readouterr().out.split())
     assert (
         "sea: DP number 5, wind 10.7 m/s; its level-1 mean force takes 28% of the thrust; level 1 "
-        "holds at most 72% (0.9 of the thrust over 1.25)"
+        "allows at most 72% (0.9 of the thrust, divided by 1.25)"
     ) in said
     assert ("wind from 330°: the thrusters hold less from port." in said) == (port > 0)
     for file in FILES[1:3]:

@@ -110,7 +110,7 @@ def test_a_controller_is_found_tried_anew_and_written(
     command = ["tune", "weather", "--seas", "3", *SMALL, "--out", str(tmp_path)]
     assert main(command) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "fresh realisations, within 70% of the station: " in said
+    assert "test in other realisations, within the margin: " in said
     assert all(line in said for line in NO_PROMISE)
     rows = _read_rows(tmp_path)
     (chosen,) = [row for row in rows if row["kind"] == "chosen"]
@@ -156,5 +156,5 @@ def test_a_ship_that_nothing_holds_is_said_to_be_lost(
     command = ["tune", "weather", "--seas", "9", "--margin", "0.001", *SMALL]
     assert main([*command, "--out", str(tmp_path)]) == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert "none of 7 controllers stays within 0% of the station; the nearest" in said
+    assert "none of 7 controllers stays within 0% of the limits of 5 m and 5°; the nearest" in said
     assert (tmp_path / "weather_tuned.toml").exists()

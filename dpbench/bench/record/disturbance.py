@@ -28,9 +28,8 @@ MAX_SWITCHES_PER_S = 10.0
 """Largest rate of switches [1/s]: at it fewer than one in a hundred samples of 1 ms is hit, so a
 p99 is still a solver's; of shorter samples fewer are."""
 QUIET_RULE = (
-    f"at most {100 * MAX_DISTURBED_SHARE:g} % of the rounds still disturbed after a second "
-    "attempt, "
-    f"steal time at most {100 * MAX_STEAL_SHARE:g} % of the replays' time, at most "
+    f"at most {100 * MAX_DISTURBED_SHARE:g} % of the rounds disturbed after a second attempt, at "
+    f"most {100 * MAX_STEAL_SHARE:g} % of the replays' time stolen by the host, at most "
     f"{MAX_SWITCHES_PER_S:g} involuntary context switches a second, no throttling"
 )
 
