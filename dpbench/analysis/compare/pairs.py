@@ -166,7 +166,20 @@ def _describe_run(run: RunRecord) -> str:
 
 def make_problem_key(run: RunRecord) -> tuple[object, ...]:
     """Return what defines a run's problem, for comparison: scenario, origin of QPs, fallbacks."""
-    return run.files, run.source, run.first, run.fallback, run.backup
+    return _omit_descriptions(run.files), run.source, run.first, run.fallback, run.backup
+
+
+def _omit_descriptions(files: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the documents of a scenario without the texts that describe it to a reader."""
+    return {
+        name: {key: value for key, value in document.items() if key not in _DESCRIPTIONS}
+        if isinstance(document, Mapping)
+        else document
+        for name, document in files.items()
+    }
+
+
+_DESCRIPTIONS = ("title", "shows", "source")
 
 
 Change = Literal["worse", "better", "same", "not comparable"]
@@ -273,8 +286,11 @@ def _yield_compared_ranges(
         _compute_accuracy_ranges(one, run, repeated)
         for one, run in zip(steps, (pair.a, pair.b), strict=True)
     )
+    # Counts of a folder without steps are those of all rounds together, repeated ones included.
+    counted_alike = steps[0].empty == steps[1].empty
     for measure in ACCURACY:
-        yield measure, ranges_a[measure.column], ranges_b[measure.column], accurate
+        if counted_alike or measure.column != "failed_steps":
+            yield measure, ranges_a[measure.column], ranges_b[measure.column], accurate
     for measure in CONTROL if pair.a.mode == "closed_loop" else ():
         in_a, in_b = (
             _make_range_of_number(getattr(run, measure.column)) for run in (pair.a, pair.b)
@@ -318,7 +334,9 @@ def _compute_accuracy_ranges(
     """Return each accuracy number's range over a run's repetitions, on steps before `common`."""
     counting = steps[steps["k"] < common]
     if counting.empty:
-        return {m.column: _make_range_of_number(getattr(run, m.column)) for m in ACCURACY}
+        numbers = {m.column: getattr(run, m.column) for m in ACCURACY}
+        numbers["failed_steps"] /= max(run.rounds, 1.0)
+        return {name: _make_range_of_number(number) for name, number in numbers.items()}
     failed, true = mask_failed_steps(counting), counting["true"].where(mask_decided_steps(counting))
     rounds = counting.assign(failed=failed.astype(float), true=true.astype(float)).groupby("repeat")
     by_round = {

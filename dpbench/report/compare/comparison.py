@@ -401,8 +401,10 @@ def _compare_times(
     wording = []
     bare = [name for name, view in zip("AB", views, strict=True) if not view.has_steps]
     if bare and timings:
+        uncounted = ", failed steps are not" if len(bare) == 1 else ""
         wording.append(
             f"no steps.parquet in {join_with_and(bare)}: medians of step times are compared"
+            f"{uncounted}"
         )
     if not solver:
         unjudged = explain_unjudged_sequences(*views, timings)

@@ -4,6 +4,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pandas as pd
 import pytest
 
 from dpbench import InputError, compare
-from dpbench.analysis.compare.pairs import Pair
+from dpbench.analysis.compare.pairs import Pair, make_problem_key
 from dpbench.analysis.records.run_record import build_run_records
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
@@ -427,14 +428,34 @@ def test_between_machines_solvers_differ_more_than_between_runs(make: Make) -> N
 
 @pytest.mark.slow
 def test_a_folder_without_steps_is_compared_by_its_medians(make: Make, tmp_path: Path) -> None:
-    a = make("a", seed=1, algo_p50_ns=2e4)
-    b = make("b", seed=2, algo_p50_ns=3e4)
+    """Its count of failed steps is that of all rounds together, so it is not compared."""
+    a = make("a", seed=1, algo_p50_ns=2e4, failed_steps=12)
+    b = make("b", seed=2, algo_p50_ns=3e4, failed_steps=12)
     (b / "steps.parquet").unlink()
     found = compare(a, b)
-    assert "no steps.parquet in B: medians of step times are compared" in found.lines
+    remark = "no steps.parquet in B: medians of step times are compared, failed steps are not"
+    assert remark in found.lines
+    for one in (found, compare(b, a)):
+        assert "failed_steps" not in {figure.measure.column for figure in one.figures}
     assert found.times["raw"].to_numpy() == pytest.approx(1.5)
     page = write_comparison(tmp_path / "compare.html", found).read_text(encoding="utf-8")
     assert "Both runs" in page
+
+
+def test_a_description_of_a_scenario_is_not_its_problem() -> None:
+    """Other words for a reader leave the runs comparable; another number does not."""
+    vessel = {"title": "Ship", "mass": [1.0]}
+    scenario = {"shows": "No weather.", "sample_s": 0.3}
+    files = {"name": "calm", "scenario": scenario, "vessel": vessel}
+    run = SimpleNamespace(files=files, source="", first=0, fallback="", backup="")
+    reworded = {"name": "calm", "scenario": {"shows": "Calm water.", "sample_s": 0.3}}
+    reworded["vessel"] = vessel | {"title": "The ship"}
+    changed = files | {"scenario": scenario | {"sample_s": 0.5}}
+    key, same, other = (
+        make_problem_key(SimpleNamespace(**vars(run) | {"files": one}))  # type: ignore[arg-type] # a row's part that is read
+        for one in (files, reworded, changed)
+    )
+    assert key == same != other
 
 
 @pytest.mark.parametrize("option", ["--margin 0", "--margin nan", "--alpha 0.7", "--alpha much"])
