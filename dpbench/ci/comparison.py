@@ -60,7 +60,7 @@ MEANINGS = {
     WORSE: "an exact measure grew",
     GONE: "a benchmark of the base is missing or skipped",
     DISTURBED: "times not judged, other load disturbed the machine",
-    NO_KERNEL: "times not judged, too few other solvers",
+    NO_KERNEL: "times not judged, too few other solvers and no fixture dpbench_reference_kernel",
     NOT_VERIFIED: "a smaller time, but not every answer is verified",
     NEW: "the base has no such benchmark",
     NO_BASELINE: "the base has no benchmark, nothing compared",
