@@ -13,7 +13,7 @@ from dpbench.report.formats import MISSING, plural
 SEQUENCES_ARE = """
 Each sequence has QPs of the reference loop of the scenario in its name, at the
 horizons N_p-N_c. Every optimum is certified. n: variables; m: rows; K: QPs;
-active: share of all limits; samples: stored samples of the loop."""
+active: share of active limits; samples: stored samples of the loop."""
 
 
 def list_table(kind: str) -> RenderableType:

@@ -59,7 +59,7 @@ def _add_suite_options(run: Command) -> None:
     sequence = "replay recorded QPs instead of a suite: name, file or folder (.npz, .json, .mat)"
     _option(choice, "--sequence", "SEQUENCE", sequence)
     solver = (
-        "run only this solver, such as osqp; 'osqp[rho=[0.1,1]]' makes a configuration of each "
+        "run only this solver, such as osqp; 'osqp[rho=[0.1,1]]' makes a configuration for each "
         "value"
     )
     _repeated(choice, "--solver", "SOLVER", solver, dest="solvers")
@@ -161,7 +161,7 @@ def add_report_options(report: Command) -> None:
 
 def add_compare_options(compare: Command) -> None:
     """Add the options of `dpbench compare` to its parser."""
-    folders = "two result folders, A and B; with --solver one, with --releases two or more"
+    folders = "two result folders, A and B; one with --solver; two or more with --releases"
     compare.add_argument("folders", metavar="DIR", nargs="+", help=folders)
     chosen = "compare configurations in one folder, such as osqp or 'osqp[rho=1.6]'; repeatable"
     _option(compare, "--solver", "SOLVER", chosen, action="append", default=[], dest="choices")

@@ -130,7 +130,7 @@ class ShardRecord:
             allowed = "a folder written by `dpbench cells`"
             if not folder.exists():
                 raise InputError(str(folder), "", "no such folder", allowed)
-            raise InputError("gather", "", f"{folder} without a shard", allowed)
+            raise InputError("gather", "", f"no shard in {folder}", allowed)
         read = check_document_as_type(read_json(path), _ShardFile, path)
         return cls(**{name: getattr(read, name) for name in _ShardFile.model_fields})
 
