@@ -147,12 +147,7 @@ def _make_claims_document(topic: Topic, results: Results) -> str:
 
 def _list_contradicted(judged: Sequence[Claim]) -> list[str]:
     """Return the claims that the runs contradict or do not cover, at most `MOST_NAMED`."""
-    states = {"opposite": "contradicted"}
-    named = [
-        f"{states.get(claim.state, claim.state)}: “{claim.claim}”"
-        for claim in judged
-        if claim.state != "reproduced"
-    ]
+    named = [f"{claim.state}: “{claim.claim}”" for claim in judged if claim.state != "reproduced"]
     rest = len(named) - MOST_NAMED
     unnamed = [f"and {plural(rest, 'other')}: see claims.md"] if rest > 0 else []
     return [strip_markdown(line) for line in named[:MOST_NAMED]] + unnamed

@@ -35,7 +35,7 @@ def test_each_row_is_what_both_laws_do(
     if abs(found[0] - found[1]) < SMALLEST_DIFFERENCE * found[0]:
         assert claim == "not reproduced"
     else:
-        assert claim == ("reproduced" if found[0] < found[1] else "opposite")
+        assert claim == ("reproduced" if found[0] < found[1] else "contradicted")
 
 
 def test_the_table_is_complete() -> None:

@@ -129,7 +129,7 @@ def _serialise_scenario(scenario: Scenario) -> str:
     return json.dumps(documents, sort_keys=True)
 
 
-State = Literal["reproduced", "not reproduced", "opposite", "not measured"]
+State = Literal["reproduced", "not reproduced", "contradicted", "not measured"]
 
 STEADY_M = 0.05
 """A steady radial error below this counts as nearly stationary."""
@@ -197,7 +197,7 @@ def _judge_claim(by: str, run: RunRecord, law: RunRecord | None = None) -> State
     constrained, clipped = getattr(run, column), getattr(law, column)
     if constrained < (1.0 - margin) * clipped:
         return "reproduced"
-    return "opposite" if clipped < (1.0 - margin) * constrained else "not reproduced"
+    return "contradicted" if clipped < (1.0 - margin) * constrained else "not reproduced"
 
 
 def find_circle_entry_s(records: Records, run: RunRecord) -> float:

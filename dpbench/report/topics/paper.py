@@ -34,6 +34,7 @@ DRAWN = (
     ("increments", draw_increments, "Fig. 7: force increments and their rate limits."),
 )
 """Figures 4 to 7: name, function, caption."""
+STILL_OFFSET = f"sway offset held, {STILL} [m]"
 WEATHER_OFFSET = f"in the weather of {WEATHER} [m]"
 
 
@@ -44,7 +45,7 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
     measured = [claim for claim in judged if claim.state != "not measured"]
     if scenario is None or not laws or not measured:
         return None
-    others = {"Not reproduced": "not reproduced", "Contradicted by the measurement": "opposite"}
+    others = {"Not reproduced": "not reproduced", "Contradicted by the measurement": "contradicted"}
     wording = [describe_count_reproduced(judged)]
     for word, state in others.items():
         names = [strip_markdown(claim.claim) for claim in measured if claim.state == state]
@@ -93,7 +94,7 @@ def _make_stability_table(designs: Designs) -> Table:
         (
             "controller",
             "largest |λ| (eq. 35)",
-            f"sway offset held, {STILL} [m]",
+            STILL_OFFSET,
             WEATHER_OFFSET,
         ),
         tuple(
@@ -106,10 +107,13 @@ def _make_stability_table(designs: Designs) -> Table:
         ),
         "Stability of the controller",
         "A controller is stable if |λ| < 1. A name such as 30/5 gives the prediction and control "
-        "horizons. Each range extends from the largest initial offset that the controller held to "
-        "the smallest that it did not.",
+        "horizons. Each range extends from the largest initial sway offset from which the ship "
+        "returned to the smallest from which it did not.",
         folded=True,
-        labels={WEATHER_OFFSET: f"sway offset held, in the weather of scenario {WEATHER} [m]"},
+        labels={
+            STILL_OFFSET: f"recoverable sway offset, {STILL} [m]",
+            WEATHER_OFFSET: f"recoverable sway offset, weather of scenario {WEATHER} [m]",
+        },
     )
 
 

@@ -44,8 +44,8 @@ def test_claims_of_the_paper_case(records: Any) -> None:
     failed = [claim for claim, state in states.items() if state != "reproduced"]
     assert all(claim.replace("`", "") in topic.lines[0] for claim in failed)
     assert failed == [
-        "Its steady error is smaller (tuning of `paper`)",
-        "Its precision is better in heading too (Fig. 5)",
+        "The constrained law has a smaller steady error (`paper` tuning)",
+        "The constrained law has a smaller heading error (Fig. 5)",
     ]
 
 
@@ -54,14 +54,14 @@ def test_claims_of_the_paper_case(records: Any) -> None:
     ("column", "value", "claim"),
     [
         ("overshoot_e", 0.9, "The constrained law is smoother in the transient: less overshoot"),
-        ("settle_0p1m_s", 40.0, "It settles earlier (Fig. 5)"),
+        ("settle_0p1m_s", 40.0, "The constrained law settles earlier (Fig. 5)"),
     ],
 )
 def test_contradicting_rows_are_believed(
     records: Any, column: str, value: float, claim: str
 ) -> None:
     _pair(records, **{column: value})
-    assert _states(records)[claim] == "opposite"
+    assert _states(records)[claim] == "contradicted"
     topic = build_paper_topic(records.view())
     assert topic is not None and "Contradicted by the measurement: the claim" in topic.lines[0]
     assert f"“{claim}”" in topic.lines[0].split("Contradicted by the measurement: ")[1]
@@ -73,7 +73,7 @@ def test_contradicting_rows_are_believed(
         ({"limit_violations": 1}, "No limit is ever violated (Figs 6, 7)"),
         ({"at_rate_sway": 0.0}, "The rate limits shape the transfer (Fig. 7)"),
         ({"tail_m": 1.2}, "The ship is held within the 1 m precision circle (Fig. 4)"),
-        ({"tail_m": 0.06}, "It is nearly stationary there (steady error below 5 cm)"),
+        ({"tail_m": 0.06}, "The ship is nearly stationary in the circle (steady error below 5 cm)"),
     ],
 )
 def test_claims_on_a_law_follow_its_row(records: Any, columns: dict[str, Any], claim: str) -> None:
@@ -135,9 +135,11 @@ def test_the_words_of_the_paper_are_beside_the_results(records: Any) -> None:
     assert table.heads == ("claim", "paper states", "measured here", "state")
     stated = {row[0]: row[1] for row in table.rows}
     assert all(stated.values())
-    five_cm = stated["It is nearly stationary there (steady error below 5 cm)"]
+    five_cm = stated["The ship is nearly stationary in the circle (steady error below 5 cm)"]
     assert "no number" in five_cm and "5 cm is set by dpbench" in five_cm
-    assert "nothing in the text" in stated["Its precision is better in heading too (Fig. 5)"]
+    assert (
+        "nothing in the text" in stated["The constrained law has a smaller heading error (Fig. 5)"]
+    )
     assert "depends on the assumed D, Q and R" in table.note
 
 
