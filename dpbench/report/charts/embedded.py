@@ -21,6 +21,12 @@ def draw_instructions(table: pd.DataFrame) -> Any:
     hues = [style.PALETTE[i % len(style.PALETTE)] for i in range(len(groups))]
     titles = {"group": "sequence and core", "k": "index of the worst step"}
     numbers = (("p50", "median"), ("p99", "p99"), ("worst", "worst step"))
+    tips = [
+        style.tooltip("label:N", "solver"),
+        style.tooltip("group:N", titles["group"]),
+        *(alt.Tooltip(f"{name}:Q", title=title, format=",.0f") for name, title in numbers),
+        style.tooltip("k:N", titles["k"]),
+    ]
     base = alt.Chart(table).encode(
         x=alt.X(
             "p50:Q",
@@ -30,17 +36,16 @@ def draw_instructions(table: pd.DataFrame) -> Any:
         ),
         y=alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_name_axis()),
         color=style.colour("group", groups, hues, columns=1, labelLimit=320),
-        tooltip=[
-            style.tooltip("label:N", "solver"),
-            style.tooltip("group:N", titles["group"]),
-            *(alt.Tooltip(f"{name}:Q", title=title, format=",.0f") for name, title in numbers),
-            style.tooltip("k:N", titles["k"]),
-        ],
+        tooltip=tips,
     )
     parts = (
-        base.mark_rule(strokeWidth=2).encode(x2=alt.X2("worst:Q")).add_params(style.narrow_flag()),
-        base.mark_rule(strokeWidth=9, strokeCap="butt").encode(x2=alt.X2("p99:Q")),
-        base.mark_point(filled=True, size=70, opacity=1, stroke=style.PAPER),
+        base.mark_rule(strokeWidth=2, aria=False)
+        .encode(x2=alt.X2("worst:Q"))
+        .add_params(style.narrow_flag()),
+        base.mark_rule(strokeWidth=9, strokeCap="butt", aria=False).encode(x2=alt.X2("p99:Q")),
+        style.describe_marks(base, tips).mark_point(
+            filled=True, size=70, opacity=1, stroke=style.PAPER
+        ),
     )
     return style.set_style(
         alt.layer(*parts, width=560, height=alt.Step(style.ROW_STEP["wide"])),

@@ -10,6 +10,7 @@ import pandas as pd
 
 from dpbench.analysis.verdict.requirements import STATES
 from dpbench.report.charts import style
+from dpbench.report.formats import format_rounded_down
 
 MARKS = ("✓", "≈", "?", "▸", "✕", "–")
 MOST_ACROSS = 30
@@ -80,14 +81,15 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         "labelExpr": f"{signs}[datum.label] + ' ' + datum.label",
     }
     legend |= {"columns": 2} if stacked else {}
-    tiles = base.mark_rect(strokeWidth=1.5, stroke=style.PAPER).encode(
+    tiles = style.describe_marks(base, tips).mark_rect(strokeWidth=1.5, stroke=style.PAPER)
+    tiles = tiles.encode(
         color=style.colour("verdict", STATES, style.FILLS, title="verdict", **legend)
     )
     # Above all tiles, or those beside it would cover half of its frame.
     frame: dict[str, Any] = {"filled": False, "strokeWidth": 3, "aria": False}
     chosen = base.transform_filter(pick).mark_rect(stroke=style.ACCENT, **frame)
     signed = base.transform_calculate(sign=f"{signs}[datum.verdict]", ink=f"{inks}[datum.verdict]")
-    text = signed.mark_text(fontSize=12, fontWeight=600)
+    text = signed.mark_text(fontSize=12, fontWeight=600, aria=False)
     text = text.encode(text=alt.Text("sign:N"), color=alt.Color("ink:N", scale=None))
     size: dict[str, Any] = {"width": alt.Step(TILE), "height": alt.Step(15 if tall else 22)}
     placed = alt.layer(tiles.add_params(pick), text, chosen, data=table, **size)
@@ -147,6 +149,7 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
         "family", families, families.values(), columns=_LEGEND_COLUMNS, symbolOpacity=1.0
     )
     decades = alt.Axis(format=".0e")
+    tips = style.tooltips("solver:N", "settings:N", "route:N", "policy:N", *_FIGURES)
     apart = style.log_scale(padding=12)  # room for the name of a point in the corner
     base = (
         alt.Chart(table)
@@ -162,10 +165,10 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
             ),
             color=colour,
             detail=alt.Detail("solver:N"),
-            tooltip=style.tooltips("solver:N", "settings:N", "route:N", "policy:N", *_FIGURES),
+            tooltip=tips,
         )
     )
-    lines = base.mark_line(strokeWidth=1, opacity=0.45).add_params(
+    lines = base.mark_line(strokeWidth=1, opacity=0.45, aria=False).add_params(
         percentile, style.narrow_flag(), pick
     )
     short = json.dumps(shorten_settings(table["settings"].unique().tolist()))
@@ -175,13 +178,17 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
         symbolOpacity=1.0,
         labelExpr=f"{short}[datum.label]",
     )
-    dots = base.mark_point(filled=True, strokeWidth=1.5).encode(
-        stroke=alt.Stroke(
-            "family:N", scale=style.names_scale(families, families.values()), legend=None
-        ),
-        fillOpacity=alt.FillOpacity("full:Q", scale=None, legend=None),
-        shape=alt.Shape("settings:N", title=None, legend=filled),
-        size=style.value_if(pick, 190, 70),
+    dots = (
+        style.describe_marks(base, tips)
+        .mark_point(filled=True, strokeWidth=1.5)
+        .encode(
+            stroke=alt.Stroke(
+                "family:N", scale=style.names_scale(families, families.values()), legend=None
+            ),
+            fillOpacity=alt.FillOpacity("full:Q", scale=None, legend=None),
+            shape=alt.Shape("settings:N", title=None, legend=filled),
+            size=style.value_if(pick, 190, 70),
+        )
     )
     named = (
         base.transform_window(rank="row_number()", groupby=["solver"], sort=[{"field": "shown"}])
@@ -189,9 +196,11 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
         .properties(name=style.NAMES)
     )
     if with_names:
-        named = named.mark_text(align="left", dx=8, dy=-6).encode(text=alt.Text("solver:N"))
+        named = named.mark_text(align="left", dx=8, dy=-6, aria=False).encode(
+            text=alt.Text("solver:N")
+        )
     else:
-        named = named.mark_point(filled=True, opacity=0, size=110)
+        named = named.mark_point(filled=True, opacity=0, size=110, aria=False)
     return style.set_style(
         alt.layer(
             lines,
@@ -257,7 +266,8 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
 def _scale_rows(table: pd.DataFrame) -> alt.Chart:
     """Return the base of the deadline chart: a row per solver, times scaled by the slowdown."""
     good = " || ".join(f"datum.verdict == '{s}'" for s in ("pass", "borderline", "inconclusive"))
-    scaled = alt.Chart(table).transform_calculate(
+    allowed = [format_rounded_down(margin) for margin in table["margin"]]
+    scaled = alt.Chart(table.assign(allowed=allowed)).transform_calculate(
         a="datum.p50_ms * slow",
         c="isValid(datum.p99_ms) ? datum.p99_ms * slow : datum.p50_ms * slow",
         m="datum.max_ms * slow",
@@ -269,7 +279,6 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
         timing="format(datum.longest_ms, '.3~g') + (slow > 1 ? ', as measured' : '')",
         replayed=_FIGURE.format("replay_p99_ms"),
         single=_FIGURE.format("raw_p99_ms"),
-        allowed=_FIGURE.format("margin"),
     )
     times = (("a", "p50"), ("c", "worst p99"), ("m", "longest step"))
     tips = [
@@ -307,9 +316,10 @@ def _draw_click_areas(base: alt.Chart) -> Iterator[Any]:
     """Yield layers of the deadline chart: in each row an area to click, a mark if chosen."""
     pick = style.pick_selection("id")
     factor = alt.param(name="slow", value=1.0)
-    clicked = style.draw_whole_rows(base, alt.Undefined, opacity=0.0)
+    clicked = style.draw_whole_rows(base, alt.Undefined, opacity=0.0, aria=False)
     yield clicked.add_params(factor, style.narrow_flag(), pick)
-    yield style.draw_whole_rows(base, style.value_if(pick, 0.25, 0.0), color=style.ACCENT)
+    chosen = style.value_if(pick, 0.25, 0.0)
+    yield style.draw_whole_rows(base, chosen, color=style.ACCENT, aria=False)
 
 
 def _draw_time_bars(base: alt.Chart, x: alt.X) -> Iterator[Any]:
@@ -317,20 +327,21 @@ def _draw_time_bars(base: alt.Chart, x: alt.X) -> Iterator[Any]:
     columns = alt.ExprRef("width < 200 ? 2 : narrow || width < 400 ? 3 : 5")
     looks: dict[str, Any] = {"columns": columns, "offset": 40}  # below what is said of the limits
     colour = style.colour("now", STATES, style.STATE_COLOURS, title="verdict", **looks)
-    yield base.mark_rule(strokeWidth=9, color=style.LINE).encode(
+    yield base.mark_rule(strokeWidth=9, color=style.LINE, aria=False).encode(
         x=alt.X("left:Q"), x2=alt.X2("called:Q"), opacity=alt.value(0.7)
     )
     yield (
         base.transform_filter("datum.longest_ms > datum.m")
-        .mark_rule(strokeWidth=1, color=style.SOFT, strokeDash=[2, 2])
+        .mark_rule(strokeWidth=1, color=style.SOFT, strokeDash=[2, 2], aria=False)
         .encode(x=alt.X("m:Q"), x2=alt.X2("longest_ms:Q"))
     )
-    yield base.mark_rule(strokeWidth=2).encode(x=x, x2=alt.X2("m:Q"), color=colour)
-    yield base.mark_rule(strokeWidth=9, strokeCap="butt").encode(
+    yield base.mark_rule(strokeWidth=2, aria=False).encode(x=x, x2=alt.X2("m:Q"), color=colour)
+    yield base.mark_rule(strokeWidth=9, strokeCap="butt", aria=False).encode(
         x=x, x2=alt.X2("c:Q"), color=colour
     )
     shape = alt.Shape("now:N", scale=style.names_scale(STATES, style.STATE_SHAPES))
-    yield base.mark_point(filled=True, size=70, opacity=1).encode(x=x, color=colour, shape=shape)
+    said = style.describe_marks(base, base.encoding.tooltip)
+    yield said.mark_point(filled=True, size=70, opacity=1).encode(x=x, color=colour, shape=shape)
 
 
 def _draw_limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
@@ -344,7 +355,7 @@ def _draw_limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
         # On paper there is room for the first word alone.
         said = f"width < {ROOM} ? '{name}' : '{text}'"
         chart = alt.Chart(pd.DataFrame({name: [at_ms]})).transform_calculate(text=said)
-        yield chart.mark_rule(color=colour, strokeWidth=thick).encode(x=f"{name}:Q")
+        yield chart.mark_rule(color=colour, strokeWidth=thick, aria=False).encode(x=f"{name}:Q")
         # Left of its line; the deadline's, to keep off that, right of it, or below where it is near
         # the end of the axis.
         right, near = name == "deadline", f"scale('x', {at_ms}) + 110 > width"
@@ -355,6 +366,7 @@ def _draw_limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
         yield chart.mark_text(dy=4, color=colour, **aside, **words).encode(
             x=f"{name}:Q", y=alt.value("height"), text=alt.Text("text:N")
         )
-    whiskers = style.inline_chart({}).mark_text(align="left", dy=20, color=style.SOFT, **words)
+    looks: dict[str, Any] = {"align": "left", "dy": 20, "color": style.SOFT, "aria": False}
+    whiskers = style.inline_chart({}).mark_text(**looks, **words)
     place: dict[str, Any] = {"x": alt.value(0), "y": alt.value("height")}
     yield whiskers.encode(**place, text=alt.Text("said:N")).transform_calculate(said=_JITTER)

@@ -1,5 +1,6 @@
 """Style of all figures: colours, shapes, fonts, axes, legends, tooltips."""
 
+import json
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -99,6 +100,20 @@ def tooltips(*entries: Any) -> list[Any]:
     """Return a chart's tooltip of entries and of fields, which are titled by their names."""
     # Altair takes 2 ms for each plain string: it hashes all classes of its schema.
     return [alt.Tooltip(entry) if isinstance(entry, str) else entry for entry in entries]
+
+
+def describe_marks(chart: Any, tips: Sequence[Any]) -> Any:
+    """Return a chart with its tooltip's labels and values as the text that screen readers read."""
+    parts = []
+    for tip in tips:
+        known = tip.to_dict()
+        value = f"datum.{known['field']}"
+        shown = f"format({value}, '{known['format']}')" if "format" in known else value
+        label = known.get("title", known["field"])
+        parts.append(f"{json.dumps(f'{label}: ')} + (isValid({value}) ? {shown} : '–')")
+    return chart.transform_calculate(said=" + '; ' + ".join(parts)).encode(
+        description=alt.Description("said:N")
+    )
 
 
 def value_if(test: Any, yes: object, no: object) -> Any:

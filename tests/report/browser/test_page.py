@@ -85,7 +85,7 @@ def test_a_row_of_the_ladder_is_chosen_by_a_click(selected: Any) -> None:
 def test_a_tile_of_the_matrix_chooses_the_experiment_too(selected: Any) -> None:
     page = selected()
     wanted = page.locator(
-        "#figure-matrix path[aria-label*='solver: highs'][aria-label*='experiment: calm']"
+        "#figure-matrix path[aria-label*='solver: highs'][aria-label*='scenario or replay: calm']"
     )
     click_middle(page, wanted.first)
     page.wait_for_function("location.hash.includes('s=highs')")
