@@ -328,7 +328,7 @@ def test_a_ship_on_station_has_no_banner_anywhere(tmp_path: Path, capsys: Any) -
             "With exactly solved QPs, the controller holds the ship on station (5 m, 5°)" in surface
         )
         assert "No limit is ever active, so no QP is hard." in surface
-    opening = kept.page.split("Details of the answer")[0]
+    opening = kept.page.split("<summary>Details")[0]
     assert "No limit is ever active, so no QP is hard." in opening, "visible before the folded part"
     ships = load_results(kept.out).ships()
     assert list(ships["ship"]) == ["on station"]

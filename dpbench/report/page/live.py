@@ -56,10 +56,13 @@ def _draw_verdict_grids(data: PageData) -> Charts:
 MATRIX = (
     "Each cell shows the verdict on a configuration (solver, call mode, settings) in one scenario "
     "or replay. Fail: at least one step has an inaccurate answer or none. Late: accurate, but too "
-    "slow. Borderline: a time differs from its limit by less than timing rounds differ. "
-    "Inconclusive: part of the run was not judged, or waits for the processor core may be the "
-    "reason that a time exceeds its limit. The verdict on a closed loop includes the timing of its "
-    "hardest steps, in a window."
+    "slow."
+)
+FURTHER = (
+    "Borderline: a time is above or below its limit by less than the timing rounds differ. "
+    "Inconclusive: part of the run was not judged, or a time exceeds its limit, perhaps only "
+    "because of waits for the processor core. The verdict on a closed loop includes the timing of "
+    "its window of hardest steps."
 )
 
 
@@ -69,22 +72,34 @@ def _explain_verdict_grid(data: PageData) -> str:
     tables = tiles, select_tiles(tiles)
     there, drawn = (table["experiment"].nunique() if len(table) else 0 for table in tables)
     wording = [MATRIX]
-    unscaled = [str(p) for p in data.judged_experiment_indices if data.experiments[p].units == "si"]
-    if unscaled:
+    if unscaled := _list_unscaled_experiments(data):
         ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["verdict"].ne("not run")]
         requested = ran[ran["settings"] == "default"]
         failing = requested.loc[requested["verdict"] == "fail", "solver"].nunique()
         of = f"{failing} of {plural(requested['solver'].nunique(), 'solver')}"
         verb = "fails" if requested["solver"].nunique() == 1 else "fail"
-        fail = f" {of} {verb} in N and N·m: scale the QP." if failing else ""
-        wording.append(f"Runs in SI units (N, N·m) do not count in the overall verdict.{fail}")
-    if notation := explain_range_of_steps(run.sequence for run in data.runs.values()):
-        wording.append(notation)
+        wording += [f"{of} {verb} in SI units (N, N·m): scale the QP."] if failing else []
     if there != drawn:
         most = (
             f"The figure shows the {drawn} of {there} scenarios and replays with the fewest passes"
         )
         wording.append(f"{most}; `tables/experiments.csv` contains all.")
+    return " ".join(wording)
+
+
+def _list_unscaled_experiments(data: PageData) -> list[str]:
+    """Return the numbers of the judged scenarios and replays in SI units, as in tables of tiles."""
+    judged = data.judged_experiment_indices
+    return [str(p) for p in judged if data.experiments[p].units == "si"]
+
+
+def _explain_further_verdicts(data: PageData) -> str:
+    """Return a text on less frequent verdicts, runs in SI units and the names of replays."""
+    wording = [FURTHER]
+    if _list_unscaled_experiments(data):
+        wording.append("Runs in SI units (N, N·m) do not count towards the overall verdict.")
+    if notation := explain_range_of_steps(run.sequence for run in data.runs.values()):
+        wording.append(notation)
     return " ".join(wording)
 
 
@@ -159,8 +174,15 @@ def _pack_counts(data: PageData, _: Results) -> dict[str, Any]:
 
 
 SECTIONS = (
-    Section("answer", "Answer", _draw_deadline_charts, ("ladder",), always=True),
-    Section("matrix", "Scenarios", _draw_verdict_grids, ("matrix",), text=_explain_verdict_grid),
+    Section("answer", "Summary", _draw_deadline_charts, ("ladder",), always=True),
+    Section(
+        "matrix",
+        "Scenarios",
+        _draw_verdict_grids,
+        ("matrix",),
+        text=_explain_verdict_grid,
+        folded_text=_explain_further_verdicts,
+    ),
     Section("one", "One solver", _draw_empty_step_charts, live=True),
     Section("two", "Two solvers", _draw_empty_pair_chart, data=_pack_half_widths, live=True),
     Section("accuracy", "Accuracy", _draw_accuracy, ("accuracy",)),
@@ -174,7 +196,7 @@ SECTIONS = (
     ),
     Section(
         "embedded",
-        "Ship's computer",
+        "Embedded cores",
         _draw_counts,
         ("embedded",),
         data=_pack_counts,

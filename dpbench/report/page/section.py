@@ -16,6 +16,7 @@ class Section:
     charts : its figures by name; without any it is left out, unless it is shown `always`.
     drawn : those on the page before any script has run; live : filled by its script alone.
     data : further data of its script, by name; in_topic : part of the topic of the same id.
+    text : shown; folded_text : shown after a click.
     """
 
     id: str
@@ -24,6 +25,7 @@ class Section:
     drawn: tuple[str, ...] = ()
     data: Callable[[PageData, Results], dict[str, Any]] = lambda *_: {}
     text: Callable[[PageData], str] = lambda _: ""
+    folded_text: Callable[[PageData], str] = lambda _: ""
     always: bool = False
     live: bool = False
     in_topic: bool = False

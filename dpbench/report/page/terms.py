@@ -17,7 +17,8 @@ _OWN_PHRASES = (
     "active limits, certified optimum, claimed, closed loop, deadline, requirements, "
     "disturbed, reference loop, failed step, fallback, fresh, interval, jitter, "
     "native, paired ratio, qpsolvers, radial error, rate limit, maximum increment, "
-    "referee, region of attraction, replay, reuse, round, settings, warm, call mode, window"
+    "on station, referee, region of attraction, replay, reuse, round, settings, warm, call mode, "
+    "window"
 )
 PHRASES = {
     **{name: name for name in _OWN_PHRASES.split(", ")},
@@ -160,7 +161,8 @@ def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -
         parts.append(_describe_replay(data, run))
     if experiment.units == "si":
         parts.append(
-            "Here in SI units (N, N·m), unscaled; these runs do not count in the overall verdict."
+            "Here in SI units (N, N·m), unscaled; these runs do not count towards the overall "
+            "verdict."
         )
     if experiment.slowdown > 0:
         parts.append(

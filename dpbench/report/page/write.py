@@ -204,7 +204,7 @@ _STATES = ("var(--good)", "var(--near)", "var(--warn)", "var(--late)", "var(--ba
 _HUES = [hue for hue in style.FAMILY_COLOURS.values() if hue not in style.STATE_COLOURS]
 FILES = {
     "runs.parquet": "one row per run",
-    "steps.parquet": "one row per step; published copies may omit it, as a new run restores it",
+    "steps.parquet": "one row per step; published copies may omit it, as a new run writes it again",
     "embedded.parquet": "one row per step of a solver's C code on an embedded core",
     "capability.parquet": "one row per QP at the edge of the capability plot",
     "machine.json": "description of the machine, with versions",
@@ -271,6 +271,7 @@ def make_page_html(
         sections=[*above, *(topic for topic in topics if topic is not lead), last],
         parts={section.id: section for section in shown if section.in_topic},
         texts={section.id: section.text(data) for section in shown},
+        folded_texts={section.id: section.folded_text(data) for section in shown},
         answer=recommendation,
         figures={
             name: render_figure_markup(chart)

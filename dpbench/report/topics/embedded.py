@@ -19,7 +19,7 @@ from dpbench.report.page.section import Topic
 WORST = "The maximum holds for these steps only."
 TABLE = "Instructions per step, memory and error"
 LABELS = {
-    "k": "worst step",
+    "k": "index of worst step",
     "worst": "maximum",
     "active": "active limits",
     "code": "code [bytes]",
@@ -28,7 +28,7 @@ LABELS = {
     "desk p99": "p99 on this machine",
     "desk rank": "rank on this machine",
 }
-TITLE = "Ship's computer"
+TITLE = "Embedded cores"
 
 
 def build_embedded_topic(results: EmbeddedResults, requirements: Requirements) -> Topic | None:

@@ -37,9 +37,10 @@ UNSEEN = "not visible"
 LEAST_CONFIGURATIONS = 4
 """Configurations with two rounds from which their spread is stated."""
 COVERED = (
-    "Not covered: {} other than these, measured times on an embedded target, and steps harder than "
-    "those that were run."
+    "Not covered: other {}; times measured on an embedded core; and steps harder than those that "
+    "were run."
 )
+COMPARED = "To compare machines, run the suite on each of them."
 
 
 def _describe_round_spread(records: Records, disturbance: Disturbance) -> list[str]:
@@ -67,7 +68,7 @@ def _describe_round_spread(records: Records, disturbance: Disturbance) -> list[s
     beyond = " and the ratio exceeds the spread of their rounds" if disturbed else ""
     return [
         "Within this run, two solvers differ in step time only if the 95 % interval of their ratio "
-        f"excludes 1{beyond}. {spread} To compare machines, run the suite on each of them."
+        f"excludes 1{beyond}. {spread}"
     ]
 
 
@@ -102,10 +103,11 @@ def _describe_machine_load(disturbance: Disturbance, machine: Mapping[str, Any])
     neither = "reports neither" if len(hidden) > 1 else "does not report"
     unseen = f" The machine {neither} {' nor '.join(hidden)}."
     unwatched = unseen if hidden else ""
+    remaining = format_count(disturbance.disturbed) if disturbance.disturbed else "none"
     return (
         "The machine was quiet according to the operating system's counters: "
         f"{format_count(disturbance.rerun)} of {rounds} were disturbed and repeated, and "
-        f"{format_count(disturbance.disturbed)} remained disturbed.{unwatched}"
+        f"{remaining} remained disturbed.{unwatched}"
     )
 
 
@@ -140,5 +142,5 @@ def build_trust_topic(records: Records) -> Topic | None:
         short="Measurement",
         lines=(*lines, COVERED.format(f"{others} and tunings")),
         figures=tuple(figures),
-        tables=(Table(("machine", ""), tuple(data), "Machine", folded=True),),
+        tables=(Table(("machine", ""), tuple(data), "Machine", COMPARED, folded=True),),
     )

@@ -10,7 +10,7 @@ from dpbench.analysis.verdict.requirements import Cause, Doubt, Gap, Near, Requi
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.page import data as page_data
 from dpbench.report.page.data import PageData, convert_to_json_number, select_tiles
-from dpbench.report.page.live import _explain_verdict_grid
+from dpbench.report.page.live import _explain_further_verdicts, _explain_verdict_grid
 from dpbench.report.page.terms import describe_experiments
 from dpbench.report.report import Report
 from dpbench.report.verdict_text import shorten_findings
@@ -66,7 +66,7 @@ def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None
     assert output["rough"] == f"{start} capability number 6 to 7 (DNV-ST-0111)."
     assert output["rough (in N and N·m)"].startswith(start)
     assert output["rough (in N and N·m)"].endswith(
-        "these runs do not count in the overall verdict."
+        "these runs do not count towards the overall verdict."
     )
     window = "Replay of steps 900 to 1399 of its reference loop; limits are active in 0 %"
     assert window in output["rough[900:1400] (replay)"]
@@ -107,12 +107,12 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
     )
     monkeypatch.undo()
     records.loop("daqp", units="si")
-    assert _explain_verdict_grid(_facts(records)).endswith(
-        "Runs in SI units (N, N·m) do not count in the overall verdict."
-    )
+    towards = "Runs in SI units (N, N·m) do not count towards the overall verdict."
+    assert towards in _explain_further_verdicts(_facts(records))
+    assert "N·m" not in _explain_verdict_grid(_facts(records))
     records.loop("osqp", units="si", error=0.5)
     assert _explain_verdict_grid(_facts(records)).endswith(
-        " 1 of 2 solvers fail in N and N·m: scale the QP."
+        " 1 of 2 solvers fail in SI units (N, N·m): scale the QP."
     )
 
 

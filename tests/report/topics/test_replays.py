@@ -96,7 +96,7 @@ def test_what_the_machine_hides_is_said(records: Any) -> None:
     records.replay("daqp", replay_s=9.0, rerun_rounds=2, involuntary_switches=0, steal_s=0.0)
     topic = build_trust_topic(records.view())
     (quiet,) = (line for line in topic.lines if line.startswith("The machine was quiet"))
-    assert "2 of 3 rounds were disturbed and repeated, and 0 remained disturbed." in quiet
+    assert "2 of 3 rounds were disturbed and repeated, and none remained disturbed." in quiet
     assert quiet.endswith("The machine reports neither its frequency governor nor throttling.")
 
 

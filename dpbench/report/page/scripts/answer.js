@@ -11,8 +11,9 @@ function kept() {
   const { deadline_ms, p99_ms } = facts.requirements, margin = C().margin[state.c];
   if (deadline_ms === null) return "Lateness is not judged, as no deadline is known.";
   const counted = facts.counts?.some((row) => row.solver === C().solver[state.c]);
-  const own = margin === null || counted ? "" : `\`${C().solver[state.c]}\` ${
-    margin < state.slow ? "is late beyond" : "is in time up to"} × ${roundedDown(margin)}. `;
+  const own = margin === null || counted ? "" : `\`${C().solver[state.c]}\` ${margin < 1
+    ? `is late on this machine (speed margin × ${roundedDown(margin)})`
+    : `is ${margin < state.slow ? "late beyond" : "in time up to"} × ${roundedDown(margin)}`}. `;
   const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
   const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");
   if (!right.length) return own;

@@ -55,7 +55,7 @@ function drawTable() {
   });
   $("table-head").replaceChildren(head);
   $("table-body").replaceChildren(...body);
-  $("table-said").textContent = `rows ${rows.length ? from + 1 : 0} to ${Math.min(from + ROWS, rows.length)} of ${rows.length}${
+  $("table-said").textContent = `${rows.length ? `rows ${from + 1} to ${Math.min(from + ROWS, rows.length)} of ${rows.length}` : "no row matches"}${
     $("table-of").value === "all" ? "" : `; ${table.rows} in total`}`;
   turnable($("table-back"), from > 0, $("table-next"));
   turnable($("table-next"), from + ROWS < rows.length, $("table-back"));
@@ -78,7 +78,7 @@ function scaled(value, column) {
 // The rows behind the p99 that the page names; of what was not timed, those of the chosen experiment.
 function drawQuery() {
   const p = C().timed_experiment_index?.[state.c] ?? state.p, run = cell(state.c, p);
-  $("data-query").parentElement.hidden = !run;
+  $("data-query").closest("details").hidden = !run;
   $("data-query").textContent = !run ? ""
     : `steps = pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${run.id}")])`
       + `  # ${label(state.c)} in ${facts.experiments[p].label}`

@@ -117,7 +117,7 @@ function steerable(name) {
   const host = $(`figure-${name}`);
   host.tabIndex = 0;
   host.setAttribute("role", "application");
-  host.setAttribute("aria-label", `${facts.charts[name].description} Arrow keys choose, Enter opens.`);
+  host.setAttribute("aria-label", `${facts.charts[name].description} Use the arrow keys to select and Enter to open.`);
   host.addEventListener("keydown", (event) => {
     const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
     if (event.key === "Enter") go("one");

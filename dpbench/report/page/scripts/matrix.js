@@ -21,8 +21,8 @@ function drawSelected() {
   link.href = "#one";
   link.textContent = "All steps";
   link.addEventListener("click", (event) => { event.preventDefault(); go("one"); });
-  $("matrix-said").replaceChildren(...coded(run ? resultOf(run, marked(state.c))
-    : `${marked(state.c)} was not run in \`${facts.experiments[state.p].label}\`.`), " ", link);
+  $("matrix-said").replaceChildren(...coded(!run ? `${marked(state.c)} was not run in \`${facts.experiments[state.p].label}\`.`
+    : `${verdictOf(run, marked(state.c))}${wrongOf(run) && `: ${wrongOf(run)}`}.`), " ", link);
 }
 
 async function drawMatrix() {

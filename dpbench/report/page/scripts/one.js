@@ -69,22 +69,33 @@ function over(run) {
 
 // How many steps are inaccurate, failed, or falsely reported as solved; "" where none is.
 function wrongOf(run) {
-  const answers = run.answers === run.steps ? "" : ` (of ${run.answers} answers)`;
-  return [[over(run), "inaccurate"], [run.failed, "failed"], [run.untrue, `falsely reported as solved${answers}`]]
-    .filter(([count]) => count !== 0 && count !== "–").map(([count, what]) => `${figure(count)} ${what}`).join(", ");
+  // Of a replay the failures are those of all rounds.
+  const once = run.answers === run.steps, were = (count) => (count === 1 ? "was" : "were");
+  const found = [[over(run), "step", (count) => `${were(count)} inaccurate`], [run.failed, once ? "step" : "answer", () => "failed"],
+    [run.untrue, once ? "step" : "answer", (count) => `${were(count)} falsely reported as solved${once ? "" : ` (of ${run.answers})`}`]]
+    .filter(([count]) => count !== 0 && count !== "–")
+    .map(([count, word, what], i) => `${i ? figure(count) : many(count, word)} ${what(count)}`);
+  return found.length < 2 ? found.join("") : `${found.slice(0, -1).join(", ")} and ${found.at(-1)}`;
+}
+
+// The verdict on the selected configuration in the selected scenario or replay; of a study where it ran.
+function verdictOf(run, name) {
+  const experiment = facts.experiments[state.p];
+  const verdict = { pass: "passes", borderline: "is borderline", late: "is late", fail: "fails" }[run.verdict] ?? "is inconclusive";
+  return `${experiment.study ? "In" : `${name} ${verdict} in`} \`${experiment.label}\``;
 }
 
 // The result of the selected configuration in the selected scenario or replay.
-function resultOf(run, name = `\`${C().solver[state.c]}\``) {
-  const experiment = facts.experiments[state.p];
-  const verdict = { pass: "passes", borderline: "is borderline", late: "is late", fail: "fails" }[run.verdict] ?? "is inconclusive";
+function resultOf(run) {
+  const within = run.settle_s === null || run.settle_s === "inf" ? ""
+    : ` and within 1 m and 1° of its reference for at least 30 s from ${run.settle_s === 0 ? "the start" : `${figure(run.settle_s)} s on`}`;
   return [
-    `${experiment.study ? "In" : `${name} ${verdict} in`} \`${experiment.label}\`: it ran ${run.steps} of ${run.planned} steps, `
-    + `with a largest error of the first move of ${figure(run.error)} times the maximum increment; ${wrongOf(run) || "every step is accurate"}.`,
-    run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop`
-      + `${run.settle_s === null || run.settle_s === "inf" ? "." : ` and settled within 1 m and 1° at ${figure(run.settle_s)} s.`}`,
+    `${verdictOf(run, `\`${C().solver[state.c]}\``)}: it ran ${run.steps} of ${run.planned} steps${
+      wrongOf(run) ? `; ${wrongOf(run)}` : ", and all are accurate"}.`,
+    `The largest error of the first move was ${figure(run.error)} times the maximum increment.`,
+    run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop${within}.`,
     run.infeasible > 0 ? `${run.infeasible} of the steps have no feasible solution${run.all_true ? ", which the solver reported correctly" : ""}.` : "",
-    run.why && run.verdict !== "pass" ? `Reason (${run.outcome}): ${run.why}.` : "",
+    run.why && run.verdict !== "pass" ? `${run.outcome === "finished" ? "Messages of the solver" : `Outcome \`${run.outcome}\``}: ${run.why}.` : "",
   ].filter(Boolean).join(" ");
 }
 
@@ -106,15 +117,19 @@ async function drawOne() {
   const judged = C().verdict[state.c] !== "not judged";
   text.replaceChildren(...coded([
     resultOf(run),
-    judged ? `Overall verdict, all judged scenarios and replays: ${C().verdict[state.c]}${C().why[state.c] ? ` (${C().why[state.c]})` : ""}.` : "",
+    judged ? `Overall verdict on all judged scenarios and replays: ${C().verdict[state.c]}${C().why[state.c] ? `, because ${C().why[state.c]}` : ""}.` : "",
     solver.method ? `Method: ${solver.method}.` : "",
   ].filter(Boolean).join(" ")));
   drawHard(run);
   const drawn = run.t !== undefined && run.t !== null;
   $("figure-strips").hidden = $("strips-said").hidden = !drawn;
   $("strips-time").textContent = facts.experiments[state.p].mode === "replay"
-    ? "Dot: fastest counted round; grey line: up to the largest timing. A replay controls no plant."
+    ? "Dot: fastest round that counts; grey line: up to the largest timing. A replay has no plant, so no ship is shown."
     : "Dot: one step, timed once while other work was running. Compare times in replays only.";
+  const thinned = drawn && facts.arrays[run.t][4] !== undefined;
+  $("strips-kept").hidden = !thinned;
+  if (thinned) $("strips-kept").replaceChildren(...coded(
+    `${rowsOf(run).length} of the ${run.steps} steps are shown, including the hardest; \`steps.parquet\` contains all.`));
   if (!drawn) { drawShip(null); return; }
   const view = await figureOf("strips");
   if (view) {
@@ -218,10 +233,11 @@ function drawStep(run) {
   const flags = facts.flags.filter((_, bit) => bit > 1 && said(bit));
   // The packed arrays are rounded; what stands on the buttons is not.
   const exact = run.hard?.[0].find((hard) => hard[0] === k), off = run.hard?.[2].find((hard) => hard[0] === k);
+  const error = off ? off[1] : array(run.e)[j];
   $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}, ${array(run.i)[j] == null ? "iterations not reported" : many(array(run.i)[j], "iteration")}, `
-    + `${many(array(run.a)[j], "active limit")}, error of the first move ${figure(off ? off[1] : array(run.e)[j])}; `
-    + `it ${said(0) ? "reported “solved”" : `did not report “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}; `
-    + `its answer is ${said(1) ? "correct" : "not correct"}${flags.length ? `; ${flags.join(", ")}` : ""}. ${moved(run, k)}`;
+    + `${many(array(run.a)[j], "active limit")}, error of the first move ${figure(error)}${error == null ? "" : " times the maximum increment"}. `
+    + `The solver ${said(0) ? "reported “solved”" : `did not report “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}. `
+    + `Its answer is ${said(1) ? "correct" : "not correct"}.${flags.length ? ` Flags: ${flags.join(", ")}.` : ""} ${moved(run, k)}`;
   const experiment = facts.experiments[run.p];
   // A sea of a study has no file of its own to export from.
   $("step-export").parentElement.hidden = !experiment.source;

@@ -13,12 +13,13 @@ function beside() {
 function drawChosen() {
   const c = state.c, timed = facts.experiments[C().timed_experiment_index[c]]?.label, longest = facts.experiments[C().longest_at[c]]?.label;
   const times = [["p50", "p50"], ["p99", "replay_p99", timed && ` in \`${timed}\``],
-    ["longest step time in all replays", "max", C().max_wait[c]], ["largest timing", "longest", longest && `${C().longest_wait[c]} in \`${longest}\``]]
+    ["longest step", "max", C().max_wait[c]], ["largest timing", "longest", longest && `${C().longest_wait[c]} in \`${longest}\``]]
     .filter(([, column]) => C()[column][c] !== null)
     .map(([name, column, where]) => `, ${name} ${time(C()[column][c])}${where ?? ""}`);
-  const verdict = C().verdict[c] === "not judged" ? "" : `: ${C().verdict[c]}`;
-  $("chosen").replaceChildren(...coded(`${marked(c)}${verdict}${times.join("")}${beside()}`
-    + `; shown in \`${facts.experiments[state.p].label}\`${state.k === null ? "" : `, step ${state.k}`}`));
+  const verdict = C().verdict[c] === "not judged" ? "" : `, overall verdict ${C().verdict[c]}`;
+  const where = `in \`${facts.experiments[state.p].label}\`${state.k === null ? "" : `, step ${state.k}`}`;
+  const about = `${verdict}${times.join("")}${beside()}`.slice(2);
+  $("chosen").replaceChildren(...coded(`${marked(c)} ${where}${about && `: ${about}`}`));
 }
 
 // Draws the eye to what has changed.

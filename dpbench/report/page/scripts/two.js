@@ -86,9 +86,12 @@ function commonSteps(rows) {
   const largest = ofLargest(rows);
   const counts = unique(largest.map((row) => row.sequence))
     .map((name) => `${largest.filter((row) => row.sequence === name).length} steps of \`${name}\``);
-  const size = largest.length < rows.length ? `, the largest QPs (${largest[0].variables} variables)` : "";
-  return `${counts.join(" and ")}${counts.length > 1 ? ", of equal weight" : ""}${size}`;
+  const size = largest.length < rows.length ? ` with the largest QPs (${largest[0].variables} variables)` : "";
+  return `${counts.join(" and ")}${counts.length > 1 ? ", of equal weight," : ""}${size}`;
 }
+
+// The packed times hold two digits of a ratio: 1 is written as 1.0.
+const twoDigits = (x) => (x >= 0.995 && x < 9.95 ? x.toFixed(1) : figure(x, 2));
 
 async function drawTwo() {
   const others = all().filter((c) => c !== state.c && C().p50[c] !== null)
@@ -103,15 +106,14 @@ async function drawTwo() {
   $("figure-pairs").hidden = false;
   const ratio = Math.max(ratioOf(rows), 1 / ratioOf(rows)), reach = reachOf(state.c, second);
   const [slower, faster] = ratioOf(rows) >= 1 ? [second, state.c] : [state.c, second];
-  // The packed times hold two digits of a ratio.
-  const interval = reach !== null ? `95 % interval ${figure(ratio / reach, 2)} to ${figure(ratio * reach, 2)}`
+  const interval = reach !== null ? `95 % interval ${twoDigits(ratio / reach)} to ${twoDigits(ratio * reach)}`
     : ratio === 1 ? "one run: the settings make no difference" : "too few steps for an interval";
   const text = rows[0].separate
     ? `${marked(state.c)} takes ${time(meanOf(rows, "a"))} per step and ${marked(second)} `
     + `${time(meanOf(rows, "b"))}, ${rows[0].separate}, so there is no ratio: geometric means over `
     + `${commonSteps(rows)}.`
-    : `${marked(slower)} takes ${figure(ratio, 2)} times as long as ${marked(faster)} `
-    + `(${interval}): geometric mean over ${commonSteps(rows)}.`
+    : `${marked(slower)} takes ${twoDigits(ratio)} times as long as ${marked(faster)}: `
+    + `geometric mean over ${commonSteps(rows)}; ${interval}.`
     + `${reach === null ? "" : whyUnranked(rows, ratio / reach)} Below the dashed line `
     + `${unlike(second, state.c)} is faster.`;
   said.replaceChildren(...coded(text));
