@@ -52,8 +52,14 @@ def name_sequence_and_core(sequence: CountedSequence) -> str:
 
 def _mark_sequence_and_core(sequence: CountedSequence) -> str:
     """Return the text "`SEQUENCE` on CORE", the sequence as code, a range of steps in words."""
-    core = name_core_and_precision(sequence.target, single=sequence.single)
+    core = _name_core_with_article(sequence.target, single=sequence.single)
     return f"{describe_range_of_steps(sequence.sequence)} on {core}"
+
+
+def _name_core_with_article(target: str, *, single: bool) -> str:
+    """Return the name of a core and of its code's precision after "a" or "an"."""
+    core = name_core_and_precision(target, single=single)
+    return f"{'an' if core.startswith('x86') else 'a'} {core}"
 
 
 def convert_instructions_to_ns(instructions: int) -> float:
@@ -113,15 +119,15 @@ def list_embedded_cost_sentences(
         return []
     sequence, one = largest
     worst_ns = convert_instructions_to_ns(one.worst)
-    core = name_core_and_precision(sequence.target, single=sequence.single)
+    core = _name_core_with_article(sequence.target, single=sequence.single)
     share = format_sample_share(worst_ns / requirements.deadline_ns)
     of_deadline = f", {share} of the {describe_deadline(requirements)}"
     return [
-        f"On a {core}, it executes at most {format_count(one.worst)} instructions per step "
+        f"On {core}, it executes at most {format_count(one.worst)} instructions per step "
         f"({describe_range_of_steps(sequence.sequence)}), which take {format_time(worst_ns)} at "
-        f"{CLOCK_MHZ:g} MHz and an assumed 1 instruction per cycle"
+        f"an assumed {CYCLES:g} cycle per instruction and {CLOCK_MHZ:g} MHz"
         f"{of_deadline * requirements.judges_step_times}.",
-        f"Its p99 is {format_count(one.p99)} instructions.",
+        f"Its p99 on {core} is {format_count(one.p99)} instructions per step.",
         CAVEAT,
     ]
 
@@ -136,10 +142,10 @@ def describe_cheapest_solver(sequence: CountedSequence, requirements: Requiremen
     following = ""
     if others:
         p99, worst = format_count(others[0].p99), format_count(others[0].worst)
-        following = f" Next is `{others[0].solver}`, with {p99} and {worst}."
+        following = f", followed by `{others[0].solver}` ({p99} and {worst})"
     return (
-        f"`{first.solver}` executes the fewest instructions in {where}: its p99 is "
-        f"{format_count(first.p99)} per step, its maximum {format_count(first.worst)}.{following}"
+        f"`{first.solver}` executes the fewest instructions in {where} (p99 "
+        f"{format_count(first.p99)} per step, maximum {format_count(first.worst)}){following}."
     )
 
 
@@ -171,9 +177,9 @@ def yield_ranking_sentences(
             f"{join_with_and(named)}{more} ({near})."
         )
     if alike:
+        where = "" if len(alike) == len(sequences) else f" in {join_with_and(alike)}"
         yield (
-            f"In {join_with_and(alike)}, instruction counts and times on this machine rank the "
-            f"solvers alike ({near})."
+            f"Instruction counts and times on this machine rank the solvers alike{where} ({near})."
         )
 
 
@@ -184,7 +190,7 @@ def yield_uncounted_sentences(missing: Sequence[UncountedSolver]) -> Iterator[st
         solvers = join_with_and(list(dict.fromkeys(f"`{one['solver']}`" for one in own)))
         where = [
             f"{describe_range_of_steps(one['sequence'])} on "
-            f"{name_core_and_precision(one['target'], single=False)}"
+            f"{_name_core_with_article(one['target'], single=False)}"
             for one in own
         ]
         yield f"Not counted: {solvers} in {join_with_and(list(dict.fromkeys(where)))}: {reason}."

@@ -44,7 +44,7 @@ def test_counts_replace_the_speed_margin(judged: MadeRecords) -> None:
         in found["counted"]
     )
     assert (
-        "take 45.0 ms at 100 MHz and an assumed 1 instruction per cycle, 15 % of the deadline"
+        "take 45.0 ms at an assumed 1 cycle per instruction and 100 MHz, 15 % of the deadline"
         in found["counted"]
     )
     assert "do not bound the worst-case execution time" in found["counted"]
@@ -78,7 +78,9 @@ def test_what_was_not_counted_is_stated_once_a_reason(judged: MadeRecords) -> No
     ]
     report = Report.from_results(judged.results())
     (topic,) = (topic for topic in report.topics if topic.id == "embedded")
-    line = "Not counted: `daqp` and `osqp` in steps 0 to 199 of `paper` on Cortex-M7: no compiler."
+    line = (
+        "Not counted: `daqp` and `osqp` in steps 0 to 199 of `paper` on a Cortex-M7: no compiler."
+    )
     plain = line.replace("`", "")
     assert topic.lines == (line,)
     assert dict(report.summary_rows())["embedded"] == plain
