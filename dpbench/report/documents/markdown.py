@@ -70,8 +70,16 @@ MOST_STUDY_ROWS = 8
 HOW_MADE = "How these results were made"
 """Heading of the last paragraph, which a paper can copy."""
 HEAD = (
-    *("solver", "call mode", "verdict", "p50", "p99", "p99 of single timings", "worst p99"),
-    *("longest step", "slowdown allowed", "largest error", "failed steps"),
+    *(
+        "solver",
+        "call mode, settings",
+        "verdict",
+        "p50",
+        "p99",
+        "p99 of single timings",
+        "worst p99",
+    ),
+    *("longest step", "slowdown allowed", "largest error [maximum increments]", "failed steps"),
 )
 
 CALL_MODES = (
@@ -311,7 +319,7 @@ def truncate_text(text: str, most_bytes: int, elsewhere: str) -> str:
     if len(raw) <= most_bytes:
         return text
     kept = raw[: most_bytes - 60].decode(errors="ignore").rsplit("\n", 1)[0].rstrip()
-    return f"{kept}\n\nThe rest is in `{elsewhere}`.\n"
+    return f"{kept}\n\nThe text is cut here; the rest is in `{elsewhere}`.\n"
 
 
 USUAL = ("osqp", "daqp")

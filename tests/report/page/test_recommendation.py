@@ -91,14 +91,14 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
     for cells, verdict in zip(body, best, strict=True):
         row = dict(zip(head, cells, strict=True))
         assert row["solver"] == verdict.configuration.solver
-        assert row["call mode"] == verdict.configuration.call_text
+        assert row["call mode, settings"] == verdict.configuration.call_text
         assert row["verdict"] == verdict.state
         assert row["p99"] == format_time(verdict.replay_p99_ns)
         interval = format_p99_interval(verdict.p99_interval)
         assert row["worst p99"] == format_time(verdict.p99_ns) + interval
         assert row["p99 of single timings"] == format_time(verdict.raw_p99_ns)
         assert row["longest step"] == format_time(verdict.algo_max_ns)
-        assert row["largest error"] == format_error(verdict.error_move)
+        assert row["largest error [maximum increments]"] == format_error(verdict.error_move)
         assert row["failed steps"] == str(verdict.failed_steps)
 
 
@@ -158,7 +158,7 @@ def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
         records.loop(f"somebody_elses_solver_{i:03d}")
     text = make_report_markdown(Report.from_results(records.results()))
     assert len(text.encode()) <= MOST_BYTES
-    assert "The rest is in `report.html`.\n\n## How these results were made\n" in text
+    assert "; the rest is in `report.html`.\n\n## How these results were made\n" in text
     assert all(line.endswith("|") for line in text.splitlines() if line.startswith("|"))
 
 
