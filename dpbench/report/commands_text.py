@@ -60,8 +60,8 @@ def describe_how_results_were_made(
     ]
     steps = sum(int(run.steps_done) for run in runs)
     refused = sum(run.outcome == "refused" for run in runs)
-    notes = [f"{plural(refused, 'refused run')} included"] if refused else []
-    notes += ["calibration runs not included"] if records.calibration else []
+    notes = [f"including {plural(refused, 'refused run')}"] if refused else []
+    notes += ["excluding calibration runs"] if records.calibration else []
     note = f" ({', '.join(notes)})" if notes else ""
     numpy = machine.get("versions", {}).get("numpy", "")
     computer = (

@@ -53,7 +53,7 @@ def describe_own_settings(verdicts: Verdicts) -> list[str]:
 
 
 def describe_own_settings_in_si(data: PageData) -> list[str]:
-    """Return a line on custom settings that fail in SI units, which do not count in verdicts."""
+    """Return a line on custom settings that fail in SI units; these runs enter no verdict."""
     unscaled = [p for p in data.judged_experiment_indices if data.experiments[p].units == "si"]
     own = [c for c, configuration in enumerate(data.configurations) if configuration.options]
     states = {c: {data.get_state_in_experiment(c, p) for p in unscaled} - {"not run"} for c in own}
@@ -63,8 +63,8 @@ def describe_own_settings_in_si(data: PageData) -> list[str]:
         return []
     return [
         f"In SI units (N, N·m) {len(failing)} of {len(ran)} custom settings "
-        f"{'fails' if len(ran) == 1 else 'fail'}: scale the QP. These runs do not count in the "
-        "verdicts."
+        f"{'fails' if len(ran) == 1 else 'fail'}: scale the QP. These runs do not count "
+        "towards the verdicts."
     ]
 
 

@@ -75,9 +75,9 @@ def _describe_time_limits(requirements: Requirements) -> str:
         return "and no limit on step time, as no deadline is known"
     share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
     return (
-        "a p99 of the step time (for each step, the fastest round) of at most "
-        f"{requirements.p99_ms:g} ms ({share} % of the deadline); and every step within the "
-        f"deadline of {requirements.deadline_ms:g} ms"
+        f"a p99 step time of at most {requirements.p99_ms:g} ms ({share} % of the deadline), "
+        "counting the fastest round of each step; and every step within the deadline of "
+        f"{requirements.deadline_ms:g} ms"
     )
 
 
@@ -233,7 +233,7 @@ def describe_deployment(solver: str) -> str:
         return "Its licence and language are unknown."
     project = known.project
     return (
-        f"Licence: {project.licence.value}. Language: {project.language.value}. C code: "
+        f"Licence: {project.licence.value}. Language: {project.language.value}. Embeddable C code: "
         f"{project.c_code.value}."
     )
 
@@ -262,11 +262,12 @@ def format_usual_time(verdict: Verdict) -> str:
         return f"p50 {format_time(verdict.p50_ns)} in the replay of `{verdict.timed_on}`"
     searched = verdict.p99_run.steps_searched_for_hardest
     name = "largest" if 0 < searched < LEAST_STRETCH else "p99"
-    time, note = format_time(verdict.p99_ns), describe_p99_interval(verdict)
+    time = format_time(verdict.p99_ns)
     if searched:
-        steps = f"{plural(searched, 'step')} of `{verdict.p99_run.scenario}`"
-        return f"{name} {time} over {steps}{note}{_describe_p99_bound(verdict)}"
-    return f"{name} {time}{note} in {name_experiment(verdict.p99_run)}"
+        steps = f"the {plural(searched, 'step')} of `{verdict.p99_run.scenario}`"
+        few = ", of which only the hardest were timed (no interval)" * (name == "p99")
+        return f"{name} {time} over {steps}{few}{_describe_p99_bound(verdict)}"
+    return f"{name} {time}{describe_p99_interval(verdict)} in {name_experiment(verdict.p99_run)}"
 
 
 def _describe_p99_bound(verdict: Verdict) -> str:
@@ -275,7 +276,7 @@ def _describe_p99_bound(verdict: Verdict) -> str:
     if run is None or not verdict.p99_bound_ns > verdict.p99_ns:
         return ""
     time = format_time(verdict.p99_bound_ns)
-    return f"; {time} if scaled up to the iterations of the closed loop of `{run.scenario}`"
+    return f", or {time} if scaled up to the iterations of the closed loop of `{run.scenario}`"
 
 
 def describe_p99_interval(verdict: Verdict) -> str:
@@ -328,7 +329,8 @@ def describe_paired_times(
     ratios = [_describe_time_ratio(one, end) for one, end in zip(shown, ends, strict=True)]
     ratios += [f"{plural(more, 'more size')} in the table `paired_ratios`"] * (more > 0)
     left_out = ". Windows of hardest steps are left out of this comparison" * (in_windows > 0)
-    return "; ".join(ratios) + left_out
+    joint = ", and " if than and not more else "; "
+    return joint.join(ratios) + left_out
 
 
 def _describe_time_ratio(compared: PairedComparison, end: str) -> str:

@@ -447,7 +447,7 @@ def format_python_call(c: Configuration) -> str:
         return call
     options = resolve_settings_with_fixed_options(c.solver_settings, c.solver)
     keys = ", ".join(f"{key}={value!r}" for key, value in options.items())
-    call = f"{call}\n# that is, {keys or 'the defaults of the library'}"
+    call = f"{call}\n# settings: {keys or 'the defaults of the library'}"
     own = format_library_call(c.solver, c.route, c.policy, c.solver_settings)
     return f"{call}\n\n# Without dpbench:\n{own}" if own else call
 

@@ -17,8 +17,7 @@ LICENCE = "Apache-2.0", "dpbench, pyproject.toml"
 PAPER_ACTIVE_SET = SolverRecord(
     name="paper_active_set",
     family="active set",
-    method="active-set method that works on the multipliers (paper eq. 30-32), with "
-    "Goldfarb-Idnani pivoting",
+    method="dual active set (paper eq. 30-32), with Goldfarb-Idnani pivoting",
     distribution="",
     module="",
     extra="own",
@@ -32,10 +31,10 @@ PAPER_ACTIVE_SET = SolverRecord(
     project=make_project_facts(
         licence=LICENCE,
         language=(
-            "C99, without external libraries, part of dpbench itself",
+            "C99, without external libraries",
             "dpbench, solvers/own/active_set.h",
         ),
-        c_code=("yes, it is written in C", "dpbench, solvers/own/active_set.h"),
+        c_code=("yes, the solver itself", "dpbench, solvers/own/active_set.h"),
         allocation_free=("yes, the caller gives all memory", "dpbench, solvers/own/active_set.h"),
         single_precision=("yes, ACTIVE_SET_FLOAT", "dpbench, solvers/own/active_set.h"),
     ),

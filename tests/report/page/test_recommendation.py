@@ -131,9 +131,10 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
     [
         (
             450,
-            "p99 {} over 450 steps of `paper` (no interval: only the hardest steps were timed)",
+            "p99 {} over the 450 steps of `paper`, of which only the hardest were timed (no "
+            "interval)",
         ),
-        (60, "largest {} over 60 steps of `paper`"),
+        (60, "largest {} over the 60 steps of `paper`"),
     ],
 )
 def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int, time: str) -> None:
@@ -487,8 +488,8 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     assert notes["next"].startswith("Next: `scs` (qpsolvers fresh), p99 ")
     assert records.ending()["next"].startswith("scs (qpsolvers fresh), p99 ")
     assert notes["deployment"] == (
-        "Licence: MIT. Language: C, without external libraries. C code: yes, it writes its "
-        "workspace as C."
+        "Licence: MIT. Language: C, without external libraries. Embeddable C code: yes, it writes "
+        "its workspace as C."
     )
 
 
