@@ -340,4 +340,4 @@ def _describe_bracket(bracket: Bracket, scale: float) -> str:
     fails = f"{float(format_rounded_up(scale * bracket.fails_m)):g}"
     if bracket.holds_m == 0.0:
         return f"calm water: does not return from {fails} m sideways"
-    return f"calm water: returns from {holds} m sideways, but not from {fails} m"
+    return f"calm water: returns from {holds} m sideways, not {fails} m"
