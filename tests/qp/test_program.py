@@ -93,7 +93,9 @@ def test_rows_and_limits_may_be_left_out() -> None:
 def test_what_is_no_dense_array_is_a_type_error(P: Any) -> None:
     with pytest.raises(TypeError, match=r"^QuadraticProgram: P: found a \w+; allowed: a dense"):
         replace(program(0), P=P)
-    with pytest.raises(TypeError, match=r"^qp: found a tuple; allowed: a QuadraticProgram"):
+    with pytest.raises(
+        TypeError, match=r"^qp: found an object of type tuple; allowed: a QuadraticProgram"
+    ):
         certify((P,))  # type: ignore[arg-type] # the mistake that is tested
 
 
