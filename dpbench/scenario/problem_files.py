@@ -47,7 +47,7 @@ _ALLOWED = {
     "bool_type": "true or false",
     "list_type": "an array",
 }
-"""What is allowed, by the type of a fault that Pydantic finds; of other types its own words."""
+"""Allowed values by the type of a fault of Pydantic; other types keep its own words."""
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
