@@ -239,7 +239,7 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     assert before == {path: path.stat().st_mtime_ns for path in Path("mine").rglob("*")}
     command = ["run", "tiny.toml", "--dry-run", "--fresh", "--solver", "daqp", "--out", "mine"]
     assert main(command) == 0
-    assert capsys.readouterr().out.startswith("42 cells to run: ")
+    assert capsys.readouterr().out.startswith("42 cells to run; ")
     runs, found = load_results("mine").runs, read_measured_rates(Path("mine"))
     # 40 loops of 12 steps; the replays take 2 rounds of 20 and 3 steps to warm up.
     assert len(found.steps_s) == 3

@@ -169,7 +169,7 @@ def test_a_solver_that_is_not_installed_is_named(
         (
             "[windage]\nfrontal_m2 = 344.0\nlateral_m2 = 830.0\n",
             "",
-            "windage together with capability",
+            "allowed: [capability] only with [windage]",
         ),
         (
             "thrust_kN = 420.0",

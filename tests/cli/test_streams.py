@@ -51,7 +51,7 @@ def test_a_terminal_of_ascii_shows_the_same_numbers() -> None:
 def test_a_full_disk_is_one_line() -> None:
     done = _shell("dpbench check paper-30-5 > /dev/full")
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
-    assert "No space left on device" in done.stderr
+    assert "no space left on device" in done.stderr
 
 
 def test_python_without_docstrings_is_refused_in_one_line() -> None:

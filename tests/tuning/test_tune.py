@@ -435,7 +435,7 @@ def test_settings_are_found_measured_and_written(
     assert main([*command, "--dry-run"]) == 0
     forecast = " ".join(capsys.readouterr().out.split())
     assert "2 batches, 2 of them finished" in forecast
-    assert "about 0 s on this machine, by finished batches" in forecast
+    assert "about 0 s on this machine, estimated from finished batches" in forecast
     # The same command goes on where it ended: nothing is run again.
     before = {path: path.stat().st_mtime_ns for path in Path("out").rglob("runs.parquet")}
     assert main(command) == 0

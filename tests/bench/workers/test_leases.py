@@ -117,7 +117,7 @@ def test_a_wait_ends_where_it_was_asked_to(
     named = f"process {other.pid} (results/other, since 20"
     lines = [line for line in err.splitlines() if "compiling" not in line]
     assert out == "" and len(lines) == 1 + len(seconds) and all(named in line for line in lines)
-    assert "this machine: found in use by" in lines[-1]
+    assert "this machine: in use by" in lines[-1]
 
 
 def test_nobody_waits_without_timing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
