@@ -141,19 +141,18 @@ class ObservedPlant:
             if member not in dir(self._plant) and not hasattr(self._plant, member):
                 sentence = f"{member} is missing; a plant has state, step(u) and measure()"
                 raise PlantError(self.name, sentence)
-        self._shape, self._samples, self._input = (size,), 0, np.zeros(0)
+        self._shape, self._samples = (size,), 0
         self.state = self._checked("state", self._plant.state)
 
     def step(self, u: Vector) -> None:
         """Advance the plant by one sample; PlantError for a state that is not finite."""
-        self._input = u.copy()
         try:
             self._call(self._plant.step, u.copy())
-        except Exception as error:
-            error.add_note(f"{self.name}: {self._describe_last_step()}")
+        except Exception as error:  # whatever the plant raises; it is raised again with a note
+            error.add_note(f"{self.name}: step(u) of sample {self._samples}, u = {u}")
             raise
+        self.state = self._checked("state", self._plant.state, u)
         self._samples += 1
-        self.state = self._checked("state", self._plant.state)
 
     def measure(self) -> Vector:
         """Return a copy of the measurement; PlantError for a wrong shape or NaN."""
@@ -174,27 +173,22 @@ class ObservedPlant:
             observe(False)
         return result
 
-    def _checked(self, what: str, values: object) -> Vector:
-        """Return a copy of an array of the plant; PlantError for another shape or NaN."""
+    def _checked(self, what: str, values: object, u: Vector | None = None) -> Vector:
+        """Return a copy of an array of the plant; PlantError for another shape or NaN.
+
+        u : the input of the step that it follows; None for a measurement or the first state.
+        """
         array = np.array(values, dtype=np.float64)
-        if array.shape != self._shape:
-            found = f"{what} has shape {array.shape}, not {self._shape}"
-            raise PlantError(self.name, found + self._describe_call_before())
         # A fifth of the time of numpy.isfinite; squares beyond 1e308 are no state of a plant.
-        if not math.isfinite(array.dot(array)):
-            found = f"{what} is not finite: {array}"
-            raise PlantError(self.name, found + self._describe_call_before())
-        return array
-
-    def _describe_last_step(self) -> str:
-        """Return the sample and the input of the latest call of `step`."""
-        return f"step(u) of sample {self._samples}, u = {self._input}"
-
-    def _describe_call_before(self) -> str:
-        """Return the latest finished call of `step` as the end of a sentence; "" at the start."""
-        if not self._samples:
-            return ""
-        return f", after step(u) of sample {self._samples - 1}, u = {self._input}"
+        if array.shape == self._shape and math.isfinite(array.dot(array)):
+            return array
+        fault = f"has shape {array.shape}, not {self._shape}"
+        if array.shape == self._shape:
+            fault = f"is not finite: {array}"
+        where = f", in sample {self._samples}" if self._samples else ""
+        if u is not None:
+            where = f", after step(u) of sample {self._samples}, u = {u}"
+        raise PlantError(self.name, f"{what} {fault}{where}")
 
 
 def build_steered_system(
