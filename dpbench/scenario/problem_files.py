@@ -3,6 +3,7 @@
 import os
 import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, TypedDict, TypeVar
 
@@ -33,6 +34,8 @@ OLD_NAMES = {("suites", "ladder"): "levels"}
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_DEPTH}}}")
 _PACKAGE = Path(__file__).resolve().parents[1]
+_PROSE = ("title", "shows", "source")
+"""Entries of a problem file that nothing is computed from."""
 _ALLOWED = {
     "greater_than": "above {gt:g}",
     "greater_than_equal": "{ge:g} or more",
@@ -160,6 +163,17 @@ def make_unknown_problem_name_error(kind: str, text: str, otherwise: str) -> Unk
     allowed = format_allowed_names(text, list_shipped_problem_names(kind), listing=listing)
     shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
     return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
+
+
+def omit_prose(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the entries of a problem file that something is computed from.
+
+    Examples
+    --------
+    >>> omit_prose({"title": "Calm", "shows": "No weather.", "sample_s": 0.3})
+    {'sample_s': 0.3}
+    """
+    return {key: value for key, value in document.items() if key not in _PROSE}
 
 
 def read_toml_as_dict(path: Path) -> dict[str, Any]:

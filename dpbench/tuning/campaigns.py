@@ -40,6 +40,7 @@ from dpbench.scenario.problem_files import (
     SEQUENCES,
     is_shipped_sequence_name,
     list_shipped_problem_names,
+    omit_prose,
     resolve_sequence_path,
 )
 from dpbench.scenario.scenario import load_scenario
@@ -138,8 +139,7 @@ def _make_loop_key(documents: dict[str, Any]) -> str:
         return ""
     controller = scenario.get("controller", {})
     own = {key: value for key, value in controller.items() if key not in _HORIZONS}
-    unnamed = {k: v for k, v in scenario.items() if k not in ("title", "shows")}
-    return json.dumps([unnamed | {"controller": own}, vessel], sort_keys=True)
+    return json.dumps([omit_prose(scenario) | {"controller": own}, vessel], sort_keys=True)
 
 
 def _hash_steps(sequence: QPSequence) -> frozenset[bytes]:

@@ -20,6 +20,7 @@ from dpbench.bench.judge.rules import mask_decided_steps, mask_failed_steps
 from dpbench.bench.record.cell import CONFIGURATION_COLUMNS
 from dpbench.errors import ResultsError
 from dpbench.qp.solution import Status
+from dpbench.scenario.problem_files import omit_prose
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
 
 KEY = ("mode", "scenario", "sequence", *CONFIGURATION_COLUMNS, "steps_planned")
@@ -166,20 +167,11 @@ def _describe_run(run: RunRecord) -> str:
 
 def make_problem_key(run: RunRecord) -> tuple[object, ...]:
     """Return what defines a run's problem, for comparison: scenario, origin of QPs, fallbacks."""
-    return _omit_descriptions(run.files), run.source, run.first, run.fallback, run.backup
-
-
-def _omit_descriptions(files: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the documents of a scenario without the texts that describe it to a reader."""
-    return {
-        name: {key: value for key, value in document.items() if key not in _DESCRIPTIONS}
-        if isinstance(document, Mapping)
-        else document
-        for name, document in files.items()
+    files = {
+        name: omit_prose(document) if isinstance(document, Mapping) else document
+        for name, document in run.files.items()
     }
-
-
-_DESCRIPTIONS = ("title", "shows", "source")
+    return files, run.source, run.first, run.fallback, run.backup
 
 
 Change = Literal["worse", "better", "same", "not comparable"]

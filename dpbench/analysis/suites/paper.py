@@ -17,13 +17,12 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.arrays import Floats, Vector
 from dpbench.bench.record.schema import AXIS_FORCES
+from dpbench.scenario.problem_files import omit_prose
 from dpbench.scenario.scenario import Scenario, load_scenario
 
 PAPER = "paper"
 OF_PAPER = (PAPER, "paper_tight")
 """Scenarios that restate the paper's case."""
-PROSE = ("title", "shows", "source")
-"""Entries of a problem file that nothing is computed from."""
 CIRCLE_M = 1.0
 """Radius of the paper's precision circle."""
 
@@ -122,10 +121,7 @@ def _serialise_packaged_scenario(name: str) -> str:
 def _serialise_scenario(scenario: Scenario) -> str:
     """Return a scenario's documents as JSON, without descriptive text."""
     files = scenario.files
-    documents = {
-        key: {name: value for name, value in files[key].items() if name not in PROSE}
-        for key in ("scenario", "vessel")
-    }
+    documents = {"scenario": omit_prose(files["scenario"]), "vessel": omit_prose(files["vessel"])}
     return json.dumps(documents, sort_keys=True)
 
 
