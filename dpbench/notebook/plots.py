@@ -27,8 +27,8 @@ class JudgedRun(Protocol):
         """Solver and way of starting each solve, as a plot's label."""
 
     @property
-    def case_name(self) -> str:
-        """Name of the scenario or sequence that was run."""
+    def case_text(self) -> str:
+        """Mode and name of the scenario or sequence that was run."""
 
     @property
     def steps(self) -> pd.DataFrame:
@@ -271,7 +271,7 @@ def _convert_to_labelled_curves(runs: tuple[JudgedRun, ...]) -> list[Any]:
     from dpbench.analysis.suites.paper import Law
 
     names = [run.label for run in runs]
-    cases = [run.case_name for run in runs]
+    cases = [run.case_text for run in runs]
     names = [
         f"{name} in {case}" if names.count(name) > 1 and len(set(cases)) > 1 else name
         for name, case in zip(names, cases, strict=True)

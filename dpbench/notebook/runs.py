@@ -134,10 +134,10 @@ class Run:
         time, note = self._time_text
         return (
             f"<{'Inaccurate run' if self._is_inaccurate else 'Run'} of {self.label}: "
-            f"{self._sequence_text}, {self._steps_text}, "
+            f"{self.case_text}, {self._steps_text}, "
             f"{format_share(row['true_share'])} verified, "
             f"{f'{unverified} reported solved but not verified, ' if unverified else ''}"
-            f"{self._late_text}"
+            f"{f'{self._late_text}, ' if self._late_text else ''}"
             f"error_move ≤ {format_error(row['error_move_max'])}, p50 {time}{note and f' ({note})'}"
             f"{f'; {self._machine_text}' if self._machine_text else ''}"
             f"{f'; {self._caching_text}' if self.remembers else ''}"
@@ -154,7 +154,7 @@ class Run:
             "answers verified": format_share(row["true_share"]),
             "reported solved but not verified": self._unverified_text or "0",
             "failed steps": format_count(row["failed_steps"]),
-            "late": self._late_text.removesuffix(", "),
+            "late": self._late_text,
             "failures": row["outcome_detail"],
             "largest error of the first move": format_error(row["error_move_max"]),
             f"median step time{note and f', {note}'}": time,
@@ -163,19 +163,20 @@ class Run:
         fields |= {"machine": self._machine_text} if self._machine_text else {}
         fields |= {"times": self._caching_text} if self.remembers else {}
         return make_html_field_table(
-            f"{self.label}: {self._sequence_text}", fields | self._describe_control()
+            f"{self.label}: {self.case_text}", fields | self._describe_control()
         )
 
     @property
-    def case_name(self) -> str:
-        """Name of the scenario or sequence that was run.
+    def case_text(self) -> str:
+        """Mode and name of the scenario or sequence that was run.
 
         Examples
         --------
-        >>> run_closed_loop("paper", "daqp", steps=2).case_name
-        'paper'
+        >>> run_closed_loop("paper", "daqp", steps=2).case_text
+        'closed loop paper'
         """
-        return str(self.summary["scenario"] or self.summary["sequence"])
+        mode = str(self.summary["mode"]).replace("_", " ")
+        return f"{mode} {self.summary['scenario'] or self.summary['sequence']}"
 
     @property
     def _is_closed_loop(self) -> bool:
@@ -198,15 +199,12 @@ class Run:
 
     @property
     def _late_text(self) -> str:
-        """Steps that missed their deadline or ended in a fallback, with a comma; "" for none."""
+        """Steps that missed their deadline, and fallbacks, as text; "" for none."""
         if not self._is_closed_loop:
             return ""
-        missed, fallbacks = (
-            0 if pd.isna(count) else int(count)
-            for count in self.summary[["deadline_misses", "fallbacks"]]
-        )
-        late = f"deadline missed in {plural(missed, 'step')}, " if missed else ""
-        return late + (f"{plural(fallbacks, 'fallback')}, " if fallbacks else "")
+        missed, fallbacks = self.summary[["deadline_misses", "fallbacks"]].fillna(0).astype(int)
+        late = [f"deadline missed in {plural(missed, 'step')}"] if missed else []
+        return ", ".join([*late, plural(fallbacks, "fallback")] if fallbacks else late)
 
     @property
     def _time_text(self) -> tuple[str, str]:
@@ -236,11 +234,6 @@ class Run:
                 "core, which other programs had"
             )
         return "; ".join(parts)
-
-    @property
-    def _sequence_text(self) -> str:
-        """Mode and name of the scenario or sequence of a run, as text."""
-        return f"{str(self.summary['mode']).replace('_', ' ')} {self.case_name}"
 
     @property
     def _steps_text(self) -> str:

@@ -275,8 +275,8 @@ def test_steps_of_several_runs_have_a_line_each(loop: Run, replayed: Run) -> Non
     chart = loop.plot.steps(replayed)
     chart.to_dict()
     times = chart.vconcat[0].data
-    for run, key in ((loop, "scenario"), (replayed, "sequence")):
-        own = times[times["law"] == f"{run.label} in {run.summary[key]}"]
+    for run, mode in ((loop, "closed loop"), (replayed, "replay")):
+        own = times[times["law"] == f"{run.label} in {mode} {run.summary['scenario']}"]
         least = run.steps[run.steps["counts"]].groupby("k")["total_ns"].min()
         np.testing.assert_allclose(own["value"], least / 1e3)
     again = loop.plot.steps(loop).vconcat[0].data
