@@ -333,9 +333,14 @@ def _compare_configurations(arguments: argparse.Namespace) -> None:
     """Compare and print configurations of one folder (`dpbench compare --solver`)."""
     from dpbench.report.compare.chosen import compare_configurations_of_folder
 
-    if len(arguments.folders) != 1 or arguments.html or arguments.reference:
-        found = "several folders, --html or --reference"
-        raise InputError("--solver", "", f"with {found}", "one folder, with --markdown")
+    given = {
+        f"{len(arguments.folders)} folders": len(arguments.folders) != 1,
+        "--html": arguments.html,
+        "--reference": arguments.reference,
+    }
+    if found := [name for name, is_given in given.items() if is_given]:
+        allowed = "one folder, with --markdown"
+        raise InputError("--solver", "", f"with {' and '.join(found)}", allowed)
     chosen = compare_configurations_of_folder(arguments.folders[0], arguments.choices)
     _print_comparison(chosen.markdown(), [chosen.table], chosen.lines, arguments.markdown)
 

@@ -265,7 +265,7 @@ def format_usual_time(verdict: Verdict) -> str:
     time = format_time(verdict.p99_ns)
     if searched:
         steps = f"the {plural(searched, 'step')} of `{verdict.p99_run.scenario}`"
-        few = ", of which only the hardest were timed (no interval)" * (name == "p99")
+        few = ", of which only the hardest were timed (no interval)" if name == "p99" else ""
         return f"{name} {time} over {steps}{few}{_describe_p99_bound(verdict)}"
     return f"{name} {time}{describe_p99_interval(verdict)} in {name_experiment(verdict.p99_run)}"
 

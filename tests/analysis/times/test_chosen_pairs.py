@@ -93,7 +93,7 @@ def test_the_command_prints_ratios_with_verdicts(
     assert times == ["first, geometric mean [µs]", "second, geometric mean [µs]"]
     (row,) = compared.ratios.to_dict("records")
     assert (row["ratio"], row["first_us"]) == (pytest.approx(0.25), pytest.approx(40.0))
-    assert main(["compare", str(out), str(out), *words]) == 2
+    assert main(["compare", str(out), str(out), *words, "--html", "c.html"]) == 2
     assert capsys.readouterr().err.startswith(
-        "dpbench: --solver: found with several folders, --html or --reference"
+        "dpbench: --solver: found with 2 folders and --html; allowed: one folder, with --markdown"
     )
