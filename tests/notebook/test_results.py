@@ -89,7 +89,7 @@ def test_rows_of_a_table_in_latex_can_be_chosen(results: Results) -> None:
     assert results.to_latex(chosen, ["solver"]).count(r"\\") == 1 + len(chosen)
     with pytest.raises(InputError, match=r"found 'dapq'; allowed: daqp"):
         results.to_latex(solvers=["dapq"])
-    with pytest.raises(InputError, match="column: found 'solver'"):
+    with pytest.raises(InputError, match="found 'solver'"):
         results.to_latex("paired_ratios", solvers=["daqp"])
 
 
