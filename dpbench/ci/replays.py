@@ -76,7 +76,7 @@ class ReplayBenchmark:
         self._store_facts(run)
         requirements = Requirements(error_move=error_move, failed_steps=failed_steps)
         _fail_on_wrong_answers(run, requirements)
-        base, given = qps.base.copy(), [qps.step(k) for k in range(len(qps))]
+        base, given = qps.base.for_setup().copy(), [qps.step(k) for k in range(len(qps))]
         with watch_machine(self._benchmark):
             self._benchmark(_make_pass_over_steps(base, given, workspace))
         if not _are_arrays_unchanged(qps, base, given):
@@ -180,7 +180,7 @@ def _are_arrays_unchanged(
     sequence: QPSequence, base: QuadraticProgram, steps: list[QPStep]
 ) -> bool:
     """Return whether a solver has left the arrays as they were that it was given."""
-    fresh = [sequence.base, *(sequence.step(k) for k in range(len(sequence)))]
+    fresh = [sequence.base.for_setup(), *(sequence.step(k) for k in range(len(sequence)))]
     pairs = zip(fresh, [base, *steps], strict=True)
     arrays = ((getattr(a, name), getattr(b, name)) for a, b in pairs for name in ARRAYS)
     return all(a is b or np.array_equal(a, b) for a, b in arrays)

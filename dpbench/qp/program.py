@@ -263,6 +263,19 @@ class QuadraticProgram:
         )
         return changed
 
+    def for_setup(self) -> QuadraticProgram:
+        """Return this QP with q = 0, as solvers are set up before the first state is measured.
+
+        OSQP, SCS and Clarabel scale the cost by the q of their set-up, so that their iterations and
+        the effect of OSQP's ρ depend on it.
+
+        Examples
+        --------
+        >>> QuadraticProgram(np.eye(1), [-3.0]).for_setup().q
+        array([0.])
+        """
+        return self._copy_with_replaced_arrays({"q": np.zeros(self.n)})
+
     def _copy_with_replaced_arrays(self, parts: dict[str, Floats]) -> QuadraticProgram:
         """Return this QP with other arrays, unchecked, as that would count as a solver's time."""
         # A fifth of the time of `copy.copy`, in every step that brings matrices.

@@ -109,12 +109,13 @@ NO_MODEL = "the QPs of a scenario; recorded and random QPs have no model with st
 class BoxFormulation:
     """The condensed formulation of QPs, with box constraints, as the controller makes them.
 
-    New matrices of a step become those of `base`, for later steps without any. The arrays of a step
+    A solver is set up with q = 0, in a replay as in a closed loop, where no state is known yet. New
+    matrices of a step become those of `base`, for later steps without any. The arrays of a step
     that go to the solver are its own.
     """
 
     def __init__(self, base: QuadraticProgram) -> None:
-        self._base = base
+        self._base = base.for_setup()
         self._changed: dict[str, Matrix] = {}
 
     @property

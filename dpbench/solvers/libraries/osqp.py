@@ -57,8 +57,7 @@ RECORD = SolverRecord(
         "native": RouteRecord(
             ("fresh", "reuse", "warm"),
             updates="vectors",
-            keeps="the step size ρ it has adapted, and the scale of the cost it took from q at its "
-            "set-up",
+            keeps="the step size ρ it has adapted, and the scale of the cost from its set-up",
             start="primal and dual",
             two_sided=True,
         ),
@@ -130,7 +129,8 @@ def format_osqp_call(policy: Policy, options: Options) -> str:
         "warm": "# Each step: m.update(q=q, l=l, u=u), m.warm_start(x=x, y=y) with the previous\n"
         "# answer shifted by one control increment, m.solve(raise_error=False)",
     }[policy]
-    return f"import osqp\nm = osqp.OSQP()\nm.setup(P, q, A, l, u, {arguments})\n{step}"
+    cost = "q" if policy == "fresh" else "0 * q"
+    return f"import osqp\nm = osqp.OSQP()\nm.setup(P, {cost}, A, l, u, {arguments})\n{step}"
 
 
 # Without raise_error, osqp 1.1 raises a warning at every solve.

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dpbench import load_scenario, open_workspace, run_closed_loop
+from dpbench import load_scenario, open_workspace, record_sequence, replay, run_closed_loop
 from dpbench.bench.capability.frontier import CapabilityPlot
 from dpbench.bench.judge.control_metrics import (
     compute_axis_limit_metrics,
@@ -347,3 +347,15 @@ def test_a_shorter_exact_loop_is_the_beginning_of_a_longer_one(name: str) -> Non
     for optima, others in ((short.optima, long.optima), (short.allocated, long.allocated)):
         for one, other in zip(optima, others, strict=False):
             assert_same(one, other)
+
+
+def test_the_first_step_of_a_loop_takes_the_iterations_of_its_replay() -> None:
+    """Both set solvers up with q = 0; OSQP scales the cost by the q of its set-up."""
+    scenario = load_scenario("paper").truncate(2)
+    osqp = open_workspace("osqp", route="native", policy="reuse")
+    loop = run_closed_loop(scenario, osqp)
+    replayed = replay(record_sequence(scenario), osqp, repeats=1)
+    first, again = (
+        run.steps.loc[run.steps["k"] == 0, "iterations"].max() for run in (loop, replayed)
+    )
+    assert first == again > 1
