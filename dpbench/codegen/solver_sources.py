@@ -17,7 +17,7 @@ from dpbench.solvers.own import compiling
 from dpbench.solvers.own.library import ActiveSet, Problem, load_own_c_library
 from dpbench.temporary_folders import make_temporary_folder_for_block, process_temporary_folder
 
-OSQP_SETTINGS = {"eps_abs": 1e-6, "eps_rel": 0.0, "rho": 0.03, "max_iter": 20_000}
+OSQP_SETTINGS = {"eps_abs": 1e-6, "eps_rel": 0.0, "rho": 0.25, "max_iter": 20_000}
 OSQP_TOLERANCE = 0.01
 """Largest accepted difference between generated code and loop for OSQP, in maximum increments: the
 code keeps ρ, while OSQP in the loop adapts it."""

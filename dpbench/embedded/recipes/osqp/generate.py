@@ -22,7 +22,7 @@ def write_sources(
     sequence: QPSequence, folder: Path, single: bool, settings: Mapping[str, Any]
 ) -> None:
     """Write OSQP's sources and its workspace for rows, then bounds, to `folder`."""
-    qp = sequence.base
+    qp = sequence.base.for_setup()
     rows = scipy.sparse.csc_matrix(np.vstack([qp.A, np.eye(qp.n)]))
     low, high = (
         np.clip(np.concatenate(pair), -INFINITY, INFINITY)
