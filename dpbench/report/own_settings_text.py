@@ -13,6 +13,7 @@ from dpbench.analysis.verdict.verdict import (
     find_solver_record_or_none,
     group_own_settings,
     list_best_verdict_of_own_settings,
+    list_equally_fast,
     make_sort_key_of_settings,
 )
 from dpbench.report.formats import (
@@ -189,6 +190,15 @@ def _format_options_by_name(verdict: Verdict) -> dict[str, str]:
     return format_each_option_as_toml(decode_options_from_json(verdict.configuration.options))
 
 
+def _describe_equally_fast(best: Verdict, points: Sequence[Verdict]) -> str:
+    """Return in words which other accurate settings are as fast as the best; or ""."""
+    if best.state not in ACCURATE:
+        return ""
+    rivals = [verdict for verdict in points if verdict.state == best.state]
+    others = [_name_own_settings(v) for v in list_equally_fast(best, rivals) if v is not best]
+    return f"; equally fast within the noise: {join_with_and(others)}" if others else ""
+
+
 def _describe_best_of_grid(points: Sequence[Verdict]) -> str:
     """Return a line on the best of a solver's settings, and whether it is at the grid's edge."""
     best = min(points, key=make_sort_key_of_settings)
@@ -210,6 +220,7 @@ def _describe_best_of_grid(points: Sequence[Verdict]) -> str:
         edge += f"; all fail, with similar errors ({similar})"
     elif edges:
         edge += ": widen it"
+    edge += _describe_equally_fast(best, points)
     solver, by = best.configuration.solver, ""
     if best.state not in ACCURATE:
         by = f" by largest error ({format_error(best.error_move)})"

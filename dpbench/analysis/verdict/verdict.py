@@ -393,10 +393,17 @@ def rank_solvers(verdicts: Verdicts) -> list[Verdict]:
 
 def _choose_most_usual_of_fastest(own: Sequence[Verdict]) -> Verdict:
     """Return of a solver's about equally fast configurations the one of most usual settings."""
-    best = own[0]
+    return min(list_equally_fast(own[0], own), key=_make_settings_sort_key)
+
+
+def list_equally_fast(best: Verdict, own: Sequence[Verdict]) -> list[Verdict]:
+    """Return a solver's configurations that are as fast as its `best`, in the same call mode.
+
+    Their times differ by less than `ALIKE`, or their rounds overlap.
+    """
     mode = best.configuration.route, best.configuration.policy
     usual, (fastest, slowest) = (1.0 + ALIKE) * _choose_ranking_time_ns(best), best.rounds_ns
-    alike = [
+    return [
         verdict
         for verdict in own
         if (verdict.configuration.route, verdict.configuration.policy) == mode
@@ -406,7 +413,6 @@ def _choose_most_usual_of_fastest(own: Sequence[Verdict]) -> Verdict:
             or (verdict.rounds_ns[0] <= slowest and fastest <= verdict.rounds_ns[1])
         )
     ]
-    return min(alike, key=_make_settings_sort_key)
 
 
 def _make_settings_sort_key(verdict: Verdict) -> tuple[int, str]:

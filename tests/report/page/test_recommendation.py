@@ -280,6 +280,13 @@ def test_a_grid_whose_best_is_inside_needs_no_wider_one(records: Any) -> None:
     records.replay("osqp", median_us=90.0, **options)
     text = make_report_markdown(Report.from_results(records.results()))
     assert re.search(r"Best of 3 settings of osqp by p99 \([\d.]+ µs\): rho=1.0\.\n", text)
+    options = {"settings": "rho=2.0", "options": json.dumps({"rho": 2.0})}
+    records.loop("osqp", **options)
+    records.replay("osqp", median_us=20.2, **options)
+    text = make_report_markdown(Report.from_results(records.results()))
+    (best,) = re.findall(r"Best of 4 settings .*", text)
+    found = re.search(r"rho=(\S+); equally fast within the noise: osqp\[rho=(\S+)\]\.$", best)
+    assert found is not None and set(found.groups()) == {"1.0", "2.0"}
 
 
 def test_a_grid_that_fails_everywhere_alike_is_not_to_be_widened(records: Any) -> None:
