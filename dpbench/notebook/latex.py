@@ -7,6 +7,8 @@ from numbers import Integral, Real
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
+from dpbench.report.formats import format_rounded_down
+
 _SPECIAL = {sign: f"\\{sign}" for sign in "&%$#_{}"} | {
     "\\": r"\textbackslash{}",
     "~": r"\textasciitilde{}",
@@ -74,8 +76,8 @@ def make_tabular(table: pd.DataFrame) -> str:
     r"""Return a table as a LaTeX `tabular` with the rules of `booktabs`, one line a row.
 
     Numbers have three digits, with trailing zeros, and stand to the right; a column of whole
-    numbers has no decimals. A missing value is an empty cell. Heads are column names with spaces
-    and the unit in brackets.
+    numbers has no decimals. Speed margins are rounded down, as on the page. A missing value is an
+    empty cell. Heads are column names with spaces and the unit in brackets.
 
     Examples
     --------
@@ -92,16 +94,30 @@ def make_tabular(table: pd.DataFrame) -> str:
     align = "".join("r" if _has_only_numbers(table[name]) else "l" for name in table)
     heads = (escape_latex(make_table_head(str(name))) for name in table)
     whole = [_has_only_whole_numbers(table[name]) for name in table]
+    are_margins = [str(name).partition("_")[0] == "margin" for name in table]
     rows = [
         [
-            format_latex_cell(int(value) if is_whole and pd.notna(value) else value)
-            for value, is_whole in zip(row, whole, strict=True)
+            format_latex_cell(
+                int(value)
+                if is_whole and pd.notna(value)
+                else _round_margin_down(value)
+                if is_margin
+                else value
+            )
+            for value, is_whole, is_margin in zip(row, whole, are_margins, strict=True)
         ]
         for row in table.itertuples(index=False, name=None)
     ]
     head, *body = (" & ".join(cells) + r" \\" for cells in (heads, *rows))
     lines = [r"\toprule", head, r"\midrule", *body, r"\bottomrule"]
     return "\n".join((f"\\begin{{tabular}}{{{align}}}", *lines, r"\end{tabular}", ""))
+
+
+def _round_margin_down(value: object) -> object:
+    """Return a speed margin rounded down to the digits of a cell, as on the page."""
+    if not isinstance(value, Real) or not math.isfinite(value):
+        return value
+    return float(format_rounded_down(float(value), _DIGITS).replace("\u202f", ""))
 
 
 def make_table_head(name: str) -> str:

@@ -55,7 +55,7 @@ def describe_how_results_were_made(
     runs = [run for run in (*records.runs, *records.study) if run.solver not in CALIBRATION]
     of_solver = group_by_key(runs, lambda run: run.solver)
     solvers = [
-        " ".join([solver, *dict.fromkeys(run.solver_version for run in own)])
+        (solver, " ".join(dict.fromkeys(run.solver_version for run in own)))
         for solver, own in of_solver.items()
     ]
     steps = sum(int(run.steps_done) for run in runs)
@@ -70,10 +70,11 @@ def describe_how_results_were_made(
     )
     software = ", ".join([machine.get("python", ""), *[f"NumPy {numpy}"] * bool(numpy)])
     return (
-        f"The suite {suite.get('name', '')} was run with {describe_version(suite)}: "
+        f"The suite `{suite.get('name', '')}` was run with {describe_version(suite)}: "
         f"{plural(len(runs), 'run')} with {plural(steps, 'step')}{note}, "
         f"{describe_commands(runs, suite.get('started_utc', ''))}. "
-        f"Solvers: {', '.join(solvers)}. Machine: {computer}; {software}."
+        f"Solvers: {', '.join(f'`{name}` {version}' for name, version in solvers)}. "
+        f"Machine: {computer}; {software}."
     )
 
 
@@ -126,8 +127,8 @@ def describe_turns(records: Records) -> str:
         names = join_with_and([*apart][:MOST_COMMANDS])
         more = f" and {others} more" if others > 0 else ""
         return (
-            f"The solvers were {reason} on {names}{more}: such times make no ratio, and their "
-            "order may come from the machine. Run all solvers in one command, with --fresh."
+            f"The solvers were {reason} on {names}{more}: such times have no ratio, and their "
+            "order may be due to the machine. Run all solvers in one command with --fresh."
         )
     unknown = [run for run in timed if not run.turns and not run.campaign_utc]
     if unknown and len({run.configuration for run in timed}) > 1:

@@ -36,11 +36,11 @@ def describe_wait(time_ns: float, wait_ns: float) -> str:
     """Return words on how much of a time [ns] was a wait for the core; "" below a tenth.
 
     >>> describe_wait(4.5e6, 4.2e6)
-    ' (4.20 ms of it a wait for the core)'
+    ' (including a wait of 4.20 ms for the core)'
     """
     if not wait_ns >= NOTED_WAIT * time_ns:
         return ""
-    return f" ({format_time(wait_ns)} of it a wait for the core)"
+    return f" (including a wait of {format_time(wait_ns)} for the core)"
 
 
 def format_microseconds(nanoseconds: float) -> str:
@@ -132,6 +132,21 @@ def format_seconds(value: float) -> str:
     if math.isnan(value):
         return MISSING
     return "never" if math.isinf(value) else f"{value:.1f} s"
+
+
+def format_estimate_with_bounds(value: float, low: float, high: float) -> tuple[str, str, str]:
+    """Return an estimate and the ends of its interval as text: two digits, more where ends meet it.
+
+    Examples
+    --------
+    >>> format_estimate_with_bounds(0.0312, 0.0308, 0.0345)
+    ('0.0312', '0.0308', '0.0345')
+    """
+    for digits in (2, 3, 4):
+        middle, least, most = (significant(number, digits) for number in (value, low, high))
+        if (middle != least or value == low) and (middle != most or value == high):
+            break
+    return middle, least, most
 
 
 def format_interval(low: float, high: float) -> str:

@@ -28,6 +28,7 @@ from dpbench.report.page.data import PageData
 from dpbench.report.verdict_text import (
     describe_finding,
     describe_kinds_of_reasons,
+    describe_scaled_p99,
     format_usual_time,
 )
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
@@ -90,7 +91,8 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) ->
     return (
         f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
         f"{plural(verdict.failed_steps, 'failed step')}{time}{why}."
-        f"{_describe_tolerances_left(verdict)}{_describe_failing_modes(verdict, modes)}"
+        f"{describe_scaled_p99(verdict)}{_describe_tolerances_left(verdict)}"
+        f"{_describe_failing_modes(verdict, modes)}"
     )
 
 

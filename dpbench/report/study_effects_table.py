@@ -15,7 +15,7 @@ from dpbench.analysis.suites.study_effects import (
     compute_study_effects,
     compute_study_interactions,
 )
-from dpbench.report.formats import MISSING, Table, significant
+from dpbench.report.formats import MISSING, Table, format_estimate_with_bounds
 
 MOST_ROWS = 24
 """The page shows so many rows; `tables/study_effects.csv` has all."""
@@ -26,11 +26,12 @@ _HEADS = {
 _Compute = Callable[[Study], Sequence[Effect]]
 _INTERVALS = (
     "Intervals hold at 95 % for each cell alone and not for all at once: without any effect, 1 in "
-    "20 leaves out zero. The units are the realisations, or the points where each is run once; in "
-    "10 of 10: all have one sign. Skewed: widened: the differences are so skewed that the interval "
-    f"is {MARKED_WIDENING:g} times as wide as Student's or wider; more realisations narrow it. "
+    "20 excludes zero. They are over realisations, or over points if each has one realisation; in "
+    "10 of 10: the effect has the same sign in all of them. Skewed, widened: the differences are "
+    f"so skewed that the interval is at least {MARKED_WIDENING:g} times as wide as Student's; more "
+    "realisations narrow it. "
 )
-WIDENED = " (skewed: widened)"
+WIDENED = " (skewed, widened)"
 """Mark of an interval that skewness widens."""
 _KEYS = ("factor", "levels", "configuration")
 _WHAT = {"raw_p99_ns": "p99 step time", "raw_p50_ns": "median step time"}
@@ -78,11 +79,10 @@ def tabulate_effects(study: Study) -> Table | None:
         "Change from the first value to the second, of runs that differ in nothing else and share "
         "the realisation; a slope is the least-squares change over the range, all points of a "
         f"realisation together. {_INTERVALS}"
-        "Step times are of closed loops, which "
-        "are measured beside each other: take a difference of a few percent from a replay, and one "
-        "that is disturbed or has no interval, which is left out here."
+        "Step times are from closed loops that may have run in parallel. For a difference of a few "
+        "percent, or one that is disturbed or without an interval here, use a replay."
     )
-    title = f"{study.name}: what each factor changes"
+    title = f"{study.name}: effect of each factor"
     return _tabulate(study, compute_study_effects, title, note, "study_effects")
 
 
@@ -90,10 +90,10 @@ def tabulate_interactions(study: Study) -> Table | None:
     """Return a table of how two factors change a result together; None without two factors."""
     note = (
         "How much more the second factor changes the measure at the last level of the first than "
-        "at the first level, in the same realisation; 0: each factor acts as if alone. Of step "
-        f"times the ratio of both ratios, less one. {_INTERVALS}"
+        "at the first level, in the same realisation; 0: each factor acts as if alone. For step "
+        f"times: the ratio of the two ratios, minus 1. {_INTERVALS}"
     )
-    title = f"{study.name}: what two factors change together"
+    title = f"{study.name}: interaction of two factors"
     return _tabulate(study, compute_study_interactions, title, note, "study_interactions")
 
 
@@ -176,9 +176,8 @@ def _format_effect(effect: Effect, units: str) -> str:
     """Return an effect with its interval as text, in its unit, and if all `units` agree."""
     if effect.is_disturbed:
         return "disturbed"
-    value, low, high = (
-        significant(0.0 if abs(n) < 1e-4 else n, 2) for n in convert_effect_and_interval(effect)
-    )
+    numbers = (0.0 if abs(n) < 1e-4 else n for n in convert_effect_and_interval(effect))
+    value, low, high = format_estimate_with_bounds(*numbers)
     if not np.isfinite(effect.mean_difference.mean_interval.low):
         return f"{value} (no interval)"
     if effect.mean_difference.is_constant:

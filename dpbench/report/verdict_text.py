@@ -266,17 +266,18 @@ def format_usual_time(verdict: Verdict) -> str:
     if searched:
         steps = f"the {plural(searched, 'step')} of `{verdict.p99_run.scenario}`"
         few = ", of which only the hardest were timed (no interval)" if name == "p99" else ""
-        return f"{name} {time} over {steps}{few}{_describe_p99_bound(verdict)}"
+        return f"{name} {time} over {steps}{few}"
     return f"{name} {time}{describe_p99_interval(verdict)} in {name_experiment(verdict.p99_run)}"
 
 
-def _describe_p99_bound(verdict: Verdict) -> str:
-    """Return what the p99 is with the iterations of the closed loop, if those are more; or ""."""
+def describe_scaled_p99(verdict: Verdict) -> str:
+    """Return a sentence on the p99 scaled to the iterations of the closed loop, if more; or ""."""
     run = verdict.p99_bound_run
     if run is None or not verdict.p99_bound_ns > verdict.p99_ns:
         return ""
     time = format_time(verdict.p99_bound_ns)
-    return f", or {time} if scaled up to the iterations of the closed loop of `{run.scenario}`"
+    loop = f"the closed loop of `{run.scenario}`"
+    return f" Scaled up to the iterations of {loop}, the p99 is {time}."
 
 
 def describe_p99_interval(verdict: Verdict) -> str:
@@ -375,7 +376,7 @@ def _describe_spread(compared: PairedComparison) -> str:
         return ""
     one_round = "had a single round" if math.isinf(compared.spread) else ""
     rounds = one_round or f"rounds differ by a factor of up to {significant(compared.spread)}"
-    return f": no ranking, as the machine was disturbed and {rounds}"
+    return f": no ranking, as other work disturbed the timing and {rounds}"
 
 
 def describe_findings(findings: Sequence[Finding]) -> str:
@@ -394,7 +395,7 @@ def _describe_machine_state(findings: Sequence[Finding]) -> list[str]:
         return []
     state, where = sum_disturbances([*runs.values()]), _name_experiments([*runs.values()])
     of_all = f"{format_count(state.disturbed)} of {plural(state.rounds, 'round')}"
-    return [f"the machine was disturbed in {of_all} of {where}"]
+    return [f"other work disturbed {of_all} of {where}"]
 
 
 _WORDS: dict[str, str] = read_words(__file__)["findings"]

@@ -70,6 +70,14 @@ def test_a_column_of_whole_numbers_has_no_decimals() -> None:
     assert rows == [r"1000 & 5.00 \\", r" & 4.25 \\"]
 
 
+def test_speed_margins_are_rounded_down() -> None:
+    table = pd.DataFrame(
+        {"margin": [45.79, 2.999], "margin_p99": [0.88999, 30.0], "p50_us": [45.79, 1]}
+    )
+    rows = make_tabular(table).splitlines()[4:6]
+    assert rows == [r"45.7 & 0.889 & 45.8 \\", r"2.99 & 30.0 & 1.00 \\"]
+
+
 @pytest.mark.parametrize(
     ("name", "head"),
     [

@@ -360,8 +360,8 @@ def test_a_replay_from_memory_is_named_as_such(figures: dict[str, float], rememb
     assert ("first solved" in shown._repr_html_()) is remembers
     # The adapter of daqp keeps no answers; what a function does is not known.
     other = replace(run, summary=pd.Series(summary.to_dict() | {"solver": "my_function"}))
-    assert "remembered answers" not in repr(shown)
-    assert ("remembered answers" in repr(other)) is remembers
+    assert "cached answers" not in repr(shown)
+    assert ("cached answers" in repr(other)) is remembers
 
 
 def test_a_replay_names_what_disturbed_it() -> None:

@@ -132,7 +132,9 @@ class Disturbance:
         """Return, in words, which limits of a quiet machine the disturbances exceeded."""
         lines = []
         if self.rounds > 0 and self.disturbed > MAX_DISTURBED_SHARE * self.rounds:
-            lines.append(f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed twice")
+            lines.append(
+                f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed after a second attempt"
+            )
         if self.steal_share > MAX_STEAL_SHARE:
             lines.append(f"{100 * self.steal_share:.1f} % of the time stolen by the host")
         if self.switches_per_s > MAX_SWITCHES_PER_S:

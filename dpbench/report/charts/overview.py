@@ -119,7 +119,12 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
 
 FULL = {"pass": 0.95, "borderline": 0.6, "inconclusive": 0.3, "late": 0.0, "fail": 0.0}
 """Opacity of a point by verdict."""
-_LEGEND = {"pass": style.INK, "inconclusive": style.LINE, "late or fail": style.PAPER}
+_LEGEND = {
+    "pass": style.INK,
+    "borderline": style.SOFT,
+    "inconclusive": style.LINE,
+    "late or fail": style.PAPER,
+}
 _LEGEND_COLUMNS = alt.ExprRef("narrow ? 1 : 3")
 """Three legends are side by side on a phone."""
 _FIGURES = (
@@ -237,7 +242,7 @@ _JITTER = (
 """Remark on the whiskers on a slower computer."""
 _FIGURE = "isValid(datum.{0}) ? format(datum.{0}, '.3~g') : '–'"
 """Text of a number in a tooltip, a dash where there is none: the page leaves its line out."""
-ALLOWED = "slowdown allowed (largest factor by which the computer may be slower)"
+ALLOWED = "speed margin (factor by which the computer may be slower)"
 
 
 def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) -> Any:

@@ -69,7 +69,7 @@ MOST_STUDY_ROWS = 8
 """Rows of each table of a study in the report."""
 HOW_MADE = "How these results were made"
 """Heading of the last paragraph, which a paper can copy."""
-HEAD = (
+HEAD: tuple[str, ...] = (
     *(
         "solver",
         "call mode, settings",
@@ -79,13 +79,14 @@ HEAD = (
         "p99 of single timings",
         "worst p99",
     ),
-    *("longest step", "slowdown allowed", "largest error [maximum increments]", "failed steps"),
+    *("longest step", "speed margin", "largest error [maximum increments]", "failed steps"),
 )
 
 CALL_MODES = (
     "Call modes: fresh sets up the solver at every step, reuse keeps its workspace, and warm also "
-    "starts from its last solution. Slowdown allowed: largest factor by which the computer may be "
-    "slower. The p99 of single timings includes interference from other work."
+    "starts from its last solution. Speed margin: factor by which the computer may be slower until "
+    "the worst p99 or the longest step reaches its limit. The p99 of single timings includes "
+    "interference from other work."
 )
 
 
@@ -118,8 +119,8 @@ def make_report_markdown(report: Report) -> str:
             [*describe_best_of_grids(list_best_verdict_of_own_settings(data.verdicts)), *after],
         ),
         *_yield_study_tables(topics),
-        "Everything else: `report.html` (figures, every step), `tables/*.csv`, `figures/*.svg`, "
-        "`runs.parquet`, `steps.parquet`.",
+        "All figures and steps are in `report.html`; the other files are `tables/*.csv`, "
+        "`figures/*.svg`, `runs.parquet` and `steps.parquet`.",
     ]
     text = "\n\n".join(part for part in parts if part) + "\n"
     made = describe_how_results_were_made(
@@ -197,16 +198,17 @@ def _explain_columns(listed: Sequence[Verdict]) -> str:
     """Return a note on the call modes and columns of the table of solvers; "" without rows."""
     if not listed:
         return ""
-    has_p99 = all(not math.isnan(v.replay_p99_ns) for v in listed if v.timed_on)
+    are_known = [not math.isnan(v.replay_p99_ns) for v in listed if v.timed_on]
     few = " A p99 of step times needs at least 1000 steps; a dash marks a shorter replay."
-    return CALL_MODES + ("" if has_p99 else few)
+    return CALL_MODES + (few if any(are_known) and not all(are_known) else "")
 
 
 def _unlisted_text(verdicts: Verdicts, listed: int) -> str:
     """Return a note that names the file with the verdicts not listed; "" where all are listed."""
     more = _count_configurations(verdicts) - listed
-    other = f"{more} more call modes and settings" if more > 1 else "one more call mode or settings"
-    return f"The verdicts on {other} are in `tables/verdicts.csv`." if more > 0 else ""
+    if more == 1:
+        return "The verdict on one more configuration is in `tables/verdicts.csv`."
+    return f"The verdicts on {more} more configurations are in `tables/verdicts.csv`." * (more > 0)
 
 
 def make_ship_lines(ship: ShipSummary) -> list[str]:
@@ -225,9 +227,13 @@ def make_solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
     rows = make_solver_rows(data, listed)
     if not rows:
         return ""
+    heads = HEAD
+    if all(math.isnan(verdict.replay_p99_ns) for verdict in listed):
+        at = HEAD.index("p99")
+        heads, rows = (*HEAD[:at], *HEAD[at + 1 :]), [(*r[:at], *r[at + 1 :]) for r in rows]
     return "\n\n".join(
         [
-            make_markdown_table(HEAD, rows, 3),
+            make_markdown_table(heads, rows, 3),
             *map(escape_markdown_paragraph, yield_table_remarks(listed)),
         ]
     )
@@ -248,7 +254,9 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
     }
     hardest = {label: _where(v.max_run) for label, v in zip(labels, timed, strict=True)}
     if len({*usual.values()}) > 1 or any(verdict.replays > 1 for verdict in timed):
-        yield f"p50 and p99 are {_most_and_others(usual, 'from')}."
+        has_p99 = any(not math.isnan(verdict.replay_p99_ns) for verdict in timed)
+        names = "The p50, the p99" if has_p99 else "The p50"
+        yield f"{names} and the p99 of single timings are {_most_and_others(usual, 'from')}."
     if any(v.p99_run is not None and v.p99_run.steps_searched_for_hardest for v in timed):
         yield "A p99 of hardest steps has no interval, because the other steps were not timed."
     for name, found in (("worst p99", worst), ("longest step", hardest)):
@@ -318,8 +326,9 @@ def truncate_text(text: str, most_bytes: int, elsewhere: str) -> str:
     raw = text.encode()
     if len(raw) <= most_bytes:
         return text
-    kept = raw[: most_bytes - 60].decode(errors="ignore").rsplit("\n", 1)[0].rstrip()
-    return f"{kept}\n\nThe text is cut here; the rest is in `{elsewhere}`.\n"
+    notice = f"\n\nFurther results are left out here; they are in `{elsewhere}`.\n"
+    most = most_bytes - len(notice.encode())
+    return raw[:most].decode(errors="ignore").rsplit("\n", 1)[0].rstrip() + notice
 
 
 USUAL = ("osqp", "daqp")

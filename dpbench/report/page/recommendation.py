@@ -52,6 +52,7 @@ from dpbench.report.verdict_text import (
     describe_judged_runs,
     describe_longest_wait,
     describe_requirements,
+    describe_scaled_p99,
     describe_stopped_runs,
     describe_times_compared_with,
     explain_no_recommendation,
@@ -199,9 +200,10 @@ def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> t
     return (
         f"{both + ' ' if both else ''}{opening}{lacks}.",
         f"It was correct on every step of {describe_judged_runs(chosen)}"
-        f"{_describe_infeasible_steps(data, c)}. Step time: {format_usual_time(timed)}. "
-        f"The largest error of the first move was {format_error(chosen.error_move)} times the "
-        f"maximum increment.{_describe_selection(data, chosen, is_lost=is_lost)}",
+        f"{_describe_infeasible_steps(data, c)}. Step time: {format_usual_time(timed)}."
+        f"{describe_scaled_p99(timed)} The largest error of the first move was "
+        f"{format_error(chosen.error_move)} times the maximum increment."
+        f"{_describe_selection(data, chosen, is_lost=is_lost)}",
     )
 
 
@@ -215,8 +217,10 @@ def _describe_selection(data: PageData, chosen: Verdict, *, is_lost: bool) -> st
     of_solver = (v for v in rank_configurations(data.verdicts) if v.configuration.solver == solver)
     if next(of_solver, chosen) is not chosen:
         return (
-            " It has the most usual settings of the fastest deployable configurations that pass, "
-            f"which the measurement does not separate{own}."
+            " Its settings are the most usual ones of the fastest deployable configurations that "
+            "pass, which the measurement does not rank."
+            + " The solver is part of dpbench itself."
+            * bool(own)
         )
     return f" It is the fastest deployable configuration that passes{own}."
 
@@ -274,18 +278,19 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
         apart = bool(compared) and all(one.separate for one in compared)
         lead = f"has a smaller p99, {compared[0].separate}" if apart else "is faster"
         if any(one.finding_text == MACHINE_DISTURBED for one in compared):
-            lead = "has a smaller p99 on a disturbed machine"
+            lead = "has a smaller p99, measured while other work disturbed the timing,"
         yield "faster", f"{label} {lead} but is not recommended: {found.because}."
     yield from _yield_inconclusive_notes(data, found)
     if found.runner_up is not None:
         pair = data.records, chosen, found.runner_up
         timed = copy_with_thruster_times(data.records, data.requirements, found.runner_up)
-        label, time = found.runner_up.configuration.marked_label, format_usual_time(timed)
+        label = found.runner_up.configuration.marked_label
+        time = f"{format_usual_time(timed)}.{describe_scaled_p99(timed)}"
         first = chosen.configuration.marked_label
         beside = describe_times_compared_with(
             first, compare_paired_times(*pair), count_common_window_steps(*pair)
         )
-        yield "next", f"Next: {label}, {time}. {beside}"
+        yield "next", f"Next: {label}, {time} {beside}"
     for verdict in filter(None, (chosen, found.runner_up)):
         if silent := describe_unanswered_qps(data.records, verdict.configuration.solver):
             yield "unanswered", f"{silent}."
@@ -339,7 +344,7 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
         p99 = _describe_slow_step(margin.p99)
     if (more := margin.p99.run.untimed_iterations) > 1.0:
         bound = format_time(margin.p99.time_ns * more)
-        p99 = f"{p99}, {bound} if scaled up to the iterations of its closed loop,"
+        p99 = f"{p99}. Scaled up to the iterations of its closed loop, it is {bound}"
     time = "p99" if isfinite(chosen.p99_ns) else "largest step time (in place of a p99)"
     is_of_own_plant = any(run.is_of_own_plant for run in data.records.runs)
     computer = "the computer" if is_of_own_plant else "the ship's computer"
@@ -358,10 +363,14 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
     )
     if longest is not None:
         experiment, run = longest
-        arms = f", the largest stall of a calibration run {format_time(arms_ns)}" * (arms_ns > 0.0)
+        arms = f"; the largest stall of a calibration run is {format_time(arms_ns)}"
+        arms *= arms_ns > 0.0
         wait = describe_longest_wait(data.records, run)
         largest = f"{format_time(run.raw_max_ns)}{wait} in `{experiment.label}`{arms}"
-        parts.append(f"Stalls do not scale with the computer; the largest timing is {largest}.")
+        parts.append(
+            "Stalls do not scale with the speed of the computer. The largest single timing is "
+            f"{largest}."
+        )
     return [*parts, *_yield_untimed_loops_sentences(data)]
 
 

@@ -23,7 +23,7 @@ _OWN_PHRASES = (
 PHRASES = {
     **{name: name for name in _OWN_PHRASES.split(", ")},
     "first move": "error_move",
-    "largest single timing": "raw time",
+    "single timing": "single timing",
     "p50": "p50, p95, p99",
     "p99": "p50, p95, p99",
 }

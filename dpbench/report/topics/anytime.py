@@ -130,7 +130,7 @@ _UNKNOWN = math.nan, math.nan
 def _make_table(group: LimitedGroup) -> Table:
     """Return the table of a closed loop: the least limit that suffices, and the ship below it."""
     rows, smallest, timed = [], group.limits[0], group.limit_of == "time"
-    at = _format_limit(group, smallest) if timed else f"{smallest:g}"
+    at = _format_limit(group, smallest)
     for one in sorted(group.configurations, key=lambda one: one.least_sufficient_limit):
         enough = one.least_sufficient_limit
         kept = one.runs.get(enough) if math.isfinite(enough) else None
@@ -139,11 +139,13 @@ def _make_table(group: LimitedGroup) -> Table:
         rows.append(
             {
                 "configuration": one.configuration.label,
-                "within 10 % of the cost from": _format_least_limit(group, enough),
+                f"least {'time' if timed else 'iterations'} for at most 10 % more cost": (
+                    _format_least_limit(group, enough)
+                ),
                 "unfinished steps there": _format_unfinished(kept),
                 "largest error there": _format_error(kept),
                 f"cost ratio at {at}": _format_number(cost),
-                f"off the reference loop at {at} [m]": _format_number(off_m),
+                f"largest deviation at {at} [m]": _format_number(off_m),
             }
             | (
                 {f"median timing at {at}": format_time(run.raw_p50_ns if run else math.nan)}
@@ -151,7 +153,10 @@ def _make_table(group: LimitedGroup) -> Table:
                 else {}
             )
         )
-    note = "A step is unfinished if its solve ended at the limit; its iterate was applied."
+    note = (
+        "A step is unfinished if its solve ended at the limit; its iterate was applied. Deviation: "
+        "distance from the ship of the reference loop."
+    )
     name = f"{group.problem}, limits of time" if timed else group.problem
     return Table.from_rows(rows, name, note=note)
 

@@ -75,7 +75,7 @@ def _draw_capability_figures(plot: CapabilityResult) -> Iterator[Figure]:
         yield Figure(
             f"capability-{plot.vessel}",
             draw_capability_rose(plot.edges, f"{plot.vessel}: largest wind held"),
-            "Each mark is an edge of the plot; the referee judges QPs on both sides of it"
+            "Mark: largest wind held from one direction; the referee checks QPs on both sides of it"
             + note
             + ".",
         )
@@ -141,7 +141,8 @@ def _draw_consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]
     yield Figure(
         f"consequence-{_name_file_of_analysis(analysis)}",
         draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
-        f"Proved for the {describe_required_force(analysis)}: an optimum exists, or none does.",
+        f"Each state is proved for the {describe_required_force(analysis)}: an optimum exists "
+        "(held) or none does (not held).",
     )
     timed = [
         answers
@@ -174,7 +175,7 @@ def _describe_consequences(analysis: ConsequenceAnalysis) -> str:
     if timed:
         best = min(timed, key=lambda a: a.largest)
         share, batch = format_sample_share(best.largest), plural(len(analysis.groups), "QP")
-        head += f", the fastest {best.name} with at most {share} of the sample for its {batch}"
+        head += f"; the fastest, {best.name}, takes at most {share} of a sample for {batch}"
     silent = join_with_counts((a.name, a.unanswered_count) for a in answers if a.unanswered_count)
     unanswered = f"; no answer to some QPs: {silent}" if silent else ""
     missed = join_with_counts((a.name, a.missed) for a in answers if a.missed)
@@ -186,12 +187,12 @@ def make_consequence_row(best: BatchAnswers, right: Sequence[bool]) -> dict[str,
     """Return the table row of a configuration's answers on thruster losses."""
     return {
         "configuration": best.name,
-        "p99 share": format_sample_share(best.p99),
-        "largest share": format_sample_share(best.largest),
-        "held": f"{best.held} of {best.feasible}",
-        "not held": f"{best.refused} of {best.infeasible}",
+        "p99, share of a sample": format_sample_share(best.p99),
+        "largest share of a sample": format_sample_share(best.largest),
+        "feasible, correct": f"{best.held} of {best.feasible}",
+        "infeasible, correct": f"{best.refused} of {best.infeasible}",
         "missed alarms": str(best.missed),
-        "other untrue claims": str(best.untrue - best.missed),
+        "other false claims": str(best.untrue - best.missed),
         "no answer": str(best.unanswered_count),
-        "configurations all right": f"{sum(right)} of {len(right)}",
+        "configurations correct on all QPs": f"{sum(right)} of {len(right)}",
     }

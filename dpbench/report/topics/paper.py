@@ -106,9 +106,10 @@ def _make_stability_table(designs: Designs) -> Table:
             for record in designs.records
         ),
         "Stability of the controller",
-        "A controller is stable if |λ| < 1. A name such as 30/5 gives the prediction and control "
-        "horizons. Each range extends from the largest initial sway offset from which the ship "
-        "returned to the smallest from which it did not.",
+        "A controller is stable if all eigenvalues λ of its closed loop without active limits have "
+        "|λ| < 1. A name such as 30/5 gives the prediction and control horizons. Each range goes "
+        "from the largest initial sway offset from which the ship returned to the smallest from "
+        "which it did not.",
         folded=True,
         labels={
             STILL_OFFSET: f"recoverable sway offset, {STILL} [m]",

@@ -49,7 +49,7 @@ def build_random_topic(records: Records) -> Topic | None:
         lines=(
             f"{-sum(count for count, _ in wrong)} false claims on {steps} certified steps: "
             f"{'; '.join(wording)}.",
-            "These QPs are of no ship: they test the accuracy of solvers, not their speed.",
+            "These QPs are not from a ship; they test the accuracy of solvers, not their speed.",
         ),
         figures=(
             Figure(

@@ -109,9 +109,10 @@ def build_formulations_topic(records: Records, requirements: Requirements) -> To
     wins = count_wins_of_formulations(records, requirements)
     counts = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
     wording = (
-        "Fastest formulation with accurate answers, for "
-        f"{plural(wins.total(), 'configuration')} on a sequence: {counts or 'none'}.",
-        "Median step time of the same QPs in each formulation. Verdicts are on the common one.",
+        "Fastest formulation with accurate answers, counted over "
+        f"{plural(wins.total(), 'pair')} of configuration and sequence: {counts or 'none'}.",
+        "Median step time of the same QPs in each formulation. The verdicts apply to the common "
+        "formulation.",
     )
     return Topic("formulations", "Formulations", wording, (), tuple(tables))
 
@@ -237,7 +238,7 @@ def build_race_topic(records: Records) -> Topic | None:
     leads = {
         f"Step time of `{first}` over that of `{second}`: ": decided,
         "Without a ratio, as not timed by turns: ": apart,
-        "Not decided, as the machine was disturbed: ": disturbed,
+        "Not decided, as other work disturbed the timing: ": disturbed,
     }
     lead = " ".join(f"{text}{join_with_and(named)}." for text, named in leads.items() if named)
     note = "Geometric mean of the paired ratios of all common steps."
@@ -289,7 +290,7 @@ def _format_median_time(records: Records, run: RunRecord | None, requirements: R
     if run is None or times is None:
         return MISSING if run is None else run.outcome.replace("_", " ")
     text = format_time(median_of_known(times.algo_ns))
-    return text if is_right_on_every_step(run, requirements) else f"{text} (not right)"
+    return text if is_right_on_every_step(run, requirements) else f"{text} (inaccurate)"
 
 
 def build_worst_case_topic(records: Records) -> Topic | None:
@@ -354,7 +355,10 @@ def build_loops_topic(records: Records, requirements: Requirements) -> Topic | N
     right = [name for name, runs in by_name.items() if whole[name] == len(runs) == most]
     requested = plural(most, "closed loop")
     best = max(whole, key=lambda name: whole[name])
-    lead = f"No configuration is accurate on every step of {requested}; {best} is in {whole[best]}."
+    lead = (
+        f"No configuration is accurate on every step of {requested}; {best} is accurate in "
+        f"{whole[best]} of them."
+    )
     if right:
         rest = len(by_name) - len(right)
         names = join_with_and(right) if len(right) <= 4 else f"{len(right)} configurations"
@@ -368,12 +372,15 @@ def build_loops_topic(records: Records, requirements: Requirements) -> Topic | N
         rows.append(
             {
                 "configuration": name,
-                "right in": f"{whole[name]} of {len(runs)}",
+                "accurate in": f"{whole[name]} of {len(runs)}",
                 "steps with a fallback": format_count(np.nansum([run.fallbacks for run in runs])),
-                "farthest from the reference loop": farthest,
-                "in": MISSING if worst is None else worst.scenario,
+                "largest deviation": farthest,
+                "scenario": MISSING if worst is None else worst.scenario,
             }
         )
     rows.sort(key=lambda row: -whole[row["configuration"]])
-    note = "The distance from the reference loop shows what inaccurate or late answers cost."
+    note = (
+        "The largest deviation from the reference loop shows the effect of inaccurate or late "
+        "answers."
+    )
     return Topic("loops", "Closed loops", (lead, note), (), (Table.from_rows(rows),))

@@ -32,6 +32,7 @@ from dpbench.report.charts.study import (
 from dpbench.report.formats import (
     MISSING,
     Table,
+    format_estimate_with_bounds,
     format_rounded_up,
     format_share,
     join_with_and,
@@ -79,8 +80,8 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
     seas = plural(study.seas_per_point, "realisation")
     reference = study.results_by_cost[0]
     stays = (
-        f"with {reference.name} the ship stays within {study.radius_m:g} m in the second half of a "
-        f"run in {_format_share_with_bound(reference.within, study)} of them"
+        f"in {_format_share_with_bound(reference.within, study)} of the runs with {reference.name} "
+        f"the ship stays within {study.radius_m:g} m in the second half"
     )
     is_alone = len(study.results_by_cost) == 1
     yield (
@@ -101,11 +102,11 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
     worst = min(study.results_by_cost, key=lambda c: c.share_within_radius)
     if not is_alone:
         others = (
-            f"with {worst.name} in {_format_share_with_bound(worst.within, study)}"
+            f"; with {worst.name}, in {_format_share_with_bound(worst.within, study)}"
             if worst.within < reference.within
-            else "as with all"
+            else ", as with all other configurations"
         )
-        yield f"{stays[0].upper()}{stays[1:]}, {others}."
+        yield f"{stays[0].upper()}{stays[1:]}{others}."
     if study.loosest_cheap_by_solver:
         yield _describe_loosest_tolerances(study)
 
@@ -156,8 +157,8 @@ def _yield_failed_steps_sentences(study: Study) -> Iterator[str]:
         f"{study.name}: steps failed in {len(failing)} of {plural(len(study.runs), 'run')}, most "
         f"of them with {worst['configuration']} at point {worst['point']}, realisation "
         f"{worst['replicate']}: {worst['failed_steps']:.0f} of "
-        f"{plural(worst['steps_done'], 'step')}. The fallback or an unfinished iterate "
-        "steered there."
+        f"{plural(worst['steps_done'], 'step')}. In these steps the fallback or an unconverged "
+        "iterate acted on the ship."
     )
 
 
@@ -181,7 +182,7 @@ def _describe_larger_errors(study: Study) -> str:
             "same realisation."
         )
     same = len(others) - len(worse)
-    rest = f"; {same} {'is' if same == 1 else 'are'} not" if same else ""
+    rest = f"; not significantly larger with {same} more" if same else ""
     return (
         f"{lone}errors significantly larger than {study.reference_name} in the same realisation: "
         f"{', '.join(wording)}{unnamed}{rest}."
@@ -203,17 +204,21 @@ def _describe_loosest_tolerances(study: Study) -> str:
     """Return in words each solver's loosest tolerance that costs no more than a small limit."""
     cheap = {s: c for s, c in study.loosest_cheap_by_solver.items() if c is not None}
     none = [s for s, c in study.loosest_cheap_by_solver.items() if c is None]
-    limits = f"less than {100 * SMALL_M:g} cm and {100 * SMALL_COST:g} % of the cost"
+    limits = (
+        f"excess error significantly below {100 * SMALL_M:g} cm and excess cost significantly "
+        f"below {100 * SMALL_COST:g} %"
+    )
     parts = [
         f"{solver} {c.tolerance:g} ({format_share(c.accurate)} of the steps accurate)"
         for solver, c in cheap.items()
     ]
     wording = (
-        f"The loosest tolerance that costs significantly {limits}: {join_with_and(parts)}"
+        f"The loosest tolerance with an {limits.replace('and excess', 'and an excess')}: "
+        f"{join_with_and(parts)}"
         if parts
         else ""
     )
-    without = f"No tolerance of {join_with_and(none)} costs significantly {limits}" if none else ""
+    without = f"No tolerance of {join_with_and(none)} has an {limits}" if none else ""
     failing = (_describe_inaccuracy(c, study) for c in cheap.values() if not c.is_accurate_enough)
     return ". ".join(filter(None, (wording, *failing, without))) + "."
 
@@ -249,18 +254,22 @@ def _draw_study_figures(study: Study) -> Iterator[Figure]:
         where = (
             "at each point" if whole else f"in {study_tables.FIELDS} × {study_tables.FIELDS} fields"
         )
-        caption = f"Share of realisations {where}; a run that did not end is not within."
+        caption = (
+            f"Share of realisations within the radius {where}; a run that did not end counts as "
+            "outside."
+        )
         yield Figure(f"study-within-{name}", chart, caption)
     elif keys:
         chart = draw_within_lines(maps, title, labels[keys[0]])
-        yield Figure(f"study-within-{name}", chart, "Share of realisations at each value.")
+        caption = "Share of realisations within the radius at each value."
+        yield Figure(f"study-within-{name}", chart, caption)
     yield from draw_effect_figures(study, name)
     table, seas, seas_all = study_tables.tabulate_error_excess_by_sea(study)
     if len(table):
         chart = draw_excess_errors(
             table, seas, f"Excess error over {study.reference_name}, {study.name}", 100 * SMALL_M
         )
-        of = "" if len(seas) == seas_all else f", {len(seas)} of {seas_all} at even ranks"
+        of = "" if len(seas) == seas_all else f" ({len(seas)} of {seas_all}, evenly spaced by rank)"
         caption = (
             f"Dot: one realisation{of}; line: mean with its 95 % interval, if any; band: 1 cm to "
             "either side, cut off at the axis."
@@ -273,27 +282,27 @@ def _make_study_tables(study: Study) -> Iterator[Table]:
     rows = [
         _make_configuration_row(configuration, study) for configuration in study.results_by_cost
     ]
-    title = f"{study.name}: against {study.reference_name} in the same realisation"
+    title = f"{study.name}: comparison with {study.reference_name} in the same realisation"
     note = (
         "Intervals hold at 95 % for each row alone, not for all at once, and are conditional on "
-        "the realisations that both finished. None is stated where fewer than half of the points "
-        "have two. Significant: the error differs, with a family-wise error of "
-        f"{100 * ALPHA:g} % over all rows (Holm). The "
-        "reference is chosen by its settings, not by its results. At least, at most: the 95 % "
-        "bound where all or none of the runs are within, 3 over the number of realisations."
+        "the realisations that both finished. No interval is given where fewer than half of the "
+        "points have two realisations. Significant: the error differs, with a family-wise error of "
+        f"{100 * ALPHA:g} % over all rows (Holm). The reference is chosen by its settings, not by "
+        "its results. At least, at most: 95 % bound where all or none of the runs are within the "
+        "radius, from 3 divided by the number of realisations."
     )
     if any(c.cost < -NOTHING for c in study.results_by_cost):
         note += f" {CHEAPER_THAN_EXACT}"
     if study.aliases:
-        same = [f"{alias} is {own}" for alias, own in study.aliases.items()]
-        note += f" Settings without an effect have one row: {join_with_and(same)}."
+        same = [f"{alias} with {own}" for alias, own in study.aliases.items()]
+        note += f" Settings without an effect share a row: {join_with_and(same)}."
     yield Table.from_rows(rows, title, note=note)
     axes = tuple(
         (str(key), str(values.nunique()), str(values.min()), str(values.max()))
         for key, values in study.points.items()
     )
     if axes:
-        yield Table(("key", "values", "least", "largest"), axes, f"{study.name}: its points")
+        yield Table(("key", "values", "least", "largest"), axes, f"{study.name}: points")
     yield from filter(None, (tabulate_effects(study), tabulate_interactions(study)))
 
 
@@ -331,9 +340,10 @@ def _format_difference(difference: PairedDifference, scale: float) -> str:
     if difference.is_constant:
         value = 0.0 if abs(mean.value) <= NOTHING else scale * mean.value
         return f"{significant(value, 2)} in all {difference.pairs}"
-    low, high = (significant(scale * value, 2) for value in (mean.low, mean.high))
+    scaled = (scale * number for number in (mean.value, mean.low, mean.high))
+    middle, low, high = format_estimate_with_bounds(*scaled)
     widened = WIDENED if difference.estimate.is_clearly_widened else ""
-    return f"{significant(scale * mean.value, 2)} [{low}, {high}]{widened}"
+    return f"{middle} [{low}, {high}]{widened}"
 
 
 def draw_effect_figures(study: Study, name: str) -> Iterator[Figure]:

@@ -115,10 +115,11 @@ def _describe_longest_horizons(
         some = (
             join_with_and(who) if len(who) <= 3 else f"{', '.join(who[:3])} and {len(who) - 3} more"
         )
-        beyond = "" if longest != sweep.horizons[-1] else ", the longest that was run"
+        beyond = "" if longest != sweep.horizons[-1] else ", the longest that were run"
         wording.append(
-            f"In {sweep.name} {some} {'fits' if len(who) == 1 else 'fit'} "
-            f"{longest[0]}/{longest[1]}{beyond}, accurate {limit}."
+            f"In {sweep.name} the longest horizons with accurate answers and "
+            f"{_describe_time_limit(sweep, requirements)} are {longest[0]}/{longest[1]}{beyond}: "
+            f"{some}."
         )
     return wording
 
@@ -174,18 +175,19 @@ def build_slowdown_topic(records: Records) -> Topic | None:
                 (run.latency_max_ns for run in delayed.loops.values()), default=math.nan
             )
             row = {"configuration": delayed.configuration.label}
-            row["survives ×"] = MISSING if math.isnan(survived) else f"{survived:g}"
-            rows.append(row | {"latest answer": format_time(latest_ns)})
+            row["largest slowdown survived"] = MISSING if math.isnan(survived) else f"{survived:g}"
+            rows.append(row | {"largest latency": format_time(latest_ns)})
         tables.append(Table.from_rows(rows, group.scenario))
         survivors = [c for c in group.configurations if c.largest_survived_slowdown > 0]
         best = [f"{c.configuration.label} × {c.largest_survived_slowdown:g}" for c in survivors[:3]]
-        named = ", ".join(best) if best else "no solver survives a slowdown"
-        leads.append(f"Slower computers, {group.scenario}: {named}.")
+        named = ", ".join(best) if best else "none by any solver"
+        leads.append(f"Largest slowdown survived in {group.scenario}: {named}.")
     if not tables:
         return None
     wording = (
         *leads,
-        "Each answer is applied as late as on a slower computer. A configuration "
-        f"survives a slowdown while the loop costs at most {100 * MARGIN:g} % more.",
+        "Each answer is applied as late as on a slower computer. A configuration survives a "
+        f"slowdown if the cost of its loop is at most {100 * MARGIN:g} % above that of the "
+        "reference loop.",
     )
     return Topic("slowdown", "Slower computers", wording, tuple(figures), tuple(tables))

@@ -61,16 +61,16 @@ def build_thrusters_topic(records: Records, requirements: Requirements) -> Topic
     rows = [
         make_wear_row(name, of_it, best, requirements) for name, of_it in configurations.items()
     ]
-    rows.sort(key=lambda row: (-int(row["right in"].split(" ")[0]), row["configuration"]))
+    rows.sort(key=lambda row: (-int(row["accurate in"].split(" ")[0]), row["configuration"]))
     by_solver = {row["configuration"].split(" (")[0]: row for row in reversed(rows)}
     kept = list(by_solver.values())[::-1]
     note = (
-        "Power is Σ|f|^1.5 over all thrusters and wear Σ|Δf|/T, as a ratio to the right loop that "
-        "is nearest to the reference loop; the largest of the scenarios that ran to their end. "
-        "One configuration a solver, the one that is right most often."
+        "Power (Σ|f|^1.5 over all thrusters) and wear (Σ|Δf|/T) are relative to the accurate loop "
+        "nearest to the reference loop. The table gives the largest ratio over the completed "
+        "scenarios, for the configuration of each solver that is accurate in the most scenarios."
     )
     if len(kept) > MOST_ROWS:
-        note += " All of them: tables/thrusters.csv."
+        note += " All rows: tables/thrusters.csv."
     table = Table.from_rows(kept, shown=MOST_ROWS)
     return Topic("thrusters", "Thrusters", (lead, note), (), (table,))
 
@@ -104,11 +104,11 @@ def make_wear_row(
     off = [run.dev_position_max_m for run in ended if math.isfinite(run.dev_position_max_m)]
     return {
         "configuration": name,
-        "right in": f"{right} of {len(best)}",
+        "accurate in": f"{right} of {len(best)}",
         "power": _format_largest_ratio(ended, best, "power_share"),
         "wear": _format_largest_ratio(ended, best, "thrust_variation"),
         "azimuth travel": _format_largest_ratio(ended, best, "azimuth_travel_deg"),
-        "farthest off": f"{significant(max(off))} m" if off else MISSING,
+        "largest deviation": f"{significant(max(off))} m" if off else MISSING,
     }
 
 
@@ -119,7 +119,7 @@ def _format_largest_ratio(
     largest = find_largest_ratio_to_best(runs, best, column)
     if math.isnan(largest):
         return MISSING
-    return "alike" if abs(largest - 1.0) < LIKE else f"× {significant(largest)}"
+    return "equal to 1 %" if abs(largest - 1.0) < LIKE else f"× {significant(largest)}"
 
 
 def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:
@@ -206,19 +206,19 @@ def _yield_offset_after_loss_sentences(
             run.configuration.moved_to_common_formulation == chosen.configuration,
         )
         if own and lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, requirements):
-            opening = f"After the loss of {join_with_and(lost)} ({run.scenario}) the ship"
+            opening = f"After the loss of {join_with_and(lost)} ({run.scenario}), the ship"
             if run.r_tail_max_m > run.station_radius_m:
                 far, after = (
                     significant(run.r_tail_max_m),
                     f"{_compute_seconds_after_loss(run):.0f} s",
                 )
                 yield (
-                    f"{opening} it steers drifts away: up to {far} m off within {after} of the "
-                    "loss, measured at the start of each step."
+                    f"{opening} with this solver drifts away: its offset, at the start of each "
+                    f"step, reaches {far} m within {after} of the loss."
                 )
             else:
                 within = format_rounded_up(run.r_tail_max_m, 2)
-                yield f"{opening} it steers stays within {within} m."
+                yield f"{opening} with this solver stays within {within} m."
 
 
 def _compute_seconds_after_loss(run: RunRecord) -> float:
@@ -241,16 +241,17 @@ def _yield_consequence_sentences(records: Records, chosen: Verdict | None) -> It
         where, losses = analysis.name.split("[")[0], "losses" if len(last) > 1 else "loss"
         at_s = f"{last['to_s'].max():.0f} s"
         held_at_end.append(f"at {at_s} of {where} {count} of {len(last)} {losses} could be held")
-    yield f"{', '.join(held_at_end).capitalize()}."
+    held_text = ", ".join(held_at_end)
+    yield f"{held_text[0].upper()}{held_text[1:]}."
     own = select_configurations_in_all_analyses(analyses)
     right = [name for name, of_it in own.items() if all(a.has_only_right_answers for a in of_it)]
     shares = {name: find_largest_solve_time_share(own[name]) for name in right}
     timed = {name: share for name, share in shares.items() if isfinite(share)}
-    wording = ["no solver answers all of that correctly"]
+    wording = ["No solver answers all these QPs correctly"]
     if timed:
         best = min(timed, key=lambda name: timed[name])
         share = format_sample_share(timed[best])
-        wording = [f"to know so at every sample takes {best} at most {share} of a sample"]
+        wording = [f"{best} finds this at every sample in at most {share} of a sample"]
     label = ""
     if chosen is not None:
         c = chosen.configuration
@@ -260,7 +261,8 @@ def _yield_consequence_sentences(records: Records, chosen: Verdict | None) -> It
     if label and label not in right:
         wrong = sum(a.asked - a.held - a.refused for a in own[label])
         requested = plural(sum(a.asked for a in own[label]), "QP")
-        wording.append(f"{label} leaves {wrong} of {requested} without a right answer")
+        wording.append(f"{label} leaves {wrong} of {requested} without a correct answer")
     missing = sorted({a.solver for of_it in own.values() for a in of_it if a.missed})
-    wording += [f"alarms are missed by {join_with_and(missing)}"] if missing else []
-    yield f"{wording[0][0].upper()}{'; '.join(wording)[1:]}."
+    misses = "misses" if len(missing) == 1 else "miss"
+    wording += [f"{join_with_and(missing)} {misses} alarms"] if missing else []
+    yield f"{'; '.join(wording)}."

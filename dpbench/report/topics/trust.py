@@ -1,13 +1,15 @@
 """Measurement quality: the machine, the harness measured by itself, what is not covered."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.times.machine import (
     compute_repetition_spread,
+    find_disturbed_replays,
     find_largest_median_by_test_solver,
     find_shortest_wait_ns,
     select_delayed_loops,
@@ -15,11 +17,14 @@ from dpbench.analysis.times.machine import (
     sum_disturbances,
 )
 from dpbench.bench.judge.calibration import compute_excess_over_wait_ns, is_within_tolerance
-from dpbench.bench.record.disturbance import Disturbance
+from dpbench.bench.record.disturbance import MAX_DISTURBED_SHARE
 from dpbench.report.charts.lines import draw_dots
+from dpbench.report.commands_text import describe_machine_states
 from dpbench.report.formats import (
+    MISSING,
     Table,
     format_count,
+    format_sample_share,
     format_share,
     join_with_and,
     plural,
@@ -43,7 +48,7 @@ COVERED = (
 COMPARED = "To compare machines, run the suite on each of them."
 
 
-def _describe_round_spread(records: Records, disturbance: Disturbance) -> list[str]:
+def _describe_round_spread(records: Records, *, is_quiet: bool) -> list[str]:
     """Return lines on when two step times differ, in a run, and how far those of rounds lie apart.
 
     Another run may differ by more than rounds do, and not even that much is known of a disturbed
@@ -53,9 +58,8 @@ def _describe_round_spread(records: Records, disturbance: Disturbance) -> list[s
     if not count:
         return []
     few = f"only {plural(count, 'configuration')} had two rounds"
-    disturbed = bool(disturbance.complaints())
     why = [
-        *(["the machine was disturbed"] if disturbed else ()),
+        *(() if is_quiet else ["the machine was disturbed"]),
         *([few] if count < LEAST_CONFIGURATIONS else ()),
     ]
     spread = (
@@ -65,7 +69,7 @@ def _describe_round_spread(records: Records, disturbance: Disturbance) -> list[s
         else f"In 95 % of the configurations the rounds of this run agree within a factor of "
         f"{significant(high)} (median {significant(usual)}). Runs on other days can differ by more."
     )
-    beyond = " and the ratio exceeds the spread of their rounds" if disturbed else ""
+    beyond = "" if is_quiet else " and the ratio exceeds the spread of their rounds"
     return [
         "Within this run, two solvers differ in step time only if the 95 % interval of their ratio "
         f"excludes 1{beyond}. {spread}"
@@ -85,30 +89,47 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
     worst = max(abs(compute_excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
         f"Waits of known length were measured as follows: {join_with_and(waits)} (largest p50 of "
-        f"the replays). Absolute times of that length are therefore accurate to "
-        f"{format_share(worst)}.{below}"
+        "the replays). Absolute times of such lengths may therefore be wrong by up to "
+        f"{format_sample_share(worst)}.{below}"
     )
 
 
-def _describe_machine_load(disturbance: Disturbance, machine: Mapping[str, Any]) -> str:
-    """Return a text on whether other work disturbed the machine while it timed solvers."""
-    if complaints := disturbance.complaints():
+def _describe_machine_load(records: Records, timed: Sequence[RunRecord]) -> str:
+    """Return a text on whether other work disturbed the machine while it timed solvers.
+
+    Like the line on the machine, it judges each command; single replays may be worse.
+    """
+    states, disturbance = describe_machine_states(timed), sum_disturbances(timed)
+    if not states.startswith("quiet"):
         return (
-            f"Other work disturbed the machine: {join_with_and(complaints)}. Times may be too "
-            "long; run again when it is idle."
+            f"Other work disturbed the machine: {states.replace('disturbed: ', '')}. Times may be "
+            "too long; run again when it is idle."
         )
-    rounds = plural(disturbance.rounds, "round")
+    if timed[0].mode != "replay":
+        return f"Other work did not disturb these closed loops.{_describe_hidden(records.machine)}"
+    rounds, remaining = plural(disturbance.rounds, "round"), disturbance.disturbed
+    share = format_share(remaining / disturbance.rounds) if disturbance.rounds else MISSING
+    worse = len(find_disturbed_replays(records))
+    exceed = "exceeds" if worse == 1 else "exceed"
+    alone = (
+        f" Alone, {format_count(worse)} of {plural(len(timed), 'timed replay')} {exceed} the "
+        "limits of a quiet machine, so small differences of step time are not ranked there."
+    )
+    return (
+        f"The machine was quiet during the replays and windows taken together: {rounds}, "
+        f"{format_count(disturbance.rerun)} of them repeated as disturbed. After that, "
+        f"{format_count(remaining) if remaining else 'none'} remained disturbed ({share}, limit "
+        f"{100 * MAX_DISTURBED_SHARE:g} %).{alone if worse else ''} Closed loops are not included."
+        f"{_describe_hidden(records.machine)}"
+    )
+
+
+def _describe_hidden(machine: Mapping[str, Any]) -> str:
+    """Return a sentence on what the machine does not report of its state; "" for nothing."""
     keys = {"governor": "its frequency governor", "throttle_counters": "throttling"}
     hidden = [name for key, name in keys.items() if machine.get(key, UNSEEN) == UNSEEN]
     neither = "reports neither" if len(hidden) > 1 else "does not report"
-    unseen = f" The machine {neither} {' nor '.join(hidden)}."
-    unwatched = unseen if hidden else ""
-    remaining = format_count(disturbance.disturbed) if disturbance.disturbed else "none"
-    return (
-        "The machine was quiet according to the operating system's counters: "
-        f"{format_count(disturbance.rerun)} of {rounds} were disturbed and repeated, and "
-        f"{remaining} remained disturbed.{unwatched}"
-    )
+    return f" The machine {neither} {' nor '.join(hidden)}." if hidden else ""
 
 
 def build_trust_topic(records: Records) -> Topic | None:
@@ -119,7 +140,8 @@ def build_trust_topic(records: Records) -> Topic | None:
     waits = {name: p50_ns for name, p50_ns in medians.items() if name in WAITS_NS}
     if not disturbance.seconds > 0 and not waits:
         return None
-    lines = _describe_round_spread(records, disturbance)
+    is_quiet = not timed or describe_machine_states(timed).startswith("quiet")
+    lines = _describe_round_spread(records, is_quiet=is_quiet)
     figures = []
     if waits:
         lines.append(_describe_measured_waits(waits, find_shortest_wait_ns(records.calibration)))
@@ -128,7 +150,7 @@ def build_trust_topic(records: Records) -> Topic | None:
         chart = draw_dots(table, "Waits of known length", "requested [µs]", "p50 of timings [µs]")
         figures.append(Figure("calibration", chart, "Measured wait against requested wait."))
     if disturbance.seconds > 0:
-        lines.append(_describe_machine_load(disturbance, records.machine))
+        lines.append(_describe_machine_load(records, timed))
     data = [
         *list_machine_facts(records.machine),
         *(list_disturbance_facts(disturbance) if disturbance.seconds > 0 else ()),

@@ -150,7 +150,7 @@ def test_the_topic_says_when_a_loss_can_be_held(
 
 def test_the_topic_names_who_misses_alarms(storm: Records) -> None:
     topic = build_consequence_topic(storm)
-    assert "1 of 3 configurations answer all QPs correctly, the fastest quadprog" in topic.lines[0]
+    assert "1 of 3 configurations answer all QPs correctly; the fastest, quadprog" in topic.lines[0]
     said = "missed alarms: osqp (1); no answer to some QPs: daqp (1) and osqp (1)."
     assert topic.lines[0].endswith(said)
     assert [figure.name for figure in topic.figures] == [

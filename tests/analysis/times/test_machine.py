@@ -9,7 +9,7 @@ from dpbench.analysis.times.machine import (
     select_timed_replays,
     sum_disturbances,
 )
-from dpbench.report.formats import format_share, join_with_and
+from dpbench.report.formats import format_sample_share, join_with_and
 from dpbench.report.topics.trust import build_trust_topic
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
 
@@ -88,7 +88,7 @@ def test_the_bar_is_1_us_or_a_hundredth(records: Any, off_us: float, missed: lis
     off = join_with_and([f"{us:g} µs as {us + off_us:.1f} µs" for us in waits])
     assert (off or "to within 1 µs or 1 %") in topic.lines[0]
     if waits:
-        worst = f"accurate to {format_share(max(off_us / us for us in waits))}."
+        worst = f"wrong by up to {format_sample_share(max(off_us / us for us in waits))}."
         assert worst in topic.lines[0]
 
 
@@ -182,3 +182,29 @@ def test_how_far_rounds_lie_apart_is_said_of_a_quiet_run_alone(
     topic = build_trust_topic(records.view())
     assert topic is not None and said in topic.lines[0]
     assert ("factor of 2.00" in topic.lines[0]) == (configurations == switches == 4)
+
+
+def test_one_disturbed_command_among_quiet_ones_is_not_called_quiet(records: Any) -> None:
+    """Together, 4 disturbed rounds of 104 would be within the limit of 5 %."""
+    times = [f"2026-11-28T{hour}:00:00.000+00:00" for hour in ("08", "09")]
+    records.replay("daqp", rounds=100, steps=9, campaign_utc=times[0], **QUIET)
+    records.replay(
+        "piqp", rounds=4, steps=9, campaign_utc=times[1], **QUIET | {"disturbed_rounds": 4}
+    )
+    topic = build_trust_topic(records.view())
+    assert topic is not None
+    (load,) = (line for line in topic.lines if "4 of 8 rounds disturbed" in line)
+    assert load.startswith("Other work disturbed the machine: ")
+    assert "quiet (command of 2026-11-28 08:00:00 UTC)" in load
+
+
+def test_a_replay_that_is_worse_than_the_limits_alone_is_counted(records: Any) -> None:
+    """Of 30 rounds together 1 is disturbed, but of the 2 of one replay it is half."""
+    for solver in ("daqp", "osqp", "piqp"):
+        records.replay(solver, rounds=10, steps=9, **QUIET)
+    records.replay("quadprog", rounds=1, steps=9, **QUIET | {"disturbed_rounds": 1})
+    topic = build_trust_topic(records.view())
+    assert topic is not None
+    (load,) = (line for line in topic.lines if line.startswith("The machine was quiet"))
+    assert "1 remained disturbed (3.1 %, limit 5 %)" in load
+    assert "Alone, 1 of 4 timed replays exceeds the limits of a quiet machine" in load

@@ -212,7 +212,7 @@ def test_on_a_disturbed_machine_its_state_comes_before_all_reasons(records: Any)
     disturbed, calm = (_verdict(records, solver) for solver in ("daqp", "piqp"))
     reasons = describe_findings(calm.findings_that_bar_pass)
     assert "when first solved" in reasons and "timed in parallel with other work" in reasons
-    machine = "the machine was disturbed in 3 of 5 rounds of the replay of `paper`; "
+    machine = "other work disturbed 3 of 5 rounds of the replay of `paper`; "
     assert _why(disturbed) == machine + reasons
     assert describe_main_reason(disturbed) == machine + reasons
     assert describe_main_reason(calm) == describe_finding(calm.doubts[0])

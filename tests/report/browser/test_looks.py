@@ -213,7 +213,7 @@ def test_a_point_that_is_open_is_not_filled_like_one_that_meets(selected: Any) -
     assert opacity["pass"] == {"0.95"} and opacity["fail"] == {"0"}
     assert opacity["inconclusive"] == {"0.3"}
     legend = page.locator("#figure-accuracy .role-legend-label").all_text_contents()
-    assert {"pass", "inconclusive", "late or fail"} <= {*legend}
+    assert {"pass", "borderline", "inconclusive", "late or fail"} <= {*legend}
 
 
 @SCHEMES

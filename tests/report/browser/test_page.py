@@ -72,8 +72,8 @@ def test_a_row_of_the_ladder_is_chosen_by_a_click(selected: Any) -> None:
     wait_for_strips(page)
     assert page.inner_text("#one-title").startswith("clarabel (")
     assert re.match(
-        r"clarabel \(.*\) in .*: overall verdict (pass|late|fail|inconclusive), p50 .*, p99 .*, "
-        r"longest step .*, largest timing ",
+        r"clarabel \(.*\): overall verdict (pass|late|fail|inconclusive), p50 .* and p99 .* in .*, "
+        r"longest step of all replays .*, largest single timing .* in .*; shown: ",
         page.inner_text("#chosen"),
     )
     assert page.input_value("#choose-other") == str(page.evaluate("facts.answer.first"))
@@ -165,13 +165,15 @@ def test_a_click_among_the_strips_opens_the_nearest_step(selected: Any) -> None:
     assert abs(int(selection(page)["k"]) - wanted) < 4.0, "a dot there is the step it stands for"
 
 
-def test_the_hardest_steps_begin_with_those_of_all_experiments(selected: Any) -> None:
+def test_the_hardest_steps_are_those_of_the_experiment_then_of_all(selected: Any) -> None:
     page = selected("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
     page.locator("#hard summary").click()
     heads = page.locator("#hard span").all_inner_texts()
-    assert heads[0] == "longest step times in replays and windows, fastest round"
-    assert "largest single timings of all closed loops, stalls included" in heads[1:]
-    assert heads[-1] == "largest single timings, stalls included"
+    assert page.locator("#hard h3").all_inner_texts() == ["Hardest steps of paper"]
+    own = ["largest error", "largest single timings, stalls included"]
+    everywhere = "longest step times in replays and windows, fastest round"
+    assert heads[:3] == [*own, everywhere]
+    assert heads[-1] == "largest single timings of all closed loops, stalls included"
     runs = page.evaluate(
         "facts.experiments.map((_, p) => cell(state.c, p)).filter((run) => run?.hard)"
     )
@@ -182,7 +184,7 @@ def test_the_hardest_steps_begin_with_those_of_all_experiments(selected: Any) ->
         wanted = {"trial": False, "mode": mode}
         judged = [run["hard"][0][0][1] for run in runs if experiments[run["p"]] == wanted]
         assert worst[0]["value"] == max(judged)
-    page.locator("#hard button").first.click()
+    page.locator("#hard details button").first.click()
     experiment = page.evaluate(f"facts.experiments[{worst[0]['p']}].label")
     page.wait_for_function(f"state.p === {worst[0]['p']} && state.k === {worst[0]['k']}")
     assert selection(page)["sc"] == experiment
@@ -482,7 +484,7 @@ def test_two_of_separate_commands_have_no_ratio(selected: Any) -> None:
     }"""
     for spread, text in ((1e6, "rounds differ by a factor of"), (None, "had a single round")):
         page.evaluate(disturbed, spread)
-        assert f"No ranking, as the machine was disturbed and {text}" in page.inner_text(
+        assert f"No ranking, as other work disturbed the timing and {text}" in page.inner_text(
             "#two-said"
         )
     page.evaluate(disturbed, 1.0)

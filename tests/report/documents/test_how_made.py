@@ -26,11 +26,12 @@ def test_the_report_ends_with_how_it_was_made(records: Any, tmp_path: Path) -> N
     made = _paragraph(text)
     assert made.count("\n") == 1 and f"3 runs with {steps} steps" in made
     for solver in ("daqp", "osqp"):
-        assert f"{solver} {versions[solver]}" in made
+        assert f"`{solver}` {versions[solver]}" in made
     assert str(MACHINE["python"]) in made and str(MACHINE["cpu_model"]) in made
     folder = records.write(tmp_path / "out")
     page = write_report(folder).read_text("utf-8")
-    assert made.strip() in page.replace("&#39;", "'") and len(text.encode()) <= MOST_BYTES
+    shown = page.replace("&#39;", "'").replace("<code>", "`").replace("</code>", "`")
+    assert made.strip() in shown and len(text.encode()) <= MOST_BYTES
 
 
 def test_a_long_report_keeps_the_paragraph(records: Any, monkeypatch: Any) -> None:

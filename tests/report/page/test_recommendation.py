@@ -112,11 +112,14 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
     frame.loc[at_7, ["total_ns", "waited_ns"]] = 10_000_000, 6_000_000
     frame.loc[at_7 & last, ["total_ns", "waited_ns"]] = 40_000_000, 39_000_000
     report = Report.from_results(records.results())
-    waits = " (6.00 ms of it a wait for the core)", " (39.0 ms of it a wait for the core)"
+    waits = (
+        " (including a wait of 6.00 ms for the core)",
+        " (including a wait of 39.0 ms for the core)",
+    )
     slower = dict(report.summary_rows())["slower"]
     hardest = f"Its longest step takes 10.0 ms{waits[0]} in step 7 of paper"
     assert hardest in slower and "reaches the deadline of 300 ms at × 30.0." in slower
-    assert f"the largest timing is 40.0 ms{waits[1]} in paper" in slower
+    assert f"The largest single timing is 40.0 ms{waits[1]} in paper" in slower
     assert f"| 10.0 ms{waits[0]} |" in make_report_markdown(report)
     text, worst = compare_solver(report, "daqp")
     assert f"| 10.0 ms{waits[0]} |" in text.partition("worst by")[2]
@@ -159,7 +162,7 @@ def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
         records.loop(f"somebody_elses_solver_{i:03d}")
     text = make_report_markdown(Report.from_results(records.results()))
     assert len(text.encode()) <= MOST_BYTES
-    assert "; the rest is in `report.html`.\n\n## How these results were made\n" in text
+    assert "left out here; they are in `report.html`.\n\n## How these results were made\n" in text
     assert all(line.endswith("|") for line in text.splitlines() if line.startswith("|"))
 
 
@@ -259,13 +262,10 @@ def test_a_few_configurations_are_all_listed(records: Any, solvers: int) -> None
     modes = [row.split(" | ")[1] for row in rows]
     if solvers == 1:
         assert modes == ["qpsolvers warm", "qpsolvers fresh"] * 2
-        assert "more call modes" not in text
+        assert "more configuration" not in text
     else:
         assert modes == ["qpsolvers warm"] * 13
-        assert (
-            "\nThe verdicts on 13 more call modes and settings are in `tables/verdicts.csv`.\n"
-            in text
-        )
+        assert "\nThe verdicts on 13 more configurations are in `tables/verdicts.csv`.\n" in text
 
 
 def test_a_grid_whose_best_is_inside_needs_no_wider_one(records: Any) -> None:
@@ -447,8 +447,8 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     data = Report.from_results(records.results()).data
     (verdict,) = data.verdicts.all_verdicts
     text = " ".join(list_speed_margin_sentences(data, verdict))
-    assert ", 40.0 µs if scaled up to the iterations of its closed loop, and reaches" in text
-    assert "reaches the limit of 3 ms at × 75.0." in text
+    scaled = "Scaled up to the iterations of its closed loop, it is 40.0 µs"
+    assert f"{scaled} and reaches the limit of 3 ms at × 75.0." in text
 
 
 def test_a_replay_of_the_same_horizons_by_another_name_times_the_loop(records: Any) -> None:
@@ -503,7 +503,7 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
 @pytest.mark.parametrize(
     ("median_us", "says"),
     [
-        (8.9, "It has the most usual settings of the fastest deployable configurations that pass"),
+        (8.9, "Its settings are the most usual ones of the fastest deployable configurations"),
         (12.0, "It is the fastest deployable configuration that passes"),
     ],
 )

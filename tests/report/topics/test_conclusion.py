@@ -42,7 +42,7 @@ def test_solvers_that_do_for_three_forces_only_are_named_with_their_fault(record
         "thrusters: piqp, too late; osqp, wrong."
     )
     assert second == (
-        "After the loss of board A (thrusters_loss) the ship it steers stays within 0.28 m."
+        "After the loss of board A (thrusters_loss), the ship with this solver stays within 0.28 m."
     )
 
 
@@ -75,8 +75,8 @@ def test_a_ship_that_drifts_off_after_a_loss_is_said_to(records: Any) -> None:
     records.replay("daqp", "thrusters", **WARM)
     _, second = output(records)
     assert second == (
-        "After the loss of board A (thrusters_loss) the ship it steers drifts away: up to 28.4 m "
-        "off within 60 s of the loss, measured at the start of each step."
+        "After the loss of board A (thrusters_loss), the ship with this solver drifts away: its "
+        "offset, at the start of each step, reaches 28.4 m within 60 s of the loss."
     )
 
 

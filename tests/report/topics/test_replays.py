@@ -37,7 +37,7 @@ def test_the_forms_stand_side_by_side(records: Any) -> None:
         "osqp (qpsolvers fresh)": {
             "condensed_box": "80.0 µs",
             "sparse": "40.0 µs",
-            "condensed_stacked": "20.0 µs (not right)",
+            "condensed_stacked": "20.0 µs (inaccurate)",
         },
         "daqp (qpsolvers fresh)": {
             "condensed_box": "10.0 µs",
@@ -96,7 +96,8 @@ def test_what_the_machine_hides_is_said(records: Any) -> None:
     records.replay("daqp", replay_s=9.0, rerun_rounds=2, involuntary_switches=0, steal_s=0.0)
     topic = build_trust_topic(records.view())
     (quiet,) = (line for line in topic.lines if line.startswith("The machine was quiet"))
-    assert "2 of 3 rounds were disturbed and repeated, and none remained disturbed." in quiet
+    assert "together: 3 rounds, 2 of them repeated as disturbed. After that, none" in quiet
+    assert "remained disturbed (0 %, limit 5 %). Closed loops are not included." in quiet
     assert quiet.endswith("The machine reports neither its frequency governor nor throttling.")
 
 
@@ -106,5 +107,5 @@ def test_a_wait_is_said_by_its_largest_replay(records: Any) -> None:
     topic = build_trust_topic(records.view())
     (waits,) = (line for line in topic.lines if line.startswith("Waits of known length"))
     assert "50 µs as 52.0 µs (largest p50 of the replays)" in waits
-    assert "accurate to 4.0 %" in waits
+    assert "may therefore be wrong by up to 4.0 %" in waits
     assert "busy_wait_50us 52.0 µs" in records.ending()["timing"]

@@ -115,8 +115,8 @@ def test_refused_runs_are_counted_and_named(records: Any) -> None:
     assert found.lines[1:] == (
         "seas: 4 of 6 runs refused and not judged: 2 of scs (no native route) and 2 of scs (high) "
         "(no native route).",
-        "With daqp the ship stays within 1 m in the second half of a run in 100 % (at least 0 %) "
-        "of them, as with all.",
+        "In 100 % (at least 0 %) of the runs with daqp the ship stays within 1 m in the second "
+        "half, as with all other configurations.",
     )
     assert found.tables[0].rows[1][:3] == ("scs", "0 of 2", "–")
 
@@ -180,13 +180,13 @@ def test_a_skewed_difference_is_marked(records: Any) -> None:
     table = tabulate_effects(study)
     assert table is not None
     texts = {row[2]: row[table.heads.index("95 % radial error [cm]")] for row in table.rows}
-    assert texts["daqp"].endswith(" (skewed: widened)") and "widened" not in texts["osqp"]
+    assert texts["daqp"].endswith(" (skewed, widened)") and "widened" not in texts["osqp"]
     assert "1.5 times as wide as Student's" in table.note
     whole = build_effects_table([study])
     rows = whole[whole["measure"] == "95 % radial error"].set_index("configuration")
     assert rows.loc["daqp", "widening"] >= 1.5 > rows.loc["osqp", "widening"] >= 1.0
     excess = next(iter(topic._make_study_tables(study)))
-    assert any("(skewed: widened)" in cell for row in excess.rows for cell in row)
+    assert any("(skewed, widened)" in cell for row in excess.rows for cell in row)
 
 
 def test_settings_without_an_effect_have_one_row(records: Any) -> None:
@@ -199,7 +199,7 @@ def test_settings_without_an_effect_have_one_row(records: Any) -> None:
     assert found is not None and found.lines[0].startswith("seas: 4 runs at 1 point")
     assert {row[0] for row in found.tables[0].rows} == {"osqp", "osqp (low)"}
     assert found.tables[0].note.endswith(
-        "Settings without an effect have one row: osqp (high) is osqp."
+        "Settings without an effect share a row: osqp (high) with osqp."
     )
 
 
@@ -208,7 +208,7 @@ def test_a_small_study_is_drawn_whole(records: Any) -> None:
     found = _fill(records, points=5, seas=4)
     within, behind = found.figures
     assert len(_drawn(within, "within")) == 2 * 5 and "at each point" in within.caption
-    assert len(_drawn(behind, "error_excess_cm")) == 20 and "at even ranks" not in behind.caption
+    assert len(_drawn(behind, "error_excess_cm")) == 20 and "by rank" not in behind.caption
 
 
 @pytest.mark.slow
@@ -218,7 +218,10 @@ def test_of_a_large_study_some_seas_are_drawn(records: Any, monkeypatch: Any) ->
     monkeypatch.setattr(study_tables, "FIELDS", 3)
     found = _fill(records, points=60, seas=2)
     within, _, behind = found.figures
-    assert "in 3 × 3 fields" in within.caption and "9 of 120 at even ranks" in behind.caption
+    assert (
+        "in 3 × 3 fields" in within.caption
+        and "(9 of 120, evenly spaced by rank)" in behind.caption
+    )
     assert len(_drawn(within, "within")) <= 2 * 9 and sum(_drawn(within, "runs")) == 2 * 120
     dots = _drawn(behind, "error_excess_cm")
     assert len(dots) == 9 and min(dots) < 2.1 and max(dots) > 3.9
@@ -227,7 +230,7 @@ def test_of_a_large_study_some_seas_are_drawn(records: Any, monkeypatch: Any) ->
 def test_a_share_of_all_or_none_has_a_bound(records: Any) -> None:
     """All of 12 realisations are within: at least 1 - 3/12 of all are, as sure as any interval."""
     found = _fill(records, points=5, seas=12)
-    assert "in 100 % (at least 75 %) of them" in found.lines[1]
+    assert found.lines[1].startswith("In 100 % (at least 75 %) of the runs with ")
     assert {row[2] for row in found.tables[0].rows} == {"100 % (at least 75 %)"}
 
 
@@ -249,10 +252,10 @@ def test_the_loosest_tolerance_states_its_accuracy(records: Any) -> None:
         records.sea("osqp", 0, sea, {EAST: 1.0}, settings="1e-2", **shared, **accuracy)
     found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None and found.lines[-1] == (
-        "The loosest tolerance that costs significantly less than 1 cm and 1 % of the cost: osqp "
-        "0.01 (25.0 % of the steps accurate). osqp 0.01 does not pass the requirements: the error "
-        "of the first move is up to 0.028 (limit 0.01) and 168 of 240 steps were reported as "
-        "solved but are inaccurate."
+        "The loosest tolerance with an excess error significantly below 1 cm and an excess cost "
+        "significantly below 1 %: osqp 0.01 (25.0 % of the steps accurate). osqp 0.01 does not "
+        "pass the requirements: the error of the first move is up to 0.028 (limit 0.01) and 168 "
+        "of 240 steps were reported as solved but are inaccurate."
     )
     heads, (_, osqp) = found.tables[0].heads, found.tables[0].rows
     assert osqp[heads.index("accurate steps")] == "25.0 %"
@@ -273,7 +276,7 @@ def test_failed_steps_of_runs_are_said(records: Any) -> None:
     found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None and found.lines[1] == (
         "seas: steps failed in 2 of 3 runs, most of them with osqp at point 0, realisation 2: 4 of "
-        "20 steps. The fallback or an unfinished iterate steered there."
+        "20 steps. In these steps the fallback or an unconverged iterate acted on the ship."
     )
 
 
@@ -375,15 +378,15 @@ def test_the_markdown_has_what_is_behind_and_the_first_effects(records: Any, lev
                 error_m = 0.5 + 0.1 * east * (1 + 0.1 * sea) + more
                 records.sea(solver, east, sea + 1, {EAST: float(east)}, r_95_m=error_m)
     text = make_report_markdown(Report.from_results(records.results()))
-    behind, effects = text.split("seas: against daqp in the same realisation:")[1].split(
-        "seas: what each factor changes:"
+    behind, effects = text.split("seas: comparison with daqp in the same realisation:")[1].split(
+        "seas: effect of each factor:"
     )
     assert f"| osqp | {6 * levels} of {6 * levels} |" in behind
     assert "| 2.5 [2.1, 2.9] |" in behind and "not for all at once" in behind
     rows = [line for line in effects.splitlines() if line.startswith(f"| {EAST} |")]
     assert len(rows) == min(8, 2 * (levels - 1))
     assert ("\n4 more rows: `tables/study_*.csv`.\n" in effects) is (levels == 7)
-    assert "its points" not in text
+    assert "seas: points" not in text
 
 
 @pytest.mark.slow
@@ -411,8 +414,8 @@ def test_of_one_configuration_the_answer_is_what_it_does(records: Any) -> None:
     found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None
     assert found.lines == (
-        "seas: 4 runs at 2 points in 2 realisations; with daqp the ship stays within 1 m in the "
-        "second half of a run in 50 % of them.",
+        "seas: 4 runs at 2 points in 2 realisations; in 50 % of the runs with daqp the ship stays "
+        "within 1 m in the second half.",
     )
 
 

@@ -88,12 +88,12 @@ function verdictOf(run, name) {
 // The result of the selected configuration in the selected scenario or replay.
 function resultOf(run) {
   const within = run.settle_s === null || run.settle_s === "inf" ? ""
-    : ` and within 1 m and 1° of its reference for at least 30 s from ${run.settle_s === 0 ? "the start" : `${figure(run.settle_s)} s on`}`;
+    : ` From ${run.settle_s === 0 ? "the start" : `${figure(run.settle_s)} s on`}, it stayed within 1 m and 1° of its reference for at least 30 s.`;
   return [
     `${verdictOf(run, `\`${C().solver[state.c]}\``)}: it ran ${run.steps} of ${run.planned} steps${
       wrongOf(run) ? `; ${wrongOf(run)}` : ", and all are accurate"}.`,
     `The largest error of the first move was ${figure(run.error)} times the maximum increment.`,
-    run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop${within}.`,
+    run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop.${within}`,
     run.infeasible > 0 ? `${run.infeasible} of the steps have no feasible solution${run.all_true ? ", which the solver reported correctly" : ""}.` : "",
     run.why && run.verdict !== "pass" ? `${run.outcome === "finished" ? "Messages of the solver" : `Outcome \`${run.outcome}\``}: ${run.why}.` : "",
   ].filter(Boolean).join(" ");
@@ -191,20 +191,20 @@ function drawHard(run) {
   const order = (replayed ? [0, 1, 2] : [1, 2, 0]).filter((m) => m !== 1 || varies(state.c));
   const said = (m) => ({ p, k, value }) => ({ p, k,
     said: `${facts.experiments[p].label}, step ${k}: ${m === 0 ? time(value) : figure(value)}` });
-  // Of a single experiment its own lines say it.
+  // Of a single experiment its own lines are enough.
   const several = facts.experiments.filter((_, p) => cell(state.c, p)?.hard).length > 1;
   const most = varies(state.c) ? [1] : [], worst = most.length && !["late", "fail"].includes(C().verdict[state.c]) ? [] : [2];
   const everywhere = [[0, "longest step times in replays and windows, fastest round", "replay"],
-    ...[...worst, ...most].map((m) => [m, `${names[m]}, all judged scenarios and replays`]),
+    ...[...worst, ...most].map((m) => [m, names[m]]),
     [0, "largest single timings of all closed loops, stalls included", "closed_loop"]];
-  const all = document.createElement("details"), title = document.createElement("summary");
-  title.textContent = "Hardest steps of all scenarios and replays";
+  const all = document.createElement("details"), title = document.createElement("summary"), heading = document.createElement("h3");
+  title.textContent = "Hardest steps of all judged scenarios and replays";
+  heading.replaceChildren(...coded(`Hardest steps of \`${facts.experiments[state.p].label}\``));
   all.open = $("hard").querySelector("details")?.open ?? false;
   all.append(title, ...(several ? everywhere : []).map(([m, name, mode]) => row(name, worstAnywhere(m, mode).map(said(m))))
     .filter((line) => line.children.length > 1));
-  $("hard").replaceChildren(
-    ...(all.children.length > 1 ? [all] : []),
-    ...order.map((m) => here[m]).filter((line) => line?.children.length > 1));
+  const own = order.map((m) => here[m]).filter((line) => line?.children.length > 1);
+  $("hard").replaceChildren(...(own.length ? [heading, ...own] : []), ...(all.children.length > 1 ? [all] : []));
   drawStep(run);
 }
 

@@ -9,17 +9,20 @@ function beside() {
     ? `, ${figure(ratioOf(rows), 2)} × the time of ${unlike(first, state.c)} (geometric mean over the same steps)` : "";
 }
 
-// The line that stays on a wide screen: the selected configuration, its times, where it is shown.
+// The line that stays on a wide screen: the selected configuration, its times, what is shown of it.
 function drawChosen() {
   const c = state.c, timed = facts.experiments[C().timed_experiment_index[c]]?.label, longest = facts.experiments[C().longest_at[c]]?.label;
-  const times = [["p50", "p50"], ["p99", "replay_p99", timed && ` in \`${timed}\``],
-    ["longest step", "max", C().max_wait[c]], ["largest timing", "longest", longest && `${C().longest_wait[c]} in \`${longest}\``]]
+  const typical = [["p50", "p50"], ["p99", "replay_p99"]].filter(([, column]) => C()[column][c] !== null)
+    .map(([name, column]) => `${name} ${time(C()[column][c])}`).join(" and ");
+  const largest = [["longest step of all replays", "max", C().max_wait[c]],
+    ["largest single timing", "longest", longest && `${C().longest_wait[c]} in \`${longest}\``]]
     .filter(([, column]) => C()[column][c] !== null)
     .map(([name, column, where]) => `, ${name} ${time(C()[column][c])}${where ?? ""}`);
+  const times = [typical && `, ${typical}${timed ? ` in \`${timed}\`` : ""}`, ...largest];
   const verdict = C().verdict[c] === "not judged" ? "" : `, overall verdict ${C().verdict[c]}`;
-  const where = `in \`${facts.experiments[state.p].label}\`${state.k === null ? "" : `, step ${state.k}`}`;
   const about = `${verdict}${times.join("")}${beside()}`.slice(2);
-  $("chosen").replaceChildren(...coded(`${marked(c)} ${where}${about && `: ${about}`}`));
+  const shown = `shown: \`${facts.experiments[state.p].label}\`${state.k === null ? "" : `, step ${state.k}`}`;
+  $("chosen").replaceChildren(...coded(`${marked(c)}: ${about && `${about}; `}${shown}`));
 }
 
 // Draws the eye to what has changed.
