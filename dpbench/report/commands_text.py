@@ -19,8 +19,8 @@ MOST_COMMANDS = 3
 def describe_disturbed_times(records: Records) -> str:
     """Return what disturbed the timed replays, and what to do, as text; "" on a quiet machine."""
     states = describe_machine_states(select_timed_replays(records))
-    note = "measure the times again, as they do not rank close solvers"
-    return "" if states.startswith("quiet") else f"{states}: {note}"
+    note = "measure the times again, as they do not rank solvers of similar speed"
+    return "" if states.startswith("quiet") else f"{states}; {note}"
 
 
 def describe_machine(records: Records, machine: Mapping[str, Any]) -> str:

@@ -158,7 +158,7 @@ def test_results_name_what_disturbed_their_times(results: Results, switches: int
     )
     runs = results.runs.assign(**quiet, replay_s=1.0, involuntary_switches=switches)
     shown = replace(results, runs=runs)
-    warning = "the machine was disturbed: 67 involuntary context switches a second: measure"
+    warning = "the machine was disturbed: 67 involuntary context switches a second; measure"
     for text in (repr(shown), shown._repr_html_()):
         assert (warning in text.replace("The machine", "the machine")) == (switches > 0)
         assert ("disturbed" in text) == (switches > 0)

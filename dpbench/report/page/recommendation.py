@@ -340,12 +340,14 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
         controller, also = "With commanded thrusters, ", f" (× {least} over all replays)"
     wait = describe_hardest_wait(data.records, margin.hardest.run)
     hardest = p99 = _describe_slow_step(margin.hardest, wait)
+    longest_step = "This is its longest step, which"
     if margin.p99.time_ns != margin.hardest.time_ns:
-        p99 = _describe_slow_step(margin.p99)
+        longest_step, p99 = f"Its longest step takes {hardest} and", _describe_slow_step(margin.p99)
     if (more := margin.p99.run.untimed_iterations) > 1.0:
         bound = format_time(margin.p99.time_ns * more)
         p99 = f"{p99}. Scaled up to the iterations of its closed loop, it is {bound}"
-    time = "p99" if isfinite(chosen.p99_ns) else "largest step time (in place of a p99)"
+        longest_step = f"Its longest step takes {hardest} and"
+    time = "limiting p99" if isfinite(chosen.p99_ns) else "largest step time (in place of a p99)"
     is_of_own_plant = any(run.is_of_own_plant for run in data.records.runs)
     computer = "the computer" if is_of_own_plant else "the ship's computer"
     opening = f"{controller}{computer}"
@@ -354,7 +356,7 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
         f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this one{also}.",
         f"The solver's {time} is {p99} and reaches the limit of {requirements.p99_ms:g} ms at × "
         f"{format_rounded_down(margin.p99_limit)}.",
-        f"Its longest step takes {hardest} and reaches the deadline of "
+        f"{longest_step} reaches the deadline of "
         f"{requirements.deadline_ms:g} ms at × {format_rounded_down(margin.deadline)}.",
     ]
     longest, arms_ns = (

@@ -476,7 +476,7 @@ def test_two_of_separate_commands_have_no_ratio(selected: Any) -> None:
     assert "so there is no ratio" in output and "times as long" not in output
     page.evaluate(other, [99, before[1]])
     assert "not timed by turns" in page.inner_text("#two-said")
-    assert " × the time of `daqp`" in page.evaluate(other, before)
+    assert " times those of `daqp`" in page.evaluate(other, before)
     assert "times as long" in page.inner_text("#two-said")
     disturbed = """async (spread) => {
       for (const p in facts.paired.turns) facts.paired.spreads[p] = { [state.c]: spread };

@@ -696,7 +696,7 @@ def test_the_code_to_paste_has_settings_of_ones_own(records: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("steps", "named"), [(300, "largest step time (in place of a p99)"), (1000, "p99")]
+    ("steps", "named"), [(300, "largest step time (in place of a p99)"), (1000, "limiting p99")]
 )
 def test_a_margin_of_too_few_steps_names_no_p99(records: Any, steps: int, named: str) -> None:
     """A p99 takes 1000 steps."""

@@ -6,7 +6,7 @@ function beside() {
   const first = facts.answer.first, rows = first === state.c ? [] : comparedSteps(first, state.c);
   if (rows[0]?.separate) return `, ${rows[0].separate} from ${unlike(first, state.c)}`;
   return rows.length
-    ? `, ${figure(ratioOf(rows), 2)} × the time of ${unlike(first, state.c)} (geometric mean over the same steps)` : "";
+    ? `, step times ${figure(ratioOf(rows), 2)} times those of ${unlike(first, state.c)} (geometric mean over the same steps)` : "";
 }
 
 // The line that stays on a wide screen: the selected configuration, its times, what is shown of it.
@@ -18,9 +18,9 @@ function drawChosen() {
     ["largest single timing", "longest", longest && `${C().longest_wait[c]} in \`${longest}\``]]
     .filter(([, column]) => C()[column][c] !== null)
     .map(([name, column, where]) => `, ${name} ${time(C()[column][c])}${where ?? ""}`);
-  const times = [typical && `, ${typical}${timed ? ` in \`${timed}\`` : ""}`, ...largest];
+  const usual = typical && `, ${typical}${timed ? ` in \`${timed}\`` : ""}`;
   const verdict = C().verdict[c] === "not judged" ? "" : `, overall verdict ${C().verdict[c]}`;
-  const about = `${verdict}${times.join("")}${beside()}`.slice(2);
+  const about = `${verdict}${usual}${beside()}${largest.join("")}`.slice(2);
   const shown = `shown: \`${facts.experiments[state.p].label}\`${state.k === null ? "" : `, step ${state.k}`}`;
   $("chosen").replaceChildren(...coded(`${marked(c)}: ${about && `${about}; `}${shown}`));
 }
