@@ -60,9 +60,13 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Paired runs of two result folders, and descriptions of the runs left unpaired."""
+    """Paired runs of two result folders, and descriptions of the runs left unpaired.
+
+    refused : the pairs that both folders refused to run, which are not in `pairs`.
+    """
 
     pairs: list[Pair]
+    refused: list[Pair]
     only_a: list[str]
     only_b: list[str]
     changed: list[str]
@@ -80,15 +84,15 @@ def list_machine_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list
 def pair_runs_of_folders(a: Records, b: Records, names: tuple[str, str]) -> Pairs:
     """Return the runs of two result folders, paired by configuration and problem.
 
-    Custom settings whose options changed are paired by their name. A cell refused in both is
-    left out; one whose problem changed under its name has no partner.
+    Custom settings whose options changed are paired by their name. A cell whose problem changed
+    under its name has no partner.
 
     Raises
     ------
     ResultsError : when no cell of one folder has a partner in the other.
     """
     cells_a, cells_b = _map_runs_by_identity(a), _map_runs_by_identity(b)
-    pairs, changed, lost = [], [], []
+    pairs, refused, changed, lost = [], [], [], []
     partners = {key: key for key in cells_a if key in cells_b} | _pair_keys_of_changed_options(
         cells_a, cells_b
     )
@@ -99,7 +103,9 @@ def pair_runs_of_folders(a: Records, b: Records, names: tuple[str, str]) -> Pair
             changed.append(_describe_run(pair.a))
         elif "lost" in outcomes:
             lost.append(_describe_run(pair.a))
-        elif outcomes != ("refused", "refused"):
+        elif outcomes == ("refused", "refused"):
+            refused.append(pair)
+        else:
             pairs.append(pair)
     if not pairs and not lost:
         missing = "no cell on the same problem as a cell of the first folder"
@@ -107,7 +113,7 @@ def pair_runs_of_folders(a: Records, b: Records, names: tuple[str, str]) -> Pair
     only_a = [_describe_run(run) for key, run in cells_a.items() if key not in partners]
     found = set(partners.values())
     only_b = [_describe_run(run) for key, run in cells_b.items() if key not in found]
-    return Pairs(pairs, only_a, only_b, changed, lost)
+    return Pairs(pairs, refused, only_a, only_b, changed, lost)
 
 
 def _pair_keys_of_changed_options(

@@ -28,6 +28,8 @@ from dpbench.bench.record.cell import Configuration, sort_key_of_settings
 
 MACHINE_DISTURBED = "machine disturbed"
 """Finding on a difference that other load can explain."""
+UNSTABLE = "unstable"
+"""Finding on a difference whose sign depends on the measure, such as the mean or the p99."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class PairedComparison:
         if self.is_tied:
             return "tied"
         if self.is_unstable:
-            return "unstable"
+            return UNSTABLE
         if self.is_within_spread:
             return MACHINE_DISTURBED
         return "faster" if self.ratio.high < 1.0 else "slower"

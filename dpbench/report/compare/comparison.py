@@ -29,6 +29,7 @@ from dpbench.analysis.compare.times import (
     explain_unjudged_sequences,
     find_reference_indices,
 )
+from dpbench.analysis.compare.verdicts import VerdictChange, find_verdict_changes
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances
 from dpbench.analysis.verdict.ship_results import find_ship_results
@@ -36,7 +37,11 @@ from dpbench.bench.record.result_folder import load_results
 from dpbench.display import make_html_table
 from dpbench.errors import InputError
 from dpbench.report.commands_text import describe_machine_states
-from dpbench.report.compare.further_tables import make_settings_table, make_windows_table
+from dpbench.report.compare.further_tables import (
+    make_settings_table,
+    make_verdicts_table,
+    make_windows_table,
+)
 from dpbench.report.formats import (
     MISSING,
     Table,
@@ -381,15 +386,21 @@ def compare(
     solver = choose_reference_solver(timings, reference) if differ or reference else ""
     compared, shared, wording = _compare_times(views, timings, solver, margin, alpha)
     figures = compare_accuracy_and_control(*views, pairs.pairs, margin)
+    verdicts = find_verdict_changes(*views, pairs)
     warnings = [summarise_ships(find_ship_results(view)).warning for view in views]
     lines = [f"{name}: {text}" for name, text in zip("AB", warnings, strict=True) if text]
     lines += [f"A: {a}{_describe_machine(views[0])}", f"B: {b}{_describe_machine(views[1])}"]
     lines += [f"another machine: they differ in {join_with_and(differ)}"] if differ else []
-    lines += [*wording, *_make_summary_lines(compared, shared, figures, pairs)]
+    lines += [*wording, *_make_summary_lines(compared, shared, figures, pairs, verdicts)]
     changed = make_changes_table(figures, margin)
     tables = [make_solvers_table(compared, figures)] if compared or figures else []
     tables += [make_times_table(compared, margin, alpha, reference=solver)] if compared else []
-    further = make_windows_table(*views, pairs.pairs), changed, make_settings_table(*views)
+    further = (
+        make_verdicts_table(*views, verdicts),
+        make_windows_table(*views, pairs.pairs),
+        changed,
+        make_settings_table(*views),
+    )
     tables += [table for table in further if table is not None]
     return Comparison(compared, shared, figures, pairs, lines, tables, margin, alpha, solver)
 
@@ -401,10 +412,10 @@ def _compare_times(
     wording = []
     bare = [name for name, view in zip("AB", views, strict=True) if not view.has_steps]
     if bare and timings:
-        uncounted = ", failed steps are not" if len(bare) == 1 else ""
+        uncounted = ", failed steps and" if len(bare) == 1 else ","
         wording.append(
             f"no steps.parquet in {join_with_and(bare)}: medians of step times are compared"
-            f"{uncounted}"
+            f"{uncounted} verdicts are not"
         )
     if not solver:
         unjudged = explain_unjudged_sequences(*views, timings)
@@ -443,9 +454,11 @@ def _make_summary_lines(
     shared: list[SharedFactor],
     figures: list[FigureChange],
     pairs: Pairs,
+    changed_verdicts: list[VerdictChange],
 ) -> list[str]:
     """Return lines that sum up a comparison: cells, step times, answers and unpaired runs."""
     lines = [f"{plural(len(pairs.pairs), 'cell')} compared", *describe_changed_options(pairs)]
+    lines += _describe_verdict_changes(changed_verdicts)
     verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:
         lines.append("step times: " + ", ".join(f"{n} {v}" for v, n in verdicts.most_common()))
@@ -470,3 +483,10 @@ def _make_summary_lines(
             unlisted = f" and {len(cells) - LISTED} more" if len(cells) > LISTED else ""
             lines.append(f"{what}, not compared: {'; '.join(cells[:LISTED])}{unlisted}")
     return lines
+
+
+def _describe_verdict_changes(changes: Sequence[VerdictChange]) -> list[str]:
+    """Return a line that counts changed verdicts by kind; none where no verdict changed."""
+    kinds = Counter(f"{change.a.state} → {change.b.state}" for change in changes)
+    counts = ", ".join(f"{n} {kind}" for kind, n in kinds.items())
+    return [f"verdicts changed: {counts}"] if changes else []

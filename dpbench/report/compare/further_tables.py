@@ -1,4 +1,4 @@
-"""Tables of a comparison without a verdict: windows of hardest steps, settings within a folder."""
+"""Further tables of a comparison: changed verdicts, windows of hardest steps, two settings."""
 
 import math
 from collections.abc import Sequence
@@ -6,15 +6,43 @@ from collections.abc import Sequence
 import numpy as np
 
 from dpbench.analysis.compare.pairs import Pair
+from dpbench.analysis.compare.verdicts import VerdictChange
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.paired_times import (
     MACHINE_DISTURBED,
+    UNSTABLE,
     PairedComparison,
     compare_settings_of_solvers,
     match_times_by_step,
 )
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.time_findings import compute_p99_ns
 from dpbench.report.formats import MISSING, Table, format_interval, format_microseconds
+from dpbench.report.verdict_text import describe_main_reason
+
+
+def make_verdicts_table(a: Records, b: Records, changes: Sequence[VerdictChange]) -> Table | None:
+    """Return a table of configurations whose verdict changed from A to B; None without one."""
+    if not changes:
+        return None
+    rows = []
+    for change in changes:
+        name, worse = ("B", change.b) if change.is_for_the_worse else ("A", change.a)
+        rows.append(
+            {
+                "configuration": change.pair.configuration_label,
+                "A": change.a.state,
+                "B": change.b.state,
+                "reason": f"{name}: {describe_main_reason(worse)}",
+            }
+        )
+    note = (
+        "The runs that both folders have are judged in each folder on their own. A verdict depends "
+        "on step times, so the speed and the load of the machine can change it."
+    )
+    if Requirements.from_suite(a.suite) != Requirements.from_suite(b.suite):
+        note += " A and B have different requirements."
+    return Table.from_rows(rows, "Verdicts that changed", note=note, text_columns=4)
 
 
 def make_windows_table(a: Records, b: Records, pairs: Sequence[Pair]) -> Table | None:
@@ -68,6 +96,8 @@ def make_settings_table(a: Records, b: Records) -> Table | None:
         "geometric mean, replays of one size of equal weight, with a 95 % interval for each ratio "
         "alone. The machine's factor between A and B is not in it."
     )
+    if any(UNSTABLE in cell for row in rows for cell in row.values()):
+        note += " Unstable: another measure, such as the p99, names the other settings as faster."
     title = "Two settings of one solver, within each folder"
     return Table.from_rows(rows, title, note=note, text_columns=2) if rows else None
 
@@ -81,5 +111,5 @@ def _format_ratio(found: PairedComparison | None) -> tuple[str, str]:
         times = (format_microseconds(ns) for ns in (found.second_ns, found.first_ns))
         return " µs, ".join(times) + " µs", found.separate
     interval = format_interval(ratio.low, ratio.high)
-    is_disturbed = found.finding_text == MACHINE_DISTURBED
-    return f"{ratio.value:.3f}", f"{interval}, {MACHINE_DISTURBED}" if is_disturbed else interval
+    doubt = found.finding_text if found.finding_text in (MACHINE_DISTURBED, UNSTABLE) else ""
+    return f"{ratio.value:.3f}", ", ".join(filter(None, (interval, doubt)))

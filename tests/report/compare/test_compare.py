@@ -433,8 +433,8 @@ def test_a_folder_without_steps_is_compared_by_its_medians(make: Make, tmp_path:
     b = make("b", seed=2, algo_p50_ns=3e4, failed_steps=12)
     (b / "steps.parquet").unlink()
     found = compare(a, b)
-    remark = "no steps.parquet in B: medians of step times are compared, failed steps are not"
-    assert remark in found.lines
+    remark = "no steps.parquet in B: medians of step times are compared"
+    assert f"{remark}, failed steps and verdicts are not" in found.lines
     for one in (found, compare(b, a)):
         assert "failed_steps" not in {figure.measure.column for figure in one.figures}
     assert found.times["raw"].to_numpy() == pytest.approx(1.5)
@@ -606,6 +606,56 @@ def test_each_folder_has_the_ratios_of_two_settings(tmp_path: Path) -> None:
     low, high = json.loads(row[4])
     assert low < float(row[3]) < high
     assert "Two settings of one solver, within each folder" in compared.markdown()
+
+
+def test_two_settings_whose_order_depends_on_the_measure_are_marked(tmp_path: Path) -> None:
+    """Half the geometric mean of default, and twice its p99: one step in fifty takes five times."""
+    one = MadeRecords()
+    one.replay("osqp", median_us=40.0, spread=0.1)
+    stalls = dict.fromkeys(range(0, 1000, 50), 5.0)
+    mine = {"settings": "mine", "options": '{"rho": 1.6}', "slow": stalls}
+    one.replay("osqp", median_us=20.0, spread=0.1, **mine)
+    folder = one.write(tmp_path / "a")
+    (table,) = (t for t in compare(folder, folder).tables if "ratio in A" in t.heads)
+    ((*_, interval),) = table.rows
+    assert interval.endswith("], unstable")
+    assert "Unstable: " in table.note
+
+
+def test_changed_verdicts_are_listed_and_unchanged_ones_are_not(tmp_path: Path) -> None:
+    """5 ms a step in B for one solver of two; the limit of the p99 is 3 ms."""
+    for name, median_us in (("a", 20.0), ("b", 5000.0)):
+        one = MadeRecords()
+        for solver, own_us in (("daqp", median_us), ("piqp", 20.0)):
+            one.loop(solver)
+            one.replay(solver, median_us=own_us, spread=0.1)
+        one.write(tmp_path / name)
+    found = compare(tmp_path / "a", tmp_path / "b")
+    assert "verdicts changed: 1 pass → late" in found.lines
+    (table,) = (t for t in found.tables if t.title == "Verdicts that changed")
+    ((*cells, reason),) = table.rows
+    assert cells == ["daqp (qpsolvers fresh)", "pass", "late"]
+    assert reason.startswith("B: ") and "`paper`" in reason
+    assert "| daqp (qpsolvers fresh) | pass | late |" in found.markdown()
+    page = write_comparison(tmp_path / "compare.html", found).read_text(encoding="utf-8")
+    assert "Verdicts that changed" in page
+    better = compare(tmp_path / "b", tmp_path / "a")
+    assert "verdicts changed: 1 late → pass" in better.lines
+    for same in (compare(tmp_path / "a", tmp_path / "a"), compare(tmp_path / "b", tmp_path / "b")):
+        assert not any(line.startswith("verdicts") for line in same.lines)
+        assert not any("Verdicts" in table.title for table in same.tables)
+
+
+def test_a_configuration_is_judged_on_the_runs_that_both_folders_have(tmp_path: Path) -> None:
+    """A scenario that only B ran, and in which it fails, changes no verdict."""
+    for name, scenarios in (("a", ["paper"]), ("b", ["paper", "rough"])):
+        one = MadeRecords()
+        one.replay("daqp", median_us=20.0)
+        for scenario in scenarios:
+            one.loop("daqp", scenario, error=1e-9 if scenario == "paper" else 0.5)
+        one.write(tmp_path / name)
+    found = compare(tmp_path / "a", tmp_path / "b")
+    assert not any("verdicts changed" in line for line in found.lines)
 
 
 @pytest.mark.slow
