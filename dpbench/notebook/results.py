@@ -39,6 +39,22 @@ VERDICT_COLUMNS = (
     *("error_move", "p50_us", "p99_us"),
 )
 """The columns of the verdicts in LaTeX."""
+RATIO_NOTE = (
+    "Ratio: geometric mean of the step times of the second over those of the first, on the same "
+    "steps. Low and high: its 95 % interval within this run; two runs can differ by more."
+)
+
+
+class RatioTable(pd.DataFrame):
+    """Data frame of step time ratios that displays the meaning and reach of their intervals."""
+
+    def __repr__(self) -> str:
+        return f"{super().__repr__()}\n{RATIO_NOTE}"
+
+    def _repr_html_(self) -> str | None:
+        """Return the table as HTML with the note below it, which a notebook displays."""
+        table = super()._repr_html_()  # type: ignore[misc] # the stubs of pandas lack it
+        return None if table is None else f"{table}{make_html_paragraph(RATIO_NOTE)}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -168,8 +184,8 @@ class Results(result_folder.Results):
 
         Each solver's best against the fastest, and its settings, in one call mode, against
         `default` or the first of them. One row for each number of `variables`. `low` and `high`
-        bound the mean ratio, second over first. `finding` is "slower" or "faster" (the second),
-        "tied" where they include 1, "unstable" where another measure names another one as faster,
+        bound the mean ratio, second over first, within this run. `finding` is "slower" or "faster"
+        (the second), "tied" where they include 1, "unstable" where another measure disagrees,
         "machine disturbed" where other load can explain the difference, "one run" of settings
         without effect, or "too few steps" for an interval; these two have 0 to inf. Two that were
         not timed by turns have no ratio, and `finding` has the reason.
@@ -188,8 +204,8 @@ class Results(result_folder.Results):
         """
         if choices:
             self.recorded.require_file()
-            return pd.DataFrame([one.table_row for one in compare_chosen(Records(self), choices)])
-        return self.tables["paired_ratios"]
+            return RatioTable([one.table_row for one in compare_chosen(Records(self), choices)])
+        return RatioTable(self.tables["paired_ratios"])
 
     def to_latex(
         self,
@@ -203,7 +219,8 @@ class Results(result_folder.Results):
 
         The document needs the package `booktabs`. A ratio of one run to itself is an empty cell. A
         last line, a comment, has a caption: contents, and rounds and steps of the replays. If all
-        rows have one `unit`, it is in the heads of the values.
+        rows have one `unit`, it is in the heads of the values. For step time ratios it defines the
+        ratio and its interval.
 
         table : a name in `tables`, or a data frame, such as some rows of one. columns : some of its
         columns, by default all; of "verdicts" those that identify a configuration, its verdict,
@@ -238,8 +255,10 @@ class Results(result_folder.Results):
             frame.loc[frame["finding"] == "one run", values] = math.nan
         are_verdicts = isinstance(table, str) and table == "verdicts"
         usual = [name for name in frame if not are_verdicts or name in VERDICT_COLUMNS]
-        frame = frame[list(columns or usual)].rename(columns=_find_heads_with_unit(frame))
         caption = self._describe_table(table) if isinstance(table, str) else ""
+        if {"ratio", "finding"} <= {*frame}:
+            caption = f"{caption} {RATIO_NOTE}".lstrip()
+        frame = frame[list(columns or usual)].rename(columns=_find_heads_with_unit(frame))
         if (
             are_verdicts
             and {"p50_us", "p99_us"} <= {*frame}

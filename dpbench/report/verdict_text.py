@@ -359,7 +359,7 @@ def _describe_time_ratio(compared: PairedComparison, end: str) -> str:
         wording += f" (geometric mean of {plural(compared.steps, 'step')}, {few})"
     else:
         interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
-        wording += f" (geometric mean, 95 % interval {interval})"
+        wording += f" (geometric mean, 95 % interval {interval} within this run)"
         if compared.is_tied:
             return f"{wording}: no significant difference"
     if not compared.is_unstable:

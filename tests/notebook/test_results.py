@@ -117,6 +117,22 @@ def test_a_ratio_of_one_run_to_itself_is_empty_in_latex(results: Results) -> Non
     assert "\n &  &  & one run" in text and "\n2.04 & 1.90 & 2.10 & slower" in text
 
 
+def test_ratios_are_shown_with_their_definition_and_reach(results: Results) -> None:
+    """In text, in a notebook, and in the caption of LaTeX, of a frame of some columns too."""
+    ratios = results.paired_ratios()
+    frame = results.to_latex(ratios, ["first", "second", "ratio", "low", "high"])
+    stored = results.to_latex("paired_ratios")
+    for text in (
+        repr(ratios),
+        ratios._repr_html_(),
+        frame.replace("\\%", "%"),
+        stored.replace("\\%", "%"),
+    ):
+        assert "geometric mean of the step times of the second over those of the first" in text
+        assert "95 % interval within this run" in text
+    assert type(ratios[["ratio"]]) is pd.DataFrame
+
+
 def test_ladder_and_ratios_are_of_the_same_solvers(results: Results) -> None:
     ladder, ratios = results.ladder(), results.paired_ratios()
     assert ladder["solver"].is_unique

@@ -94,7 +94,7 @@ def make_settings_table(a: Records, b: Records) -> Table | None:
     note = (
         "Step time of the settings over that of the others on the same steps of the same run: "
         "geometric mean, replays of one size of equal weight, with a 95 % interval for each ratio "
-        "alone. The machine's factor between A and B is not in it."
+        "alone, within its run. The machine's factor between A and B is not in it."
     )
     if any(UNSTABLE in cell for row in rows for cell in row.values()):
         note += " Unstable: another measure, such as the p99, names the other settings as faster."

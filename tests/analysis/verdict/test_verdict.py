@@ -435,7 +435,7 @@ def test_a_clear_lead_is_called_so(records: Any) -> None:
     assert not found.is_tied and found.finding_text == "slower"
     said = (
         r"[\d.]+ times as long over the same steps of `[a-z, ]+` "
-        r"\(geometric mean, 95 % interval [\d.]+ to [\d.]+\)"
+        r"\(geometric mean, 95 % interval [\d.]+ to [\d.]+ within this run\)"
     )
     assert re.fullmatch(said, describe_paired_times([found]))
 

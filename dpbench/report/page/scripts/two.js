@@ -106,7 +106,7 @@ async function drawTwo() {
   $("figure-pairs").hidden = false;
   const ratio = Math.max(ratioOf(rows), 1 / ratioOf(rows)), reach = reachOf(state.c, second);
   const [slower, faster] = ratioOf(rows) >= 1 ? [second, state.c] : [state.c, second];
-  const interval = reach !== null ? `95 % interval ${twoDigits(ratio / reach)} to ${twoDigits(ratio * reach)}`
+  const interval = reach !== null ? `95 % interval ${twoDigits(ratio / reach)} to ${twoDigits(ratio * reach)} within this run`
     : ratio === 1 ? "one run: the settings make no difference" : "too few steps for an interval";
   const text = rows[0].separate
     ? `${marked(state.c)} takes ${time(meanOf(rows, "a"))} per step and ${marked(second)} `
