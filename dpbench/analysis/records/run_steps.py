@@ -270,7 +270,7 @@ class Delays:
     every step waited for the core, only the rest of a timing is compared with limits.
 
     samples : (R,) timings of each round; base_ns : (R,) sum of their base times, the exposed time.
-    step_ns : median over the timings.
+    step_ns, net_step_ns : median over the timings, and over them less their waits, if known.
     round, delay_ns, own_ns, net_ns : (D,) of each delay the index of its round, its timing, its
         base time, and its timing less the wait for the core, where that is known.
     has_waits : whether the wait of every timing is recorded.
@@ -279,6 +279,7 @@ class Delays:
     samples: Ints
     base_ns: Floats
     step_ns: float
+    net_step_ns: float
     round: Ints
     delay_ns: Floats
     own_ns: Floats
@@ -289,7 +290,7 @@ class Delays:
     @cached_property
     def without_waits(self) -> "Delays":
         """Copy of these delays without the recorded waits for the processor core."""
-        return replace(self, net_ns=self.delay_ns, has_waits=False)
+        return replace(self, net_ns=self.delay_ns, net_step_ns=self.step_ns, has_waits=False)
 
     def count_late_by_repetition(self, limit_ns: float) -> Ints:
         """Return the number, by repetition (R,), of timings over a limit without their waits."""
@@ -335,6 +336,7 @@ def find_delays(repeat: Ints, k: Ints, total_ns: Floats, waited_ns: Floats) -> D
         samples=np.bincount(index, minlength=len(rounds)).astype(np.int64),
         base_ns=np.bincount(index, weights=base, minlength=len(rounds)).astype(np.float64),
         step_ns=middle,
+        net_step_ns=float(np.median(net_ns)) if net_ns is not None and len(net_ns) else middle,
         round=index[delayed].astype(np.int64),
         delay_ns=total_ns[delayed],
         own_ns=base[delayed],

@@ -181,14 +181,8 @@ def find_late_timings(
     replays = [run for run in runs if run.mode == "replay" and records.has_comparable_times(run)]
     loops = [run for run in runs if run.mode == "closed_loop"]
     arms = [run for run in records.calibration if run.mode == "replay"]
-    found = records.read_delays_by_run([*replays, *loops, *arms])
-    timed = {run_id for run_id, own in found.items() if own.samples.any()}
-    replays, loops, arms = ([r for r in of if r.run_id in timed] for of in (replays, loops, arms))
-    delays: dict[str, Delays] = {}
-    for run in (*replays, *loops, *arms):
-        own = found[run.run_id]
-        has_threads = waits_for_threads(run, int(own.samples.sum()))
-        delays[run.run_id] = own.without_waits if has_threads else own
+    delays = read_delays(records, [*replays, *loops, *arms])
+    replays, loops, arms = ([r for r in of if r.run_id in delays] for of in (replays, loops, arms))
     repeated = [run for run in replays if len(delays[run.run_id].samples) > 1]
     once = [*loops, *(run for run in replays if run not in repeated)]
     tests: dict[Kind, list[LateTimings]] = {
@@ -212,6 +206,20 @@ def find_late_timings(
     return group_by_key(
         (test for test in adjusted if test.p <= DOUBTFUL), lambda test: test.run.run_id
     )
+
+
+def read_delays(records: Records, runs: Sequence[RunRecord]) -> dict[str, Delays]:
+    """Return the unusually long timings of timed runs, by run id.
+
+    No waits are known of a run whose own threads may have the core.
+    """
+    found = records.read_delays_by_run(runs)
+    timed = ((run, found[run.run_id]) for run in runs if run.run_id in found)
+    return {
+        run.run_id: own.without_waits if waits_for_threads(run, int(own.samples.sum())) else own
+        for run, own in timed
+        if own.samples.any()
+    }
 
 
 def waits_for_threads(run: RunRecord, samples: int) -> bool:
@@ -334,7 +342,7 @@ def _test_run_timed_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTi
     late, samples = int(own.count_late_by_repetition(limit_ns).sum()), int(own.samples.sum())
     explained = _count_late_explained_by_machine(run, own)
     p = float(binom.sf(late - np.nan_to_num(explained) - 1, samples, ALLOWED))
-    if own.step_ns > limit_ns:
+    if own.net_step_ns > limit_ns:
         # The median is the plainer answer.
         p = 1.0
     # Where the kernel hides its switches they may explain all of it.

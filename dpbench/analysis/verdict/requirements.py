@@ -110,6 +110,7 @@ Doubt = Literal[
     "p99 waits",
     "p95 waits",
     "deadline waits",
+    "loop waits",
     "few timings",
     "few p95 timings",
     "few deadline timings",
@@ -130,6 +131,7 @@ DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
 NEAR: tuple[Near, ...] = get_args(Near)
 PERHAPS_BY_MACHINE: tuple[Doubt, ...] = (
     *("remembered", "hidden work", "p99 waits", "p95 waits", "deadline waits"),
+    "loop waits",
     *("few timings", "few p95 timings", "few deadline timings"),
     *("late at random", "late when disturbed"),
     *("perhaps late timings", "perhaps past the deadline"),

@@ -23,6 +23,7 @@ from dpbench.analysis.verdict.lateness import (
     Uncertainty,
     estimate_uncertainty,
     find_late_timings,
+    read_delays,
     waits_for_threads,
 )
 from dpbench.analysis.verdict.requirements import (
@@ -60,23 +61,31 @@ def find_late_timings_and_uncertainty(
 
 
 def find_slow_loops(
-    runs: Sequence[RunRecord], requirements: Requirements, uncertainty: Uncertainty
+    records: Records,
+    runs: Sequence[RunRecord],
+    requirements: Requirements,
+    uncertainty: Uncertainty,
 ) -> list[Finding]:
     """Return findings on closed loops whose median solve time is near or over the p99 limit.
 
-    Late beyond its uncertainty, borderline within; the median needs `LOOP_TIMINGS` to be late.
+    Late beyond its uncertainty, with and without the waits for the core; borderline within. The
+    median needs `LOOP_TIMINGS` to be late.
     """
-    order: tuple[Cause | Doubt | Near, ...] = ("slow loop", "short slow loop", "loop borderline")
+    order: tuple[Cause | Doubt | Near, ...]
+    order = ("slow loop", "short slow loop", "loop waits", "loop borderline")
     kinds: dict[Cause | Doubt | Near, list[RunRecord]] = {kind: [] for kind in order}
-    for run in runs:
-        if run.mode != "closed_loop" or run.slowdown > 0.0:
-            continue
-        ratio, factor = run.raw_p50_ns / requirements.p99_ns, uncertainty.get_factor_of_run(run)
-        if run.steps_done < LOOP_TIMINGS and ratio > 1.0:
-            kinds["short slow loop"].append(run)
-        elif ratio > factor:
-            kinds["slow loop"].append(run)
-        elif ratio >= 1.0 / factor:
+    loops = [run for run in runs if run.mode == "closed_loop" and not run.slowdown > 0.0]
+    delays = read_delays(records, loops)
+    own_ns = {run_id: own.net_step_ns for run_id, own in delays.items() if own.has_waits}
+    for run in loops:
+        limit_ns, factor = requirements.p99_ns, uncertainty.get_factor_of_run(run)
+        is_short = run.steps_done < LOOP_TIMINGS
+        high_ns = limit_ns if is_short else factor * limit_ns
+        if run.raw_p50_ns > high_ns and own_ns.get(run.run_id, math.inf) <= high_ns:
+            kinds["loop waits"].append(run)
+        elif run.raw_p50_ns > high_ns:
+            kinds["short slow loop" if is_short else "slow loop"].append(run)
+        elif run.raw_p50_ns >= limit_ns / factor:
             kinds["loop borderline"].append(run)
     findings = [
         finding
@@ -84,7 +93,12 @@ def find_slow_loops(
         for finding in make_finding_on_worst_runs(kind, of_kind, lambda run: run.raw_p50_ns)
     ]
     return [
-        replace(f, limit=requirements.p99_ns, factor=uncertainty.get_factor_of_run(f.runs[0]))
+        replace(
+            f,
+            limit=requirements.p99_ns,
+            factor=uncertainty.get_factor_of_run(f.runs[0]),
+            machine=own_ns[f.runs[0].run_id] if f.kind == "loop waits" else math.nan,
+        )
         for f in findings
     ]
 

@@ -232,7 +232,7 @@ def judge_configuration(
         records, requirements
     )
     times, figures = time_findings.judge_replay_times(records, replays, requirements, uncertainty)
-    times += time_findings.find_slow_loops(ran, requirements, uncertainty)
+    times += time_findings.find_slow_loops(records, ran, requirements, uncertainty)
     times += time_findings.convert_late_timings_to_findings(ran, late_timings)
     times += time_findings.find_work_in_other_threads(ran)
     late, unsure, near = ([f for f in times if f.kind in kinds] for kinds in (LATE, DOUBTS, NEAR))

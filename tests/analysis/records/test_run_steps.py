@@ -264,9 +264,12 @@ def test_in_one_round_a_delay_is_what_is_over_the_median() -> None:
         "own_ns": [12.0],
         "net_ns": [30.0],
     }
-    assert delays.step_ns == 12.0
+    assert delays.step_ns == delays.net_step_ns == 12.0
     unknown = find_delays(k * 0, k, timings, np.array([0.0, 8.0, 0.0, np.nan]))
     assert unknown.net_ns.tolist() == [30.0] and not unknown.has_waits
+    assert unknown.net_step_ns == 12.0
+    waits = find_delays(k * 0, k, timings, np.array([0.0, 25.0, 0.0, 6.0]))
+    assert (waits.step_ns, waits.net_step_ns, waits.without_waits.net_step_ns) == (12.0, 6.0, 12.0)
     nothing = find_delays(k * 0, k, np.full(4, np.nan), zeros)
     assert np.isnan(nothing.step_ns) and not len(nothing.samples)
 
