@@ -137,7 +137,8 @@ SAME = 0.01
 class ClaimFinding:
     """Evidence on one claim of the paper: criterion, whether reproduced, and measured values.
 
-    by : a key of `HOLDS` or `SMALLER`; "no loop", "one law" or "short" where nothing decides.
+    by : a key of `HOLDS` or `SMALLER`; "no loop", "one law", "no clipped law" or "short" where
+        nothing decides.
     values : `run`, the constrained law, `law`, the clipped one, and what those two do not hold.
     """
 
@@ -169,7 +170,8 @@ def assess_paper_claim(records: Records, scenario: str, by: str) -> ClaimFinding
     laws = 1 if by in HOLDS else 2
     runs = [run for run in (pair.constrained, pair.clipped)[:laws] if run is not None]
     if len(runs) < laws:
-        return ClaimFinding("no loop" if laws == 1 else "one law", "not measured", {})
+        missing = "one law" if pair.constrained is None else "no clipped law"
+        return ClaimFinding("no loop" if laws == 1 else missing, "not measured", {})
     done = min(run.steps_done for run in runs)
     if done < pair.whole:
         return ClaimFinding("short", "not measured", {"done": done, "whole": pair.whole})

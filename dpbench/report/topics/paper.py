@@ -84,6 +84,8 @@ def describe_count_reproduced(judged: "Sequence[Claim]") -> str:
     states = [claim.state for claim in judged]
     held, missing = states.count("reproduced"), states.count("not measured")
     why = "as no complete runs of both control laws were made"
+    if any(claim.found == _WORDS["found"]["no clipped law"] for claim in judged):
+        why += " (add `--solver unconstrained_clipped` to run the clipped law)"
     open_ones = f", and {missing} not measured, {why}" if missing else ""
     return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced{open_ones}"
 

@@ -126,6 +126,9 @@ def test_claims_that_were_not_measured_are_counted(records: Any) -> None:
     assert topic is not None
     assert topic.lines[0].startswith(f"{reproduced} of {len(states)} claims")
     assert f"{missing} not measured" in topic.lines[0]
+    assert "add `--solver unconstrained_clipped` to run the clipped law" in topic.lines[0]
+    unmeasured = {row[2] for row in topic.tables[0].rows if row[3] == "not measured"}
+    assert any("`--solver unconstrained_clipped` adds it" in found for found in unmeasured)
 
 
 def test_the_words_of_the_paper_are_beside_the_results(records: Any) -> None:
