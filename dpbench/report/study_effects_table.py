@@ -14,8 +14,9 @@ from dpbench.analysis.suites.study_effects import (
     Measure,
     compute_study_effects,
     compute_study_interactions,
+    find_dominated_effects,
 )
-from dpbench.report.formats import MISSING, Table, format_estimate_with_bounds
+from dpbench.report.formats import MISSING, Table, format_estimate_with_bounds, plural
 
 MOST_ROWS = 24
 """The page shows so many rows; `tables/study_effects.csv` has all."""
@@ -35,6 +36,8 @@ WIDENED = " (skewed, widened)"
 """Mark of an interval that skewness widens."""
 _KEYS = ("factor", "levels", "configuration")
 _WHAT = {"raw_p99_ns": "p99 step time", "raw_p50_ns": "median step time"}
+MOST_NAMED = 3
+"""Effects that a sentence names."""
 COLUMNS = (
     *("study", "configuration", "factor", "levels", "from", "to", "measure", "unit"),
     *("effect", "low", "high", "interval", "widening", "median", "same_sign"),
@@ -95,6 +98,25 @@ def tabulate_interactions(study: Study) -> Table | None:
     )
     title = f"{study.name}: interaction of two factors"
     return _tabulate(study, compute_study_interactions, title, note, "study_interactions")
+
+
+def describe_dominated_effects(study: Study) -> str:
+    """Return a sentence on effects that are smaller than an interaction; "" without one."""
+    found = find_dominated_effects(study)
+    if not found:
+        return ""
+    named = [
+        f"that of {one.effect.factor} on the {_name_measure(one.effect.measure, study)} of "
+        f"{one.effect.configuration} depends on {one.other}"
+        for one in found[:MOST_NAMED]
+    ]
+    more = len(found) - len(named)
+    named += [f"{more} more"] if more > 0 else []
+    are = "is" if len(found) == 1 else "are"
+    return (
+        f"{study.name}: {plural(len(found), 'effect')} {are} smaller than an interaction of the "
+        f"factor: {'; '.join(named)}. See tables/study_interactions.csv."
+    )
 
 
 def _tabulate(study: Study, compute: _Compute, title: str, note: str, file: str) -> Table | None:

@@ -182,6 +182,52 @@ def compute_study_interactions(study: Study) -> tuple[Effect, ...]:
     )
 
 
+@dataclass(frozen=True)
+class DominatedEffect:
+    """Effect of a factor that is smaller than its interaction with another one.
+
+    other : the other factor, on whose value the effect depends.
+    """
+
+    effect: Effect
+    other: str
+    interaction: Effect
+
+
+def find_dominated_effects(study: Study) -> list[DominatedEffect]:
+    """Return the effects that are smaller than an interaction, each with the largest of these.
+
+    The whole interval of the interaction is farther from zero than the mean effect. Only effects
+    from the first to the last level, as those of the interactions, are compared.
+    """
+    effects = {
+        (one.configuration, one.measure, one.factor, one.levels_text): one
+        for one in compute_study_effects(study)
+        if not one.is_disturbed
+    }
+    found: dict[tuple[object, ...], DominatedEffect] = {}
+    by_size = sorted(compute_study_interactions(study), key=_compute_least_size, reverse=True)
+    for interaction in by_size:
+        factors, levels = (
+            text.split(INTERACTS) for text in (interaction.factor, interaction.levels_text)
+        )
+        for factor, other, level in zip(factors, factors[::-1], levels, strict=True):
+            key = (interaction.configuration, interaction.measure, factor, level)
+            effect = effects.get(key)
+            if effect is None or key in found:
+                continue
+            size = abs(effect.mean_difference.mean_interval.value)
+            if _compute_least_size(interaction) > size + NOTHING:
+                found[key] = DominatedEffect(effect, other, interaction)
+    return list(found.values())
+
+
+def _compute_least_size(effect: Effect) -> float:
+    """Return the distance from zero of an effect's interval; 0 where it contains zero."""
+    interval = effect.mean_difference.mean_interval
+    return 0.0 if interval.contains(0.0) else min(abs(interval.low), abs(interval.high))
+
+
 _Ends = Mapping[tuple[str, ...], Change]
 
 

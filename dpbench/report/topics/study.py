@@ -43,6 +43,7 @@ from dpbench.report.page.section import Figure, Topic
 from dpbench.report.study_effects_table import (
     WIDENED,
     convert_effect_and_interval,
+    describe_dominated_effects,
     make_head_of_measure,
     tabulate_effects,
     tabulate_interactions,
@@ -109,6 +110,8 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
         yield f"{stays[0].upper()}{stays[1:]}{others}."
     if study.loosest_cheap_by_solver:
         yield _describe_loosest_tolerances(study)
+    if dominated := describe_dominated_effects(study):
+        yield dominated
 
 
 def _yield_unfinished_sentences(study: Study) -> Iterator[str]:

@@ -18,8 +18,13 @@ from dpbench.analysis.suites.study_effects import (
     Measure,
     compute_study_effects,
     compute_study_interactions,
+    find_dominated_effects,
 )
-from dpbench.report.study_effects_table import build_interactions_table, tabulate_interactions
+from dpbench.report.study_effects_table import (
+    build_interactions_table,
+    describe_dominated_effects,
+    tabulate_interactions,
+)
 
 HORIZON, EAST, WIND = "controller.prediction_horizon", "start.east_m", "environment.wind.speed_mps"
 HEIGHT, PERIOD = "environment.waves.hs_m", "environment.waves.tp_s"
@@ -117,6 +122,33 @@ def test_the_interaction_of_two_factors_is_a_difference_of_differences() -> None
         100.0 * by_sea.mean()
     )
     assert "from" not in table and f"{HEIGHT} × {EAST}" in tabulate_interactions(study).rows[0]
+
+
+@pytest.mark.parametrize(
+    ("horizon_m", "interaction_m", "dominated"),
+    [(0.0, 0.4, {HORIZON}), (0.1, 0.4, {HORIZON}), (1.0, 0.4, set()), (0.0, 0.0, set())],
+)
+def test_an_effect_that_an_interaction_exceeds_is_named(
+    horizon_m: float, interaction_m: float, dominated: set[str]
+) -> None:
+    """The horizon acts by `horizon_m` on average, by half of the interaction more at one offset.
+
+    The offset itself acts by 2 m; the noise is 1 cm.
+    """
+    points = [{EAST: east, HORIZON: n} for east in (0.0, 3.0) for n in (20, 60)]
+    rng = np.random.default_rng(3)
+    signs = np.array([-1.0, 1.0, 1.0, -1.0]) / 4.0
+    means = np.array([0.0, horizon_m, 2.0, 2.0 + horizon_m]) - interaction_m * signs
+    study = _study(points, means[:, None] + 0.01 * rng.normal(size=(4, 8)))
+    found = [one for one in find_dominated_effects(study) if one.effect.measure == ERROR]
+    assert {one.effect.factor for one in found} == dominated
+    text = describe_dominated_effects(study)
+    if not dominated:
+        assert text == ""
+        return
+    assert {one.other for one in found} == {EAST}
+    assert f"{HORIZON} on the 95 % radial error of daqp depends on {EAST}" in text
+    assert text.startswith("sea: 1 effect is smaller than an interaction")
 
 
 def test_one_factor_or_a_range_has_no_interaction() -> None:
