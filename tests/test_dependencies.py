@@ -1,5 +1,6 @@
 """Packaging: lowest versions that are tried, pins that are allowed, complete distributions."""
 
+import json
 import os
 import platform
 import re
@@ -106,7 +107,17 @@ def test_the_source_distribution_has_every_tracked_file_and_no_other(tmp_path: P
     listed = subprocess.run(
         ["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True
     )
-    assert packed == {*listed.stdout.splitlines(), "PKG-INFO"}
+    assert packed == {*listed.stdout.splitlines(), "PKG-INFO", "dpbench/built_commit.json"}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="compares with the commit of a checkout")
+def test_a_wheel_has_the_commit_it_was_built_from(wheel: Path) -> None:
+    head = subprocess.run(
+        ["git", "rev-parse", "HEAD"], cwd=ROOT, check=True, capture_output=True, text=True
+    )
+    built = json.loads(zipfile.ZipFile(wheel).read("dpbench/built_commit.json"))
+    assert built["commit"] == head.stdout.strip()
 
 
 @pytest.mark.slow

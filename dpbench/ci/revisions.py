@@ -25,7 +25,7 @@ from pathlib import Path
 from rich.console import Console
 
 from dpbench.bench.estimate import format_duration
-from dpbench.bench.record.machine import run_git
+from dpbench.bench.record.git_commit import run_git
 from dpbench.bench.workers.interrupts import first_signal_only
 from dpbench.ci import DISTURBED_EXIT, MARGIN
 from dpbench.ci.benchmarks import (

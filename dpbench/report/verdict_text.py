@@ -593,8 +593,11 @@ def list_machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
         return f"{value} {unit}" if unit and isinstance(value, int | float) else str(value)
 
     cores = [str(core) for core in machine.get("affinity") or []]
+    vectors = ", ".join(machine.get("vector_instructions", [])) or "not recorded"
     return [
         ("processor", f"{of('cpu_model')}, {of('cores')} cores"),
+        ("processor family", of("cpu_family")),
+        ("vector instructions", vectors),
         ("cores allowed", ", ".join(cores) or "not recorded"),
         ("frequency governor", of("governor")),
         ("frequency at the start", of("frequency_MHz", "MHz")),

@@ -5,8 +5,8 @@ import importlib.metadata
 import json
 import os
 import platform
-import subprocess
 import time
+from collections.abc import Mapping
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +14,7 @@ from pathlib import Path
 import psutil
 from threadpoolctl import threadpool_info
 
+from dpbench.bench.record.git_commit import read_built_commit, read_commit
 from dpbench.bench.record.result_folder import (
     ComparedMachine,
     MachineDescription,
@@ -22,6 +23,8 @@ from dpbench.bench.record.result_folder import (
 )
 
 _CPU = Path("/sys/devices/system/cpu/cpu0")
+VECTOR_INSTRUCTIONS = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd", "sve", "sve2")
+"""Instruction sets that numerical libraries choose their code by."""
 LIBRARIES = ("dpbench", "numpy", "scipy", "numba", "pandas", "qpsolvers")
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -66,6 +69,8 @@ def describe_machine() -> MachineDescription:
     digest = hashlib.sha256(json.dumps(lasting, sort_keys=True).encode()).hexdigest()
     return {
         "id": digest[:12],
+        "cpu_family": _describe_cpu_family(_read_cpu_facts()),
+        "vector_instructions": _list_vector_instructions(_read_cpu_facts()),
         **lasting,  # type: ignore[typeddict-item] # it has no other keys than those written above
         "governor": _read_frequency_governor(),
         "frequency_MHz": round(clock.current) if clock and clock.current else "not visible",
@@ -105,35 +110,52 @@ def _list_blas() -> list[str]:
     ]
 
 
+def _read_cpu_facts() -> dict[str, str]:
+    """Return what Linux describes of the first processor core, by name; empty elsewhere."""
+    try:
+        first = Path("/proc/cpuinfo").read_text(encoding="utf-8").partition("\n\n")[0]
+    except OSError:
+        return {}
+    pairs = (line.partition(":") for line in first.splitlines())
+    return {name.strip(): value.strip() for name, _, value in pairs}
+
+
 def _read_cpu_model() -> str:
     """Return the name of the processor, from Linux or else from Python."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
+    return _read_cpu_facts().get("model name") or platform.processor() or platform.machine()
 
 
-WAIT_S = 10.0
+def _describe_cpu_family(facts: Mapping[str, str]) -> str:
+    """Return maker, family and model of a processor, which its name may leave out."""
+    numbers = {"family": "cpu family", "model": "model", "stepping": "stepping"}
+    named = [f"{word} {facts[key]}" for word, key in numbers.items() if key in facts]
+    maker = facts.get("vendor_id", "")
+    return " ".join(filter(None, (maker, ", ".join(named)))) or "not visible"
+
+
+def _list_vector_instructions(facts: Mapping[str, str]) -> list[str]:
+    """Return the vector instruction sets of a processor, in Linux' words."""
+    flags = (facts.get("flags") or facts.get("Features", "")).split()
+    return [name for name in VECTOR_INSTRUCTIONS if name in flags]
 
 
 @cache
 def find_running_revision() -> Revision | None:
     """Return the git revision of the running dpbench package; None where unknown."""
-    return read_git_revision(Path(__file__).parents[2]) or read_installed_revision()
+    package = Path(__file__).parents[2]
+    return read_git_revision(package) or read_installed_revision() or read_built_revision(package)
 
 
 def read_git_revision(package: Path) -> Revision | None:
     """Return a package's git commit and whether its files are unchanged; None if unknown."""
-    commit = run_git(package, "rev-parse", "HEAD")
-    # An environment may lie in the checkout of another project, which ignores it.
-    part = run_git(package, "ls-files", "--error-unmatch", "__init__.py")
-    changes = run_git(package, "status", "--porcelain", "--", ".")
-    if commit is None or part is None or changes is None:
-        return None
-    return Revision(commit=commit, clean=changes == "")
+    found = read_commit(package)
+    return None if found is None else Revision(commit=found[0], clean=found[1])
+
+
+def read_built_revision(package: Path) -> Revision | None:
+    """Return the commit that a wheel of the package was built from; None if unknown."""
+    found = read_built_commit(package)
+    return None if found is None else Revision(commit=found[0], clean=found[1])
 
 
 def read_installed_revision() -> Revision | None:
@@ -163,19 +185,4 @@ def describe_revisions(suite: SuiteDescription) -> str:
 def describe_version(suite: SuiteDescription) -> str:
     """Return the dpbench version and commits in `suite.json` as text."""
     version = f"dpbench {suite.get('harness_version', '')}"
-    return ", ".join(filter(None, (version, describe_revisions(suite))))
-
-
-def run_git(folder: Path, *words: str) -> str | None:
-    """Return the output of a git command in a folder; None where git is missing or fails."""
-    try:
-        answer = subprocess.run(
-            ["git", "-C", str(folder), *words],
-            capture_output=True,
-            text=True,
-            timeout=WAIT_S,
-            check=True,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return answer.stdout.strip()
+    return f"{version}, {describe_revisions(suite) or 'commit not known'}"

@@ -62,6 +62,8 @@ class MachineDescription(ComparedMachine, total=False):
     """Content of `machine.json`; `others` are further machines whose runs were joined."""
 
     id: Required[str]
+    cpu_family: str
+    vector_instructions: list[str]
     governor: str
     frequency_MHz: float | str
     blas: list[str] | None

@@ -8,9 +8,13 @@ from types import SimpleNamespace
 
 import pytest
 
+from dpbench.bench.record.git_commit import write_built_commit
 from dpbench.bench.record.machine import (
     append_revision,
+    describe_machine,
     describe_revisions,
+    describe_version,
+    read_built_revision,
     read_git_revision,
     read_installed_revision,
 )
@@ -63,3 +67,17 @@ def test_a_folder_that_was_taken_up_again_names_all_commits() -> None:
     assert both == [old, new] and append_revision([], None) == []
     assert describe_revisions({"revisions": both}) == f"commit {'a' * 12}, {'b' * 12} with changes"
     assert describe_revisions({}) == ""
+    assert describe_version({"harness_version": "1.2"}) == "dpbench 1.2, commit not known"
+
+
+def test_a_wheel_keeps_the_commit_it_was_built_from(tmp_path: Path) -> None:
+    assert read_built_revision(tmp_path) is None
+    write_built_commit(tmp_path, "c" * 40, is_clean=False)
+    assert read_built_revision(tmp_path) == {"commit": "c" * 40, "clean": False}
+
+
+def test_a_machine_has_the_facts_that_libraries_choose_their_code_by() -> None:
+    """Every x86 core of the last ten years has SSE 4.2, every 64-bit ARM core Advanced SIMD."""
+    machine = describe_machine()
+    assert {"sse4_2", "asimd"} & {*machine["vector_instructions"]}
+    assert machine["cpu_family"]
