@@ -14,6 +14,23 @@ def parse_exit_code(text: str) -> int:
     return int(text)
 
 
+def parse_allowance(text: str) -> tuple[str, str]:
+    """Read a measure and a solver, such as `iterations:osqp`; ArgumentTypeError for other text."""
+    measure, _, solver = text.partition(":")
+    if not (measure and solver):
+        raise argparse.ArgumentTypeError(f"found {text}; allowed: such as iterations:osqp")
+    return measure, solver
+
+
+ALLOW: dict[str, Any] = {
+    "metavar": "MEASURE:SOLVER",
+    "type": parse_allowance,
+    "action": "append",
+    "default": [],
+    "help": "accept an increase of a measure of a solver, such as iterations:osqp or errors:osqp; "
+    "repeatable",
+}
+"""Option that gate, revisions and pytest have in common."""
 DISTURBED_EXIT: dict[str, Any] = {
     "metavar": "CODE",
     "type": parse_exit_code,

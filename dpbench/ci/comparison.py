@@ -10,7 +10,7 @@ grow.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,6 +93,8 @@ FEWEST_PAIRS = 3
 """Undisturbed pairs of runs that suffice, where there are as many pairs."""
 
 Pairs = Sequence[tuple[BenchmarkRun, BenchmarkRun]]
+Allowed = Collection[tuple[str, str]]
+"""Measures that may grow, each with its solver: (iterations, osqp)."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,7 @@ class Row:
     """Verdict on one benchmark, ratio of its times with interval, and what explains it.
 
     not_judged : DISTURBED or NO_KERNEL where the times have no verdict, "" otherwise.
+    disturbed_ratio : ratio of the times that load left without a verdict, NaN for others.
     measures : kinds of the exact measures that both revisions have.
     """
 
@@ -109,6 +112,7 @@ class Row:
     remarks: tuple[str, ...] = ()
     not_judged: str = ""
     measures: tuple[str, ...] = ()
+    disturbed_ratio: float = np.nan
 
     @property
     def cells(self) -> dict[str, str]:
@@ -133,12 +137,14 @@ class RunComparison:
 
     timed : number of benchmarks whose times were compared.
     counts : number of benchmarks of base and head, those that failed included.
+    unused : measures that were allowed to grow, as `iterations:osqp`, and that no benchmark has.
     """
 
     rows: list[Row]
     timed: int
     counts: tuple[int, int]
     allow_gone: bool = False
+    unused: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -184,10 +190,25 @@ class RunComparison:
             [*times, f"{' and '.join(kinds) or 'failures'}: no regression against {base}"]
         )
 
-    def describe_exit(self, disturbed: int) -> list[str]:
-        """Return a line on the exit code where load selected it, none otherwise."""
-        code = 0 if self.worse else self.exit_code(disturbed)
-        return [f"exit code {code} (disturbed)"] if code else []
+    def describe_exit(self, disturbed: int, option: str = "--disturbed-exit") -> list[str]:
+        """Return lines on the largest ratio that load left without a verdict, and the exit code.
+
+        option : the one that selects the exit code.
+        """
+        lines = [f"allowed, but measured in no benchmark: {one}" for one in self.unused]
+        unjudged = [row for row in self.rows if np.isfinite(row.disturbed_ratio)]
+        if not unjudged:
+            return lines
+        worst = max(unjudged, key=lambda row: row.disturbed_ratio)
+        ratio = significant(worst.disturbed_ratio)
+        lines.append(
+            f"not judged: the machine was disturbed; largest ratio × {ratio} ({worst.name})"
+        )
+        if self.worse:
+            return lines
+        code = self.exit_code(disturbed)
+        passes = f"exit code 0: disturbed times pass; {option} CODE selects another exit code"
+        return [*lines, f"exit code {code} (disturbed)" if code else passes]
 
     @property
     def headline(self) -> str:
@@ -228,10 +249,16 @@ class RunComparison:
             console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def describe_end(found: RunComparison, base: str, head: str, disturbed_exit: int = 0) -> list[str]:
+def describe_end(
+    found: RunComparison,
+    base: str,
+    head: str,
+    disturbed_exit: int = 0,
+    option: str = "--disturbed-exit",
+) -> list[str]:
     """Return lines on what was compared, whether a regression is shown, and a selected exit."""
     lines = [found.describe_scope(base, head), found.describe_verdict(base)]
-    return lines + found.describe_exit(disturbed_exit)
+    return lines + found.describe_exit(disturbed_exit, option)
 
 
 def compare_runs(
@@ -239,10 +266,13 @@ def compare_runs(
     *,
     margin: float = MARGIN,
     allow_gone: bool = False,
+    allow: Allowed = (),
 ) -> RunComparison:
     """Return a comparison of two revisions' runs, from (base, head) pairs taken by turns.
 
     A benchmark that the head was not to run is not gone.
+
+    allow : exact measures that may grow.
     """
     times = _assess_times(pairs, margin)
     was = {name for base, _ in pairs for name in base.names}
@@ -259,7 +289,7 @@ def compare_runs(
             is_left_out = all(head.selection.leaves_out(name) for _, head in pairs)
             rows.append(Row(name, NOT_RUN if is_left_out else GONE))
         elif name in times:
-            rows.append(_judge_benchmark(name, pairs, *times[name]))
+            rows.append(_judge_benchmark(name, pairs, *times[name], allow))
         else:
             why = [base.failed[name] for base, _ in pairs if name in base.failed][:1]
             rows.append(
@@ -270,10 +300,25 @@ def compare_runs(
                 )
             )
     rows.sort(key=lambda row: ORDER.index(row.verdict))
-    return RunComparison(rows, len(times), (len(was), len(now)), allow_gone)
+    unused = tuple(":".join(one) for one in allow if not _is_measured(one, pairs))
+    return RunComparison(rows, len(times), (len(was), len(now)), allow_gone, unused)
 
 
-def _judge_benchmark(name: str, pairs: Pairs, time: Assessment, complaints: Sequence[str]) -> Row:
+def _is_measured(allowed: tuple[str, str], pairs: Pairs) -> bool:
+    """Return whether a benchmark of the base has a measure that may grow, of its solver."""
+    measured = (one for base, _ in pairs for one in base.benchmarks.values())
+    return any(_is_allowed(name, one, [allowed]) for one in measured for name in one.exact)
+
+
+def _is_allowed(measure: str, benchmark: Benchmark, allow: Allowed) -> bool:
+    """Return whether a measure of a benchmark may grow, named by its kind or its own name."""
+    kind = MEASURES.get(measure, (measure,))[0]
+    return any((name, benchmark.solver) in allow for name in (measure, kind))
+
+
+def _judge_benchmark(
+    name: str, pairs: Pairs, time: Assessment, complaints: Sequence[str], allow: Allowed
+) -> Row:
     """Judge a benchmark that both revisions have timed; complaints take its time's verdict."""
     both = [
         (base.benchmarks[name], head.benchmarks[name])
@@ -281,10 +326,12 @@ def _judge_benchmark(name: str, pairs: Pairs, time: Assessment, complaints: Sequ
         if name in base.benchmarks and name in head.benchmarks
     ]
     # What is exact may still have noise of memory: the pair that grew least counts.
-    exact = min((find_exact_changes(*pair) for pair in both), key=len)
+    exact = min((find_exact_changes(*pair, allow) for pair in both), key=len)
+    allowed = min((find_allowed_changes(*pair, allow) for pair in both), key=len)
     ratio: Interval | None = time.ratio
-    verdict, remarks, not_judged = NO_CHANGE, list(exact), ""
+    verdict, remarks, not_judged, disturbed_ratio = NO_CHANGE, [*exact, *allowed], "", np.nan
     if complaints:
+        disturbed_ratio = time.ratio.value
         verdict = not_judged = DISTURBED
         remarks += complaints
         # A single pair shows nothing of the noise that load makes.
@@ -302,21 +349,35 @@ def _judge_benchmark(name: str, pairs: Pairs, time: Assessment, complaints: Sequ
         verdict = WORSE
     common = {name for was, now in both for name in was.exact.keys() & now.exact.keys()}
     kinds = [MEASURES[one][0] if one in MEASURES else one for one in sorted(common, reverse=True)]
-    return Row(name, verdict, ratio, tuple(remarks), not_judged, tuple(kinds))
+    return Row(name, verdict, ratio, tuple(remarks), not_judged, tuple(kinds), disturbed_ratio)
 
 
-def find_exact_changes(was: Benchmark, now: Benchmark) -> list[str]:
-    """Return lines on the exact measures of one benchmark that grew or are missing."""
-    changes = []
+def find_exact_changes(was: Benchmark, now: Benchmark, allow: Allowed = ()) -> list[str]:
+    """Return lines on the exact measures of one benchmark that grew or are missing.
+
+    allow : measures that may grow, which are left out.
+    """
+    grown = _yield_grown_measures(was, now)
+    changes = [line for name, line in grown if not _is_allowed(name, was, allow)]
+    missing = sorted(was.exact.keys() - now.exact.keys())
+    words_of = [MEASURES.get(name, ("", name, ""))[1] for name in missing]
+    return changes + [f"{words}: no longer measured" for words in words_of]
+
+
+def find_allowed_changes(was: Benchmark, now: Benchmark, allow: Allowed) -> list[str]:
+    """Return lines on the exact measures of one benchmark that grew and may."""
+    grown = _yield_grown_measures(was, now)
+    return [f"{line} (allowed)" for name, line in grown if _is_allowed(name, was, allow)]
+
+
+def _yield_grown_measures(was: Benchmark, now: Benchmark) -> Iterator[tuple[str, str]]:
+    """Yield the name of each exact measure that grew, and a line on its values."""
     for name in sorted(was.exact.keys() & now.exact.keys()):
         factor, more = SLACK.get(name, (1.0, 0.0))
         if now.exact[name] > factor * was.exact[name] + more:
             _, words, unit = MEASURES.get(name, ("", name, ""))
             before, after = (_format_measure(one.exact[name]) for one in (was, now))
-            changes.append(f"{words} {before} → {after}{unit}")
-    missing = sorted(was.exact.keys() - now.exact.keys())
-    words_of = [MEASURES.get(name, ("", name, ""))[1] for name in missing]
-    return changes + [f"{words}: no longer measured" for words in words_of]
+            yield name, f"{words} {before} → {after}{unit}"
 
 
 def _format_measure(value: float) -> str:

@@ -1,11 +1,12 @@
 """Compare measurements of pytest-benchmark with the stored ones of the same machine.
 
     python -m dpbench.ci.gate bench.json BASELINE [--renew] [--retries 3] [--allow-gone]
-        [--disturbed-exit CODE]
+        [--disturbed-exit CODE] [--allow MEASURE:SOLVER]
 
 BASELINE is a JSON file, or a folder that keeps one for each machine. What looks worse or was
-disturbed is measured again: noise only ever makes a minimum larger. The baseline is not: to measure
-both by turns is the task of `dpbench.ci.revisions`. Exit 0: no regression shown, or no baseline
+disturbed is measured again: noise only ever makes a minimum larger. The baseline is not, and so
+nothing whose baseline was disturbed: to measure both by turns is the task of
+`dpbench.ci.revisions`. Exit 0: no regression shown, or no baseline
 yet, which is stored; 1: a regression, a benchmark that failed or is gone; 2: bad input;
 CODE (0): disturbed by other load, no regression shown.
 """
@@ -23,7 +24,7 @@ import pytest
 from rich.console import Console
 
 from dpbench.bench.record.machine import describe_machine
-from dpbench.ci import DISTURBED_EXIT
+from dpbench.ci import ALLOW, DISTURBED_EXIT
 from dpbench.ci.benchmarks import (
     Benchmark,
     BenchmarkRun,
@@ -34,12 +35,14 @@ from dpbench.ci.comparison import (
     DISTURBED,
     SLOWER,
     WORSE,
+    Allowed,
     compare_runs,
     describe_end,
     find_exact_changes,
 )
 from dpbench.ci.failures import FailedBenchmarks
 from dpbench.errors import InputError
+from dpbench.report.formats import plural
 
 
 class SessionComparison:
@@ -68,10 +71,12 @@ class SessionComparison:
             [(self._baseline, now)],
             margin=self._margin,
             allow_gone=self._config.getoption("dpbench_allow_gone"),
+            allow=self._config.getoption("dpbench_allow"),
         )
         passed = session.exitstatus == pytest.ExitCode.OK
         selected = self._config.getoption("dpbench_disturbed_exit") if passed else 0
-        lines = describe_end(found, str(self._path), "this session", selected)
+        option = "--dpbench-disturbed-exit"
+        lines = describe_end(found, str(self._path), "this session", selected, option)
         found.print(Console(file=self._text, width=120), lines)
         if passed:
             session.exitstatus = found.exit_code(selected)
@@ -83,12 +88,20 @@ class SessionComparison:
 
 
 def measure_suspects_again(
-    was: BenchmarkRun, now: BenchmarkRun, retries: int, console: Console
+    was: BenchmarkRun, now: BenchmarkRun, retries: int, console: Console, allow: Allowed = ()
 ) -> BenchmarkRun:
-    """Repeat benchmarks that look worse or disturbed; return the run with the better times."""
+    """Repeat benchmarks that look worse or disturbed; return the run with the better times.
+
+    No repeat gives a verdict on a time whose baseline was disturbed.
+    """
     for _ in range(retries):
-        rows = compare_runs([(was, now)]).rows
-        doubtful = [row.name for row in rows if row.verdict in (SLOWER, WORSE, DISTURBED)]
+        rows = compare_runs([(was, now)], allow=allow).rows
+        doubtful = [
+            row.name
+            for row in rows
+            if row.verdict in (SLOWER, WORSE)
+            or (row.verdict == DISTURBED and not was.benchmarks[row.name].complaints)
+        ]
         if not doubtful:
             break
         console.print(f"measuring {len(doubtful)} again, not the baseline", soft_wrap=True)
@@ -137,6 +150,7 @@ def main(argv: list[str] | None = None) -> int:
         "--allow-gone", action="store_true", help="pass where a benchmark of the baseline is gone"
     )
     parser.add_argument("--disturbed-exit", **DISTURBED_EXIT)
+    parser.add_argument("--allow", **ALLOW)
     arguments = parser.parse_args(argv)
     console = Console() if sys.stdout.isatty() else Console(width=200)
     baseline: Path = arguments.baseline
@@ -153,11 +167,18 @@ def main(argv: list[str] | None = None) -> int:
                 console.print(warning, soft_wrap=True)
             return 0
         was = load_run(baseline)
-        now = measure_suspects_again(was, now, arguments.retries, console)
+        if was.disturbed:
+            console.print(
+                f"the machine was disturbed in {was.disturbed} of "
+                f"{plural(len(was.benchmarks), 'benchmark')} of the baseline {baseline}: their "
+                "times are not judged or repeated; store a new one with --renew on a quiet machine",
+                soft_wrap=True,
+            )
+        now = measure_suspects_again(was, now, arguments.retries, console, arguments.allow)
     except InputError as error:
         print(f"gate: {error}", file=sys.stderr)
         return 2
-    found = compare_runs([(was, now)], allow_gone=arguments.allow_gone)
+    found = compare_runs([(was, now)], allow_gone=arguments.allow_gone, allow=arguments.allow)
     selected: int = arguments.disturbed_exit
     found.print(console, describe_end(found, str(baseline), str(arguments.json), selected))
     return found.exit_code(selected)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from dpbench.ci import DISTURBED_EXIT, MARGIN
+from dpbench.ci import ALLOW, DISTURBED_EXIT, MARGIN
 
 if TYPE_CHECKING:
     from dpbench.ci.replays import BenchmarkFixture, ReplayBenchmark
@@ -39,6 +39,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="pass where a benchmark of that file is missing",
     )
+    group.addoption("--dpbench-allow", **ALLOW)
     group.addoption("--dpbench-disturbed-exit", **DISTURBED_EXIT)
 
 

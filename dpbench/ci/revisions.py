@@ -27,7 +27,7 @@ from rich.console import Console
 from dpbench.bench.estimate import format_duration
 from dpbench.bench.record.git_commit import run_git
 from dpbench.bench.workers.interrupts import first_signal_only
-from dpbench.ci import DISTURBED_EXIT, MARGIN
+from dpbench.ci import ALLOW, DISTURBED_EXIT, MARGIN
 from dpbench.ci.benchmarks import (
     COLLECTED,
     IMPORTED,
@@ -36,7 +36,7 @@ from dpbench.ci.benchmarks import (
     is_in_site_packages,
     load_run,
 )
-from dpbench.ci.comparison import NOT_TIMED, Row, RunComparison, compare_runs
+from dpbench.ci.comparison import NOT_TIMED, Allowed, Row, RunComparison, compare_runs
 from dpbench.errors import InputError, SituationError
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe
 from dpbench.report.formats import plural
@@ -45,8 +45,6 @@ REMEDY = 'install it in a .venv of each tree, or give pytest `pythonpath = ["src
 """Ways to have a tree measured with its own package."""
 STOPPED = "stopped after two disturbed pairs in a row"
 ADVICE = f"{STOPPED}: run again when no other program is at work, or on another machine"
-OPTION = "; --disturbed-exit sets the exit code of such a run"
-"""End of the advice where the option is not set."""
 HELP_EPILOG = """\
 Arguments after -- are those of pytest.
 
@@ -256,6 +254,7 @@ def compare_trees(
     margin: float,
     *,
     allow_gone: bool,
+    allow: Allowed = (),
     disturbed_exit: int,
 ) -> tuple[RunComparison, list[str]]:
     """Compare two working trees; return the comparison and lines on how it was measured.
@@ -265,7 +264,10 @@ def compare_trees(
     pairs = measure_by_turns(trees, count, arguments)
     disturbed = len(pairs) - _count_undisturbed_pairs(pairs)
     found = compare_runs(
-        [(base.run, head.run) for base, head in pairs], margin=margin, allow_gone=allow_gone
+        [(base.run, head.run) for base, head in pairs],
+        margin=margin,
+        allow_gone=allow_gone,
+        allow=allow,
     )
     base, head = pairs[-1]
     if head.reason:
@@ -278,8 +280,7 @@ def compare_trees(
     runs = f"{plural(len(pairs), 'pair')} of runs, {disturbed} of them disturbed"
     lines = [f"{found.describe_scope(*names)}; {runs}", found.describe_verdict(names[0])]
     end = describe_early_end(pairs, count)
-    if end == STOPPED:
-        end = ADVICE + ("" if disturbed_exit else OPTION)
+    end = ADVICE if end == STOPPED else end
     lines += [line for line in (end, base.reason and f"base: {base.reason}") if line]
     return found, lines + found.describe_exit(disturbed_exit)
 
@@ -315,6 +316,7 @@ def _build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--allow-gone", action="store_true", help="pass where a benchmark of the base is gone"
     )
+    parser.add_argument("--allow", **ALLOW)
     parser.add_argument("--disturbed-exit", **DISTURBED_EXIT)
     return parser
 
@@ -336,6 +338,7 @@ def main(argv: list[str] | None = None) -> int:
             given[end + 1 :],
             arguments.margin,
             allow_gone=arguments.allow_gone,
+            allow=arguments.allow,
             disturbed_exit=arguments.disturbed_exit,
         )
     except InputError as error:

@@ -74,8 +74,12 @@ def test_a_disturbed_time_has_no_verdict(side: int, factor: float) -> None:
     assert "120 involuntary context switches" in row.cells["remarks"]
     assert found.headline.startswith("disturbed")
     line = "times not judged (machine disturbed) in 1 of 1 benchmark; failures: no regression"
-    assert describe_end(found, "base", "head")[-1] == f"{line} against base"
-    assert describe_end(found, "base", "head", 75)[-1] == "exit code 75 (disturbed)"
+    *_, verdict, ratio, passes = describe_end(found, "base", "head", option="--option")
+    assert verdict == f"{line} against base"
+    shown = {0.06: "0.0600", 1.0: "1.00", 2.06: "2.06"}[factor]
+    assert ratio == f"not judged: the machine was disturbed; largest ratio × {shown} (t)"
+    assert passes.startswith("exit code 0: disturbed times pass; --option CODE ")
+    assert describe_end(found, "base", "head", 75)[-2:] == [ratio, "exit code 75 (disturbed)"]
 
 
 def test_exact_measures_and_answers_have_a_verdict_on_a_disturbed_machine() -> None:
@@ -85,7 +89,7 @@ def test_exact_measures_and_answers_have_a_verdict_on_a_disturbed_machine() -> N
     more = run_of(entry(machine=loud, exact={"iterations": 11}))
     found = compare_runs([(base, more)])
     line = "a regression against base; times not judged (machine disturbed) in 1 of 1 benchmark"
-    assert describe_end(found, "base", "head", 75)[-1] == line
+    assert describe_end(found, "base", "head", 75)[1] == line
     assert (found.verdict, found.rows[0].remarks[0]) == ("worse", "iterations 10 → 11")
     line = "times not judged (machine disturbed) in 1 of 1 benchmark; iterations: no regression"
     assert compare_runs([(more, base)]).describe_verdict("b") == f"{line} against b"
@@ -129,13 +133,52 @@ def test_disturbed_pairs_are_left_out_where_three_others_remain() -> None:
     assert compare_runs(pairs(3)).verdict == "disturbed"
 
 
+@pytest.mark.parametrize(
+    ("allow", "verdict"),
+    [
+        ((), "worse"),
+        ((("iterations", "osqp"),), "no change shown"),
+        ((("iterations", "daqp"),), "worse"),
+        ((("errors", "osqp"),), "worse"),
+    ],
+)
+def test_an_increase_may_be_allowed_for_a_solver(allow: Any, verdict: str) -> None:
+    """Iterations of one solver alone; an allowance that nothing matches is named."""
+    base, head = (
+        run_of(
+            entry(solver="osqp (native)", exact={"iterations": count}),
+            *(entry(name, solver=name) for name in ("piqp", "scs", "qpalm")),
+        )
+        for count in (10, 12)
+    )
+    found = compare_runs([(base, head)], allow=allow)
+    assert found.verdict == verdict
+    (row,) = (row for row in found.rows if row.name == "t")
+    allowed = " (allowed)" if verdict == "no change shown" else ""
+    assert row.remarks == (f"iterations 10 → 12{allowed}",)
+    lines = describe_end(found, "base", "head")
+    unused = [f"allowed, but measured in no benchmark: {':'.join(one)}" for one in allow]
+    assert lines[2:] == ([] if allowed else unused)
+
+
+def test_other_growth_is_no_part_of_an_allowance() -> None:
+    """A larger error beside allowed iterations is worse."""
+    base = run_of(entry(solver="osqp", exact={"iterations": 10, "error_move_max": 1e-6}))
+    head = run_of(entry(solver="osqp", exact={"iterations": 12, "error_move_max": 1e-4}))
+    assert compare_runs([(base, head)], allow=[("iterations", "osqp")]).worse
+    both = [("iterations", "osqp"), ("errors", "osqp")]
+    assert not compare_runs([(base, head)], allow=both).worse
+
+
 @pytest.mark.parametrize("count", [1, 3])
 def test_without_a_quiet_run_there_is_no_ratio(count: int) -> None:
-    """Load on both sides shows nothing of the factor between them."""
+    """Load on both sides shows nothing of the factor between them; a line has it all the same."""
     loud = QUIET | {"steal_s": 0.5}
     pair = run_of(entry(machine=loud)), run_of(entry(seconds=2e-3, machine=loud))
-    (row,) = compare_runs([pair] * count).rows
+    found = compare_runs([pair] * count)
+    (row,) = found.rows
     assert (row.verdict, row.cells["ratio"]) == ("disturbed", "–")
+    assert "largest ratio × 2.00 (t)" in found.describe_exit(0)[0]
 
 
 @pytest.mark.slow

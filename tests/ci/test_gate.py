@@ -156,6 +156,42 @@ def test_a_baseline_of_a_disturbed_machine_has_a_warning(
     assert terminal.write_line.call_args.args[0].startswith(f"stored times: {warning}")
 
 
+def test_nothing_is_repeated_against_a_disturbed_baseline(
+    write: Write,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its warning comes first; a benchmark with more iterations is measured again."""
+    base, now = write("first", count=2), write("later", count=2, slow={1: 3.0})
+    stored = json.loads(base.read_text("utf-8"))
+    machine = {"wall_s": 1.0, "processor_s": 1.0, "involuntary_switches": 99.0}
+    stored["benchmarks"][1]["extra_info"]["machine"] = machine
+    base.write_text(json.dumps(stored), encoding="utf-8")
+    repeated: list[list[str]] = []
+    monkeypatch.setattr(gate, "_run_benchmarks", lambda names: repeated.append(names) or {})
+    assert gate.main([str(now), str(base)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("the machine was disturbed in 1 of 2 benchmarks of the baseline")
+    assert "exit code 0: disturbed times pass" in out and not repeated
+    stored["benchmarks"][1]["extra_info"]["exact"]["iterations"] = 99
+    base.write_text(json.dumps(stored), encoding="utf-8")
+    assert gate.main([str(now), str(base), "--retries", "1"]) == 1
+    assert repeated == [["test_x.py::test[1]"]]
+
+
+def test_an_increase_is_allowed_by_an_option(
+    write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before, later = write("before", own=10), write("later", own=10, iterations=101)
+    arguments = [str(later), str(before), "--retries", "0"]
+    assert gate.main(arguments) == 1
+    assert gate.main([*arguments, "--allow", "iterations:mine"]) == 0
+    assert "iterations 100 → 101 (allowed)" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        gate.main([*arguments, "--allow", "iterations"])
+
+
 def test_a_benchmark_that_the_session_left_out_is_not_gone(write: Write, tmp_path: Path) -> None:
     """A file of `pytest -k` names the deselected tests; the gate compares the rest."""
     part = write("later", count=9)

@@ -15,7 +15,6 @@ from dpbench.ci import plugin, revisions
 from dpbench.ci.benchmarks import BenchmarkRun, list_imported_files
 from dpbench.ci.revisions import (
     ADVICE,
-    OPTION,
     STOPPED,
     Measured,
     main,
@@ -77,13 +76,15 @@ def test_turns_alternate_and_one_disturbed_pair_is_repeated(
     assert main([*map(str, trees), "--pairs", "3"]) == 0
     found = capsys.readouterr()
     assert found.err.splitlines()[-1] == f"pair 1 of 3 disturbed: {STOPPED}"
-    scope, verdict, advice = found.out.splitlines()[-3:]
+    scope, verdict, advice, ratio, passes = found.out.splitlines()[-5:]
     assert scope.endswith("; 2 pairs of runs, 2 of them disturbed")
     assert verdict.startswith("times not judged (machine disturbed) in 1 of 1 benchmark; ")
-    assert advice == ADVICE + OPTION
+    assert advice == ADVICE
+    assert ratio == "not judged: the machine was disturbed; largest ratio × 1.00 (t)"
+    assert passes.startswith("exit code 0: disturbed times pass; --disturbed-exit CODE")
     stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
     assert main([*map(str, trees), "--pairs", "3", "--disturbed-exit", "75"]) == 75
-    assert capsys.readouterr().out.splitlines()[-2:] == [ADVICE, "exit code 75 (disturbed)"]
+    assert capsys.readouterr().out.splitlines()[-3:] == [ADVICE, ratio, "exit code 75 (disturbed)"]
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,10 @@ def test_every_option_of_revisions_is_an_input_and_the_guide_lists_all(
     action: dict[str, Any],
 ) -> None:
     """With the default of the option; the comment is the action's own file."""
-    own = {one.dest.replace("_", "-"): one.default for one in _build_parser()._actions}
+    own = {
+        one.dest.replace("_", "-"): None if one.default == [] else one.default
+        for one in _build_parser()._actions
+    }
     options = own.keys() - {"help", "base", "head", "markdown"}
     assert options <= action["inputs"].keys()
     defaults = {name: yaml.safe_load(action["inputs"][name]["default"]) for name in options}
