@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
@@ -17,6 +18,25 @@ if TYPE_CHECKING:
 
 Backend = Literal["altair", "matplotlib"]
 """Library that draws: Altair as on the page, or Matplotlib (extra `matplotlib`) for print."""
+
+
+@dataclass(frozen=True)
+class SharedData:
+    """Data of a scenario that a figure draws once for all its runs, and their name in words."""
+
+    name: str
+    read: Callable[[Scenario], object]
+
+
+SETPOINT = SharedData("one setpoint", lambda scenario: scenario.reference.tolist())
+START = SharedData(
+    "one start and setpoint",
+    lambda scenario: (scenario.start.tolist(), scenario.reference.tolist()),
+)
+FORCE_LIMITS = SharedData(
+    "one set of force limits",
+    lambda scenario: (scenario.vessel.tau_min.tolist(), scenario.vessel.tau_max.tolist()),
+)
 
 
 class JudgedRun(Protocol):
@@ -107,9 +127,9 @@ class RunPlots:
     def ship(self, *others: JudgedRun, backend: Backend = "altair") -> Any:
         """Plot the ship's path in the north-east plane with the 1 m circle (Fig. 4 of the paper).
 
-        Raises InputError for a replay, which has no ship, or runs of two scenarios.
+        Raises InputError for a replay, which has no ship, or runs of two starts or setpoints.
         """
-        laws, scenario = self._collect_curves_and_scenario(others)
+        laws, scenario = self._collect_curves_and_scenario(others, START)
         if _is_matplotlib_chosen(backend):
             from dpbench.report.charts.ship_tables import make_path_tables
 
@@ -119,8 +139,11 @@ class RunPlots:
         return draw_path(laws, scenario)
 
     def errors(self, *others: JudgedRun, backend: Backend = "altair") -> Any:
-        """Plot north, east, heading and radial error of closed loops (Fig. 5 of the paper)."""
-        laws, scenario = self._collect_curves_and_scenario(others)
+        """Plot north, east, heading and radial error of closed loops (Fig. 5 of the paper).
+
+        Raises InputError for a replay, which has no ship, or runs of two setpoints.
+        """
+        laws, scenario = self._collect_curves_and_scenario(others, SETPOINT)
         if _is_matplotlib_chosen(backend):
             from dpbench.report.charts.ship_tables import make_error_panels
 
@@ -130,8 +153,11 @@ class RunPlots:
         return draw_pose_errors(laws, scenario)
 
     def forces(self, *others: JudgedRun, backend: Backend = "altair") -> Any:
-        """Plot the applied forces of closed loops with their limits (Fig. 6 of the paper)."""
-        laws, scenario = self._collect_curves_and_scenario(others)
+        """Plot the applied forces of closed loops with their limits (Fig. 6 of the paper).
+
+        Raises InputError for a replay, which has no ship, or runs of two sets of limits.
+        """
+        laws, scenario = self._collect_curves_and_scenario(others, FORCE_LIMITS)
         if _is_matplotlib_chosen(backend):
             from dpbench.report.charts.ship_tables import make_force_panels
 
@@ -141,22 +167,22 @@ class RunPlots:
         return draw_forces(laws, scenario)
 
     def _collect_curves_and_scenario(
-        self, others: tuple[JudgedRun, ...]
+        self, others: tuple[JudgedRun, ...], shared: SharedData
     ) -> tuple[list[Any], Scenario]:
-        """Return the labelled curves of these runs, and their common scenario."""
-        scenario = self._require_common_scenario(others)
+        """Return the labelled curves of these runs, and a scenario with the shared data."""
+        scenario = self._require_shared_data(others, shared)
         return _convert_to_labelled_curves((self._run, *others)), scenario
 
-    def _require_common_scenario(self, others: tuple[JudgedRun, ...]) -> Scenario:
-        """Return the scenario that all runs share; InputError if they differ or one has no ship."""
+    def _require_shared_data(self, others: tuple[JudgedRun, ...], shared: SharedData) -> Scenario:
+        """Return this run's scenario; InputError if the others' data differ or one has no ship."""
         scenario = self._run.scenario
         for run in (self._run, *others):
             _require_run(run, "`run_closed_loop`")
             if run.scenario is None or scenario is None:
                 raise InputError("plot", "run", *_describe_missing_ship(run))
-            if run.scenario.files != scenario.files:
+            if shared.read(run.scenario) != shared.read(scenario):
                 found = f"{scenario.name} and {run.scenario.name}"
-                raise InputError("plot", "run", found, "closed loops of one scenario")
+                raise InputError("plot", "run", found, f"closed loops with {shared.name}")
         assert scenario is not None, "of a closed loop"
         return scenario
 

@@ -238,6 +238,19 @@ def test_errors_are_those_of_the_steps(loop: Run) -> None:
     np.testing.assert_allclose(own["value"], loop.steps["n_m"], atol=1e-12)
 
 
+def test_runs_in_two_weathers_are_drawn_together() -> None:
+    """Errors, forces and paths share setpoint, limits and start; another setpoint is refused."""
+    weather = load_scenario("weather").truncate(3)
+    storm = weather.with_keys({"environment.wind.speed_mps": 16.0})
+    calm, rough = (run_closed_loop(scenario, "daqp") for scenario in (weather, storm))
+    for chart in (calm.plot.errors(rough), calm.plot.forces(rough), calm.plot.ship(rough)):
+        text = chart.to_json()
+        assert all(f"{run.label} in {run.case_text}" in text for run in (calm, rough))
+    moved = run_closed_loop(weather.with_keys({"reference.north_m": 5.0}), "daqp")
+    with pytest.raises(InputError, match="allowed: closed loops with one setpoint"):
+        calm.plot.errors(moved)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["loop", "replayed"])
 def test_steps_are_those_of_the_run(kind: str, request: pytest.FixtureRequest) -> None:
