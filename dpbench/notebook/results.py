@@ -18,6 +18,7 @@ from dpbench.analysis.verdict.verdict import list_best_verdict_of_each_solver
 from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.design import load_stability_records
 from dpbench.bench.record import result_folder
+from dpbench.bench.record.recorded_steps import STEPS_NEEDED
 from dpbench.display import make_html_paragraph, make_html_table
 from dpbench.embedded.table import load_counted_steps_of_folder
 from dpbench.errors import InputError, ResultsError, format_allowed_names, require_lists_of_names
@@ -286,7 +287,8 @@ class Results(result_folder.Results):
     def to_csv(self, folder: str | Path) -> None:
         """Write all tables of the report that have rows as CSV files into a folder.
 
-        The file `.<folder>.json` beside it lists them, so that the next call removes old ones.
+        The file `.<folder>.json` beside it lists them, so that the next call removes old ones. Of
+        results without steps the stored files are copied.
 
         Examples
         --------
@@ -295,9 +297,13 @@ class Results(result_folder.Results):
         True
         """
         # The report draws, and Altair takes its time.
-        from dpbench.report.report import write_tables
+        from dpbench.report.report import copy_tables, write_tables
 
-        write_tables(make_folder_if_missing(Path(folder)), self.tables)
+        target = make_folder_if_missing(Path(folder))
+        if self.recorded.is_missing:
+            copy_tables(self.folder / "tables", target)
+        else:
+            write_tables(target, self.tables)
 
     def __repr__(self) -> str:
         runs = plural(len(self.runs), "run")
@@ -309,13 +315,17 @@ class Results(result_folder.Results):
         warning = f"; {self._warning}" if self._warning else ""
         return f"<Results {name}: {runs} of {solvers}{others}{state}{warning}>"
 
-    def _repr_html_(self) -> str | None:
-        """Return the recommendation and each solver's best settings as HTML; None without steps.
+    def _repr_html_(self) -> str:
+        """Return the recommendation and each solver's best settings as HTML.
 
-        The warning of a lost ship comes before the table.
+        The warning of a lost ship comes before the table. Without steps it has the number of runs,
+        and why there is no recommendation.
         """
         if self.recorded.is_missing:
-            return None
+            missing = f"No recommendation, as {self.folder} has no steps.parquet. Required:"
+            return make_html_paragraph(repr(self)) + make_html_paragraph(
+                f"{missing} {STEPS_NEEDED}."
+            )
         from dpbench.report.documents.markdown import HEAD, make_solver_rows
 
         rows = make_solver_rows(

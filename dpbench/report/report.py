@@ -54,6 +54,7 @@ from dpbench.report.page.recommendation import Recommendation, build_recommendat
 from dpbench.report.page.section import Topic
 from dpbench.report.study_effects_table import build_effects_table, build_interactions_table
 from dpbench.report.topics.all import build_topics
+from dpbench.report.topics.embedded import tabulate_counts
 from dpbench.report.topics.study import yield_disturbance_sentences
 from dpbench.report.verdict_text import (
     describe_calibration,
@@ -201,11 +202,14 @@ def build_tables(
         "study_effects": build_effects_table(data.studies),
         "study_interactions": build_interactions_table(data.studies),
     }
-    # Those of a study and of settings are written as numbers above.
-    for topic in (topic for topic in topics if topic.id not in ("study", "settings")):
+    # Those of a study and of settings are written as numbers above, and counts below.
+    numbers = ("study", "settings", "embedded")
+    for topic in (topic for topic in topics if topic.id not in numbers):
         for i, small in enumerate(topic.tables):
             name = topic.id if i == 0 else f"{topic.id}_{i + 1}"
             tables[name] = convert_to_frame(small)
+    if data.counts.sequences:
+        tables["embedded"] = tabulate_counts(data.counts)
     return tables
 
 
@@ -227,6 +231,20 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
     }
     legend = render_document("tables.md", tables=wording)
     write_file_set_into_folder(folder, {**contents, LEGEND: legend.encode})
+
+
+def copy_tables(stored: Path, folder: Path) -> None:
+    """Copy the tables that an earlier report wrote, unchanged, into another folder.
+
+    Read and written again, whole numbers beside missing ones would have decimals.
+    """
+    files = [path for path in sorted(stored.glob("*.csv")) if path.is_file()]
+    legend = stored / LEGEND
+    files += [legend] if legend.is_file() else []
+    contents = {path.name: path.read_bytes() for path in files}
+    write_file_set_into_folder(
+        folder, {name: partial(bytes, content) for name, content in contents.items()}
+    )
 
 
 def read_table(path: Path) -> pd.DataFrame:

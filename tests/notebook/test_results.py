@@ -213,6 +213,10 @@ def test_a_folder_without_steps_has_the_tables_of_its_report(
     stored = load_results(part)
     assert repr(stored) == repr(results)
     identity = ["solver", "route", "policy", "settings", "options"]
+    assert "no steps.parquet. Required: a new run of the suite" in stored._repr_html_()
+    stored.to_csv(tmp_path / "copied")
+    for file in sorted((part / "tables").iterdir()):
+        assert (tmp_path / "copied" / file.name).read_bytes() == file.read_bytes()
     for name in ("verdict", "ladder", "ships"):
         table, original = getattr(stored, name)(), getattr(results, name)()
         assert list(table.columns) == list(original.columns) and len(table) == len(original)

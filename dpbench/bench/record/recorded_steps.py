@@ -29,6 +29,11 @@ from dpbench.files.tables import open_untrusted_parquet_table
 ALL_COLUMNS = tuple(STEP_COLUMNS)
 KEY_COLUMNS = {"run_id", "repeat", "k"}
 """The columns that name a step, without which a table is none of steps."""
+STEPS_NEEDED = (
+    "a new run of the suite; without steps, only `runs`, `tables`, `verdict()`, `ladder()`, "
+    "`ships()`, `to_latex()` and `to_csv()` are available"
+)
+"""Remedy in a folder without steps, and the data that are available there."""
 CACHED_GROUPS = 2
 """Number of row groups, with the columns requested, that are kept for the next request."""
 
@@ -95,11 +100,7 @@ class StepsOnDisk:
     def require_file(self) -> None:
         """Raise ResultsError in a folder without `steps.parquet`."""
         if self.is_missing:
-            allowed = (
-                "a new run of the suite; without steps, only `runs`, `tables`, `verdict()`, "
-                "`ladder()`, `ships()`, `to_latex()` and `to_csv()` are available"
-            )
-            raise ResultsError(str(self._path), "", "no such file", allowed)
+            raise ResultsError(str(self._path), "", "no such file", STEPS_NEEDED)
 
     def read_all_steps(self) -> pd.DataFrame:
         """Return the steps of all runs as one data frame."""

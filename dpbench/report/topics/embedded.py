@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from typing import Any
 
+import pandas as pd
+
 from dpbench.analysis.suites.embedded import CountedSequence, EmbeddedResults
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.report.embedded_text import (
@@ -46,6 +48,33 @@ def build_embedded_topic(results: EmbeddedResults, requirements: Requirements) -
     looks: dict[str, Any] = {"text_columns": 3, "folded": True, "labels": LABELS}
     tables = (Table.from_rows(rows, TABLE, note=note, **looks),) if rows else ()
     return Topic("embedded", TITLE, tuple(lines), tables=tables)
+
+
+def tabulate_counts(results: EmbeddedResults) -> pd.DataFrame:
+    """Return a table of counts, memory, errors and times as numbers; missing ones are NA."""
+    rows = [
+        {
+            "solver": one.solver,
+            "sequence": sequence.sequence,
+            "core": name_core_and_precision(sequence.target, single=sequence.single),
+            "median": one.p50,
+            "p99": one.p99,
+            "worst": one.worst,
+            "k": one.k,
+            "iterations": one.iterations if one.iterations >= 0 else None,
+            "active": one.active if one.active >= 0 else None,
+            "code": one.code + one.constants,
+            "static": one.static + one.heap,
+            "stack": one.stack,
+            "error": one.error_move,
+            "desk_p99_us": one.desk_p99_ns / 1e3,
+            "desk_rank": sequence.desk_rank_by_solver.get(one.solver),
+        }
+        for sequence in results.sequences
+        for one in sequence.solvers
+    ]
+    counts = dict.fromkeys(("iterations", "active", "desk_rank"), "Int64")
+    return pd.DataFrame(rows).astype(counts)
 
 
 def _yield_table_rows(sequence: CountedSequence) -> Iterator[dict[str, str]]:
