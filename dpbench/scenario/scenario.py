@@ -468,12 +468,12 @@ def _build_actuators_if_any(
     """Return a model of thrust losses, delay and lag; None where commands act as they are."""
     plant = spec.plant
     loss = np.array(plant.thrust_loss_percent)
-    losses = Actuators(1.0 - loss / 100.0, plant.delay_samples)
+    lag_s = plant.thruster_lag_s * scale.time_and_speed_factor
+    losses = Actuators(1.0 - loss / 100.0, plant.delay_samples, lag_s / sample_s)
     if controller.commanded_thrusters is not None:
-        lag_s = plant.thruster_lag_s * scale.time_and_speed_factor
         control = controller.commanded_thrusters
         return CommandedThrusters(control.thrusters, sample_s, lag_s, losses, control.trips)
-    return losses if loss.any() or plant.delay_samples else None
+    return losses if loss.any() or plant.delay_samples or lag_s > 0.0 else None
 
 
 def resolve_to_scenario(given: object) -> Scenario:

@@ -1,8 +1,12 @@
-"""Lost thrust and dead time between a commanded force and the hull.
+"""Lost thrust, dead time and lag between a commanded force and the hull.
 
-τ_hull(k) = efficiency · τ(k − delay),   τ = 0 before the start
+    τ_hull(k) = efficiency · τ(k − delay),   τ = 0 before the start
+
+With a lag T, the delivered force f follows the command τ over each sample Δt as T df/dt = τ − f,
+and the hull gets the mean of f over the sample.
 """
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,10 +18,11 @@ from dpbench.ship.thrusters import ThrusterSet, Trips
 
 @dataclass(frozen=True, eq=False)
 class Actuators:
-    """Thrust losses and dead time between the commanded force and the hull."""
+    """Thrust losses, dead time [samples] and lag [samples] between a force and the hull."""
 
     efficiency: Vector = field(default_factory=lambda: np.ones(AXES))
     delay_samples: int = 0
+    lag_samples: float = 0.0
 
     def make_state_at_rest(self) -> "DelayedThrust":
         """Return the actuators' state at the start of a run, without thrust."""
@@ -37,6 +42,22 @@ class CommandedThrusters:
     def make_state_at_rest(self) -> "ThrusterForces":
         """Return the thrusters' state at the start of a run, without thrust."""
         return ThrusterForces(self)
+
+
+class FirstOrderLag:
+    """Forces that follow a target, constant over each sample, with a time constant in samples."""
+
+    def __init__(self, lag_samples: float, entries: int) -> None:
+        self.f = np.zeros(entries)
+        self._left = math.exp(-1.0 / lag_samples) if lag_samples > 0.0 else 0.0
+        self._mean = lag_samples * (1.0 - self._left)
+
+    def advance_and_return_mean(self, target: Vector) -> Vector:
+        """Advance f by one sample towards a target; return the mean force over the sample."""
+        behind = self.f - target
+        self.f = target + self._left * behind
+        mean: Vector = target + self._mean * behind
+        return mean
 
 
 class DelayLine:
@@ -60,22 +81,30 @@ class DelayedThrust:
     def __init__(self, actuators: Actuators) -> None:
         self._efficiency = actuators.efficiency
         self._delay = DelayLine(actuators.delay_samples, AXES)
+        is_lagging = actuators.lag_samples > 0.0
+        self._lag = FirstOrderLag(actuators.lag_samples, AXES) if is_lagging else None
         self._delivered = np.zeros(AXES)
 
     def force_on_hull_for_command(self, tau: Vector) -> Vector:
-        """Store a commanded force tau (3,); return the delayed, reduced force on the hull (3,)."""
-        np.multiply(
-            self._efficiency, self._delay.store_command_and_return_due_one(tau), out=self._delivered
-        )
+        """Store a commanded force tau (3,); return the force that reaches the hull (3,)."""
+        due = self._delay.store_command_and_return_due_one(tau)
+        if self._lag is not None:
+            due = self._lag.advance_and_return_mean(due)
+        np.multiply(self._efficiency, due, out=self._delivered)
         return self._delivered
 
 
 class ThrusterForces:
-    """State of commanded thrusters in one run; f (n_f,) are their present forces [N]."""
+    """State of commanded thrusters in one run.
+
+    The command passes the rate limit and the circle first; the force follows the result with the
+    lag, so that a thruster on its way to full thrust is late by the lag and not slower.
+    """
 
     def __init__(self, commanded: CommandedThrusters) -> None:
         thrusters, behind = commanded.thrusters, commanded.behind
-        self.f = np.zeros(thrusters.n_f)
+        self._lag = FirstOrderLag(commanded.lag_s / commanded.sample_s, thrusters.n_f)
+        self._target = np.zeros(thrusters.n_f)
         self._k, self._trips = 0, dict(commanded.trips)
         self._stopped: Indices = np.zeros(0, dtype=np.intp)
         self._efficient: Matrix = behind.efficiency[:, np.newaxis] * thrusters.T_e
@@ -88,24 +117,26 @@ class ThrusterForces:
             )
             if thruster.kind == "azimuth"
         ]
-        lag = commanded.lag_s / commanded.sample_s
-        self._left = np.exp(-1.0 / lag) if lag > 0.0 else 0.0
-        self._mean = lag * (1.0 - self._left)
+
+    @property
+    def f(self) -> Vector:
+        """Present forces (n_f,) of the thrusters [N]."""
+        return self._lag.f
 
     def force_on_hull_for_command(self, command: Vector) -> Vector:
         """Advance thrusters one sample to a command (n_f,); return the force on the hull (3,)."""
-        goal, f = self._delay.store_command_and_return_due_one(command), self.f
+        goal, last = self._delay.store_command_and_return_due_one(command), self._target
         if self._trips:
-            f[self._update_and_list_stopped_entries()] = 0.0
-        target = np.clip(goal, f - self._step_max, f + self._step_max)
+            stopped = self._update_and_list_stopped_entries()
+            last[stopped] = self.f[stopped] = 0.0
+        target = np.clip(goal, last - self._step_max, last + self._step_max)
         for at, thrust_N in self._circles:
             size = float(np.sqrt((target[at] ** 2).sum()))
             if size > thrust_N:
                 target[at] *= thrust_N / size
         target[self._stopped] = 0.0
-        behind = f - target
-        self.f = target + self._left * behind
-        return self._efficient @ (target + self._mean * behind)
+        self._target = target
+        return self._efficient @ self._lag.advance_and_return_mean(target)
 
     def _update_and_list_stopped_entries(self) -> Indices:
         """Count one sample; return the entries of f that have stopped by then."""

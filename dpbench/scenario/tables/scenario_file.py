@@ -115,7 +115,7 @@ class PlantTable(FileModel):
     delay_samples: keys.Count = 0
     """Samples by which a command arrives late."""
     thruster_lag_s: keys.NotNegative = 0.0
-    """Time constant [s] with which commanded thrusters follow their commands."""
+    """Time constant [s] with which the thrusters follow their commands."""
     fmu: FmuTable | None = None
     """FMU in place of dpbench's own ship; its weather is its own."""
 

@@ -253,3 +253,20 @@ def test_slow_thrusters_follow_with_their_lag_and_never_leave_their_circles() ->
         SHIP.thruster_force_magnitudes(thrusters.f)[:3] <= SHIP.largest_thrusts_N[:3] * (1 + 1e-12)
     ).all()
     assert SHIP.thruster_force_magnitudes(thrusters.f)[0] > 0.99 * SHIP.largest_thrusts_N[0]
+
+
+def test_a_lag_makes_a_thruster_late_and_not_slower() -> None:
+    """Towards full thrust it runs one lag behind the ramp of its rise time.
+
+    A staircase of steps Δf stays ahead of its lag by Δf/(exp(Δt/T) − 1) · (1 − exp(−t/T)), the sum
+    of a geometric series.
+    """
+    lag_s, sample_s = 2.0, 0.5
+    thrusters = CommandedThrusters(SHIP, sample_s, lag_s, Actuators()).make_state_at_rest()
+    step, full = SHIP.largest_force_changes_per_sample(sample_s)[-1], np.zeros(7)
+    full[-1] = SHIP.largest_thrusts_N[-1]
+    assert full[-1] / step == pytest.approx(5.0 / sample_s)
+    for k in range(1, 11):
+        thrusters.force_on_hull_for_command(full)
+        behind = step / math.expm1(sample_s / lag_s) * -math.expm1(-k * sample_s / lag_s)
+        assert thrusters.f[-1] == pytest.approx(k * step - behind, rel=1e-9)
