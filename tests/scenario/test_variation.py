@@ -62,9 +62,25 @@ def test_keys_of_the_vessel_and_another_vessel() -> None:
     np.testing.assert_array_equal(heavier.vessel.M, base.vessel.M)
 
 
+def test_newer_keys_that_a_file_leaves_out_can_be_set(tmp_path: Path) -> None:
+    added = "\n[plant]\nthruster_lag_s = 1.5\n\n[start]\nsway_mps = 0.2\n"
+    path = _by_hand(tmp_path, "weather")
+    base = load_scenario(path)
+    path.write_text(path.read_text(encoding="utf-8") + added, encoding="utf-8")
+    values = {"plant.thruster_lag_s": 1.5, "start.sway_mps": 0.2}
+    varied = base.with_keys(values)
+    assert varied.files["scenario"] == load_scenario(path).files["scenario"]
+    assert varied.actuators is not None and base.actuators is None
+    for key, default in (("plant.thruster_lag_s", 0.0), ("vessel.drag", "linear")):
+        assert read_value_of_dotted_key(base.files, key, "test") == default
+    again = varied.with_keys({"plant.thruster_lag_s": 0.0, "start.sway_mps": 0.0})
+    assert again.files["scenario"] == base.files["scenario"]
+
+
 @pytest.mark.parametrize(
     ("values", "said"),
     [
+        ({"plant.thruster_lags": 1.0}, "plant.thruster_lags.*thruster_lag_s"),
         ({"environment.wind.sped_mps": 3.0}, "environment.wind.sped_mps.*speed_mps"),
         ({"environment.squalls.0.start_s": 3.0}, "environment.squalls.0.start_s.*index"),
         ({"environment.noise.position_m": 3.0}, "no table environment.noise: add the whole table"),
