@@ -254,12 +254,14 @@ class WeakSide:
     """The direction [°] of least wind held, after the loss of a group or intact without one.
 
     limit : the wind held from there then; intact : the least wind held intact, and from where [°].
+    has_half_turns : whether these winds are held with the half turns that controllers plan with.
     """
 
     from_deg: float
     limit: WindLimit
     lost: str | None
     intact: tuple[float, WindLimit]
+    has_half_turns: bool = False
 
     def find_number(self, number: int) -> int:
         """Return the largest DP number up to another that is held from there, at least 1."""
@@ -286,7 +288,10 @@ class WeakSide:
             winds.append(f"{wind} from {self.from_deg:g}° {self.when}")
         held = "" if self.limit.number else ", not held"
         sea = f"DP number {self.find_number(number)}{held}"
-        return f"weak side (direction of least wind held): {', '.join(winds)} ({file}, {sea})"
+        what = "direction of least wind held"
+        if self.has_half_turns:
+            what += " with the half turns of controllers; the capability plot has all directions"
+        return f"weak side ({what}): {', '.join(winds)} ({file}, {sea})"
 
 
 @dataclass(frozen=True)
@@ -343,7 +348,7 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
         number, reason = 1, "the smallest, as its thrusters hold none by level 1"
     numbers = {case: held[case].number for case in losses}
     number, intact_mps = min(number, most), intact.wind_mps
-    halves = any(t.sector_rad != t.convex_sector_rad for t in vessel.thrusters.thrusters)
+    halves = vessel.thrusters.has_half_turns
     remedies = {
         case: _find_remedy(
             vessel.thrusters, case, _find_winds_without_zones(vessel, from_deg)[case]
@@ -352,7 +357,7 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
         if not numbers[case]
     }
     weak_side = _find_weak_side(
-        compute_capability(CapabilityPlot(planned)) if halves else capability, lost
+        compute_capability(CapabilityPlot(planned)) if halves else capability, lost, halves
     )
     return HeldSea(
         capability,
@@ -368,7 +373,7 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
     )
 
 
-def _find_weak_side(capability: Capability, lost: str | None) -> WeakSide:
+def _find_weak_side(capability: Capability, lost: str | None, has_half_turns: bool) -> WeakSide:
     """Return the direction of least wind held, after a loss where there is one; else intact.
 
     Starboard of equals.
@@ -378,7 +383,7 @@ def _find_weak_side(capability: Capability, lost: str | None) -> WeakSide:
         limits = zip(FROM_DEG, capability.held[case], strict=True)
         return min(limits, key=lambda at: round(at[1].wind_mps, 3))
 
-    return WeakSide(*find_least(lost or INTACT), lost, find_least(INTACT))
+    return WeakSide(*find_least(lost or INTACT), lost, find_least(INTACT), has_half_turns)
 
 
 def _find_winds_without_zones(vessel: Vessel, from_deg: float) -> dict[str, float]:

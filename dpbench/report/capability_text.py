@@ -21,8 +21,9 @@ from dpbench.analysis.suites.capability import (
 )
 from dpbench.analysis.verdict.verdict import explain_deployment_blocker
 from dpbench.bench.capability.frontier import INTACT
-from dpbench.report.formats import format_rounded_down, join_with_and, plural
+from dpbench.report.formats import format_rounded_down, join_with_and, plural, significant
 from dpbench.report.ship_text import find_weather_direction
+from dpbench.ship.thrusters import ThrusterSet
 
 
 def describe_capability(records: Records, plot: CapabilityResult) -> Iterator[str]:
@@ -37,23 +38,40 @@ def describe_capability(records: Records, plot: CapabilityResult) -> Iterator[st
     if plot.capability_numbers_text:
         rudders = " without rudders" if _has_rudder_caution(records, plot.vessel) else ""
         yield f"{plot.capability_numbers_text}{rudders}."
-    yield f"{wording} (DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides)."
+    about = f"DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides"
+    yield f"{wording} ({about}{_explain_sectors(records, plot.vessel)})."
+
+
+def _list_thruster_sets(records: Records, vessel: str) -> list[ThrusterSet]:
+    """Return the thrusters of a ship, by its id, in each of these scenarios."""
+    known = filter(None, map(records.build_scenario, records.scenarios))
+    thrusters = [scenario.vessel.thrusters for scenario in known if scenario.vessel.id == vessel]
+    return [one for one in thrusters if one is not None]
 
 
 def _has_rudder_caution(records: Records, vessel: str) -> bool:
     """Return whether main propellers alone push aft on a ship of these scenarios, by its id."""
-    known = filter(None, map(records.build_scenario, records.scenarios))
-    thrusters = [scenario.vessel.thrusters for scenario in known if scenario.vessel.id == vessel]
-    return any(one is not None and one.caution_on_rudders for one in thrusters)
+    return any(one.caution_on_rudders for one in _list_thruster_sets(records, vessel))
 
 
-def describe_worst_loss(plot: CapabilityResult) -> str:
+def _explain_sectors(records: Records, vessel: str) -> str:
+    """Return text on the directions counted where controllers plan with less; "" elsewhere.
+
+    By the half turns of controllers a ship holds less wind: `dpbench init` prints that one.
+    """
+    if not any(one.has_half_turns for one in _list_thruster_sets(records, vessel)):
+        return ""
+    return "; in all directions outside their barred zones, not only in controllers' half turns"
+
+
+def describe_worst_loss(records: Records, plot: CapabilityResult) -> str:
     """Return a sentence on the wind held after the worst loss, over all directions; or ""."""
     failed = plot.edges[plot.edges["case"] != INTACT]
     if failed.empty:
         return ""
     case, wind = _find_worst_loss(failed)
-    return f"After the worst loss, of {case}, {plot.vessel} holds {wind} (level 1)."
+    sectors = _explain_sectors(records, plot.vessel)
+    return f"After the worst loss, of {case}, {plot.vessel} holds {wind} (level 1{sectors})."
 
 
 def _find_worst_loss(failed: pd.DataFrame) -> tuple[str, str]:
@@ -98,7 +116,20 @@ def describe_losses_held(analysis: ConsequenceAnalysis) -> str:
         when.setdefault(describe_time_held(of_group), []).append(str(group))
     held = [f"the loss of {' or of '.join(of)} can be held {time}" for time, of in when.items()]
     loop = _describe_analysed_loop(analysis)
-    return f"In {analysis.name}{loop} {'; '.join(held)} ({describe_required_force(analysis)})."
+    lost = f" {caution}" if (caution := describe_analysed_ship(analysis)) else ""
+    return (
+        f"In {analysis.name}{loop} {'; '.join(held)} ({describe_required_force(analysis)}).{lost}"
+    )
+
+
+def describe_analysed_ship(analysis: ConsequenceAnalysis) -> str:
+    """Return a caution on an analysis of a ship that was not held; "" where it was."""
+    if math.isnan(analysis.ship_left_s):
+        return ""
+    return (
+        "CAUTION: this analysis is of a ship that was not held: it leaves its station at "
+        f"{significant(analysis.ship_left_s)} s. Its forces are not those that hold the station."
+    )
 
 
 def describe_analysed_window(analysis: ConsequenceAnalysis) -> str:

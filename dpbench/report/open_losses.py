@@ -149,9 +149,10 @@ class _WeatherLoss:
         """Yield in words when each analysis that once finds the loss not held finds it held."""
         for analysis in self._analyses:
             when = describe_time_held(_spans_of(analysis, self._group))
+            lost = "" if math.isnan(analysis.ship_left_s) else " (of a ship that was not held)"
             yield (
-                f"the consequence analysis of {describe_analysed_window(analysis)}, by which it "
-                f"can be held {when}"
+                f"the consequence analysis of {describe_analysed_window(analysis)}{lost}, by which "
+                f"it can be held {when}"
             )
 
 

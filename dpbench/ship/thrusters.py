@@ -230,6 +230,11 @@ class ThrusterSet:
         return replace(self, thrusters=tuple(convex))
 
     @property
+    def has_half_turns(self) -> bool:
+        """True if controllers plan with a half turn of a wider sector of some azimuth."""
+        return any(t.sector_rad != t.convex_sector_rad for t in self.thrusters)
+
+    @property
     def caution_on_rudders(self) -> str:
         """Sentence on what is not counted where mains alone push aft of midships; "" elsewhere.
 

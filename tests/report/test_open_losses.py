@@ -150,3 +150,13 @@ def test_a_consequence_analysis_that_finds_a_loss_not_held(
         f"analysis of steps 0 to 99 of `thrusters_loss`, by which it can be held {said}; not "
         "simulated in this weather.",
     )
+
+
+def test_a_finding_of_a_ship_that_was_not_held_says_so(records: Any) -> None:
+    """Level 1 holds the loss; the loop of the analysis diverges before."""
+    records.loop("daqp", "thrusters_loss", **LONG)
+    lost = replace(analysis([(0.0, 30.0, LOST)]), ship_left_s=12.0)
+    (sentence,) = find(records, [], lost).not_held
+    assert (
+        "of `thrusters_loss` (of a ship that was not held), by which it can be held at" in sentence
+    )

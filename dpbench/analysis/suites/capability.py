@@ -218,6 +218,8 @@ class ConsequenceAnalysis:
     run : one of the runs, all along the same loop; None in a table without runs.
     spans : columns `SPAN`: for each loss, spans of time and what is proven of them.
     answers : of every configuration, right ones first, then the fastest.
+    ship_left_s : when the ship of the loop leaves its station [s], before the end of the analysed
+        steps or of the intact ship; NaN for a ship that is held.
     """
 
     name: str
@@ -226,6 +228,12 @@ class ConsequenceAnalysis:
     spans: pd.DataFrame
     answers: tuple[BatchAnswers, ...]
     run: RunRecord | None = None
+    ship_left_s: float = math.nan
+
+    @property
+    def is_alarm_due(self) -> bool:
+        """True if a QP is infeasible: the loss of a group cannot be held at some sample."""
+        return any(own.infeasible for own in self.answers)
 
     @property
     def best_answers_by_solver(self) -> dict[str, BatchAnswers]:
@@ -266,7 +274,25 @@ def _build_consequence_analysis(
     )
     source = runs[0].source
     margin = source.margin if isinstance(source, ConsequenceSource) else math.nan
-    return ConsequenceAnalysis(name, tuple(groups), margin, spans, tuple(answers), runs[0])
+    left_s = _find_time_ship_left_s(records, runs)
+    return ConsequenceAnalysis(name, tuple(groups), margin, spans, tuple(answers), runs[0], left_s)
+
+
+def _find_time_ship_left_s(records: Records, runs: Sequence[RunRecord]) -> float:
+    """Return when the ship of an analysed loop leaves its station [s], NaN if it is held there.
+
+    The runs of an analysis know the loop to the last analysed step. Other runs of the scenario know
+    it longer; what the ship does after a fault says nothing of the analysed steps before it.
+    """
+    scenario = (runs[0].scenario_documents or {}).get("scenario", {})
+    fault_s = min((fault["at_s"] for fault in scenario.get("faults") or ()), default=math.inf)
+    longer = [
+        run.exact_left_s
+        for run in records.all_runs
+        if run.scenario == runs[0].scenario and not run.study and run.exact_left_s < fault_s
+    ]
+    known = [run.exact_left_s for run in runs if not math.isnan(run.exact_left_s)]
+    return min([*known, *longer], default=math.nan)
 
 
 def _tabulate_loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:

@@ -236,7 +236,7 @@ def _fill_statement(
         assumed=dict.fromkeys(
             text for vessel in vessels.values() for text in list_assumptions_on_vessel(vessel)
         ),
-        worst_losses=[text for plot in plots if (text := describe_worst_loss(plot))],
+        worst_losses=[text for plot in plots if (text := describe_worst_loss(records, plot))],
         cautions=_list_cautions(vessels.values()),
         held=_describe_held(records, plots, analyses),
         losses=find_open_losses(records, data.ships, plots, analyses),

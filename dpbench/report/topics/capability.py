@@ -179,7 +179,11 @@ def _describe_consequences(analysis: ConsequenceAnalysis) -> str:
     silent = join_with_counts((a.name, a.unanswered_count) for a in answers if a.unanswered_count)
     unanswered = f"; no answer to some QPs: {silent}" if silent else ""
     missed = join_with_counts((a.name, a.missed) for a in answers if a.missed)
-    alarms = f"missed alarms: {missed}" if missed else "no solver misses an alarm"
+    alarms = "no solver misses an alarm"
+    if missed:
+        alarms = f"missed alarms: {missed}"
+    elif not analysis.is_alarm_due:
+        alarms = "no alarm was due, as every QP that a solver reached is feasible"
     return f"{describe_losses_held(analysis)} {head}; {alarms}{unanswered}."
 
 

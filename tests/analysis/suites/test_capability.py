@@ -145,16 +145,33 @@ def test_a_loss_after_which_nothing_is_held_is_so_from_every_direction(records: 
     assert said in " ".join(describe_capability(records.view(), plot))
 
 
-def test_the_worst_loss_is_named_with_the_least_wind_held_after_it() -> None:
+def test_the_worst_loss_is_named_with_the_least_wind_held_after_it(records: Any) -> None:
     """Board A, by one direction of it alone; "" where no loss is in the plot."""
     rows = [("intact", 2.0, 0.0), ("board A", 9.0, 0.0), ("board A", 3.0, 90.0)]
     rows += [("board B", 5.0, from_deg) for from_deg in (0.0, 90.0)]
     edges = pd.DataFrame(rows, columns=["case", "wind_mps", "from_deg"])
     said = "After the worst loss, of board A, osv holds at least 3.00 m/s of wind, "
-    assert (
-        describe_worst_loss(CapabilityResult("osv", 8, edges, ())) == f"{said}from 90° (level 1)."
-    )
-    assert describe_worst_loss(CapabilityResult("osv", 8, edges[:1], ())) == ""
+    plot, view = CapabilityResult("osv", 8, edges, ()), records.view()
+    assert describe_worst_loss(view, plot) == f"{said}from 90° (level 1)."
+    assert describe_worst_loss(view, CapabilityResult("osv", 8, edges[:1], ())) == ""
+
+
+def test_a_plot_says_that_it_has_more_directions_than_controllers_plan_with(records: Any) -> None:
+    """`ratownik` with an azimuth barred for 60°, 240° in all, of which 180° are planned with."""
+    records.loop("daqp", "thrusters")
+    view = records.view()
+    plain = view.build_scenario("thrusters")
+    every = plain.vessel.thrusters
+    wide = replace(every.thrusters[0], sector_rad=(-2.0, 2.0))
+    barred = replace(every, thrusters=(wide, *every.thrusters[1:]))
+    rows = [("intact", 20.0, 0.0, 7), ("board A", 9.0, 0.0, 4)]
+    edges = pd.DataFrame(rows, columns=["case", "wind_mps", "from_deg", "number"])
+    plot = CapabilityResult(plain.vessel.id, 8, edges, ())
+    said = "in all directions outside their barred zones, not only in controllers' half turns"
+    assert said not in " ".join(describe_capability(view, plot)) + describe_worst_loss(view, plot)
+    view._scenarios["thrusters"] = replace(plain, vessel=replace(plain.vessel, thrusters=barred))
+    assert said in " ".join(describe_capability(view, plot))
+    assert said in describe_worst_loss(view, plot)
 
 
 def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -19,7 +20,11 @@ from dpbench.analysis.suites.capability import (
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_step_columns
 from dpbench.report import capability_text
-from dpbench.report.capability_text import describe_consequence_solver, describe_unanswered_qps
+from dpbench.report.capability_text import (
+    describe_consequence_solver,
+    describe_losses_held,
+    describe_unanswered_qps,
+)
 from dpbench.report.topics.capability import build_consequence_topic
 from tests.result_folder import StepsInMemory
 
@@ -31,7 +36,9 @@ CERTIFICATES = {"board A": ["linear"] * 4, "board B": ["gap", "gap", "infeasible
 """Claims at four samples; the loss of board B can be held at two."""
 
 
-def view(records: Any, said: dict[str, dict[str, list[list[dict[str, Any]]]]]) -> Records:
+def view(
+    records: Any, said: dict[str, dict[str, list[list[dict[str, Any]]]]], **columns: Any
+) -> Records:
     """Replays of four samples by solver and group: of each round the answers, 1 µs times k + 1."""
     rows = []
     for solver, by_group in said.items():
@@ -49,6 +56,7 @@ def view(records: Any, said: dict[str, dict[str, list[list[dict[str, Any]]]]]) -
                 scenario="thrusters_loss",
                 cell=json.dumps({"scenario": files, "source": source}),
                 steps_done=max(map(len, rounds)),
+                **columns,
             )
             run_id = records.results().runs["run_id"].iloc[-1]
             rows += [
@@ -159,6 +167,32 @@ def test_the_topic_names_who_misses_alarms(storm: Records) -> None:
     ]
     (table,) = topic.tables
     assert table.rows[-1] == ("osqp", "–", "0.0027 %", "4 of 6", "0 of 2", "1", "2", "1", "0 of 1")
+
+
+def test_it_says_that_no_alarm_was_due(records: Any) -> None:
+    """Where every QP is feasible, no solver can miss one."""
+    topic = build_consequence_topic(view(records, {"quadprog": {"board A": [[TRUE] * 4]}}))
+    assert topic.lines[0].endswith(
+        "no alarm was due, as every QP that a solver reached is feasible."
+    )
+    assert "misses" not in topic.lines[0]
+
+
+@pytest.mark.parametrize(
+    ("left_s", "others_left_s", "at"),
+    [(1.5, 99.0, "1.50"), (np.nan, 80.0, "80.0"), (np.nan, 95.0, ""), (np.nan, np.nan, "")],
+)
+def test_it_says_that_the_ship_of_the_loop_was_not_held(
+    records: Any, left_s: float, others_left_s: float, at: str
+) -> None:
+    """Within the analysed steps, or in a longer run before the loss of board A at 90 s."""
+    records.loop("daqp", "thrusters_loss", steps=500, exact_left_s=others_left_s)
+    of_board = {"quadprog": {"board A": [[TRUE] * 4]}}
+    (analysis,) = build_consequence_analyses(view(records, of_board, exact_left_s=left_s))
+    said = describe_losses_held(analysis)
+    assert ("CAUTION: this analysis is of a ship that was not held" in said) == bool(at)
+    if at:
+        assert f"it leaves its station at {at} s." in said
 
 
 def test_it_says_nothing_of_what_steers_the_ship(records: Any, storm: Records) -> None:
