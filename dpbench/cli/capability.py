@@ -29,7 +29,10 @@ from dpbench.cli.terminal import WIDTH, ProgressBar
 from dpbench.errors import InputError
 from dpbench.report.formats import format_time
 from dpbench.scenario.own_ship import DP_NUMBERS
-from dpbench.scenario.own_thrusters import list_assumptions_on_vessel
+from dpbench.scenario.own_thrusters import (
+    describe_own_wind_areas,
+    list_assumptions_on_vessel,
+)
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.loads import DP_CONDITIONS
 from dpbench.ship.capability.losses import list_thruster_cautions, list_zone_cautions
@@ -153,6 +156,8 @@ def format_wind_table(
     notes = [*_explain_planned(planned, vessel), *caution_on_rudders(vessel)]
     notes += _explain_notation(capability, vessel)
     notes += [f"Assumed, not given: {'; '.join(assumed)}."] if assumed else []
+    if own_areas := describe_own_wind_areas(vessel):
+        notes.append(f"{own_areas[0].upper()}{own_areas[1:]}.")
     notes += list_zone_cautions(vessel.thrusters) if vessel.thrusters else []
     notes = [line for note in notes for line in textwrap.wrap(note, WIDTH)]
     return [*textwrap.wrap(about, WIDTH), "", *table, "", *notes]

@@ -17,6 +17,7 @@ from dpbench.bench.design import (
 )
 from dpbench.bench.progress import Progress, Silent
 from dpbench.cli.terminal import WIDTH
+from dpbench.report.controller_text import describe_unused_turning
 from dpbench.report.formats import (
     format_rounded_down,
     format_rounded_up,
@@ -84,7 +85,8 @@ def describe_checked_scenario(
     shown = name.name if isinstance(name, Path) else name
     first = f"{shown}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
     loads = compare_with_level_1(scenario) or textwrap.wrap(_describe_weather_load(scenario), WIDTH)
-    about = [*format_limits_by_axis(scenario.vessel), *loads]
+    turning = textwrap.wrap(describe_unused_turning(scenario), WIDTH)
+    about = [*format_limits_by_axis(scenario.vessel), *turning, *loads]
     return _join_lines(first, [*about, *_try_offsets([scenario], progress, quick=quick)])
 
 

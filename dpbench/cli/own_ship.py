@@ -35,10 +35,14 @@ from dpbench.errors import InputError, SituationError, format_allowed_names
 from dpbench.report.words import render_document
 from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.hull_files import Hull, read_hull_from_csv_table, read_hull_from_mss_file
-from dpbench.scenario.own_thrusters import ASSUMED_IN_SOURCE
+from dpbench.scenario.own_thrusters import ASSUMED_IN_SOURCE, describe_scaled_wind_areas
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.loads import DYNAMIC_FACTOR
-from dpbench.ship.capability.losses import MISCELLANEOUS, list_zone_cautions
+from dpbench.ship.capability.losses import (
+    MISCELLANEOUS,
+    describe_unused_turning_rates,
+    list_zone_cautions,
+)
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather import WATER_DENSITY
 
@@ -136,6 +140,8 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
             thrusters = ship.thrusters.thrusters
             remarks += [*thrusters.sector_descriptions, *ship.thrusters.half_turns]
             remarks += list_zone_cautions(thrusters)
+            if unused := describe_unused_turning_rates(thrusters):
+                remarks.append(f"{unused} The scenarios written here do not.")
     else:
         if sea is None:
             instead = f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or describe the ship again"
@@ -379,8 +385,7 @@ class OwnShip:
         """Areas above the water as text, and where they are from."""
         windage = self.vessel.windage
         assert windage is not None, "as every library vessel"
-        areas = f"{windage.frontal_m2:.0f} m² in front, {windage.lateral_m2:.0f} m² on the side"
-        return f"wind areas {areas}, scaled from {self.like}"
+        return describe_scaled_wind_areas(windage, self.like)
 
     @property
     def assumed_values(self) -> str:

@@ -165,25 +165,42 @@ def _format_time_of_offset(run: RunRecord) -> str:
 
 
 def describe_unmet(ships: Sequence[ShipResult], scenarios: Sequence[Scenario]) -> list[str]:
-    """Return the names of what no QP of these runs met: active limits, losses, waves and others."""
+    """Return the names of what no QP of these runs met: active limits, losses, lag and others."""
     known = [ship.run for ship in ships if ship.state != "not run"]
-    documents = [scenario.files["scenario"] for scenario in scenarios]
-    environments = [document.get("environment") or {} for document in documents]
-    unmet = {
-        "an active limit": not any(run.exact_active_share > 0.0 for run in known),
-        "a problem without a feasible point": not any(run.infeasible_steps > 0 for run in known),
-        "a loss of thrusters or limits": not any(document.get("faults") for document in documents),
-        **{
-            words: not any(environment.get(key) for environment in environments)
-            for key, words in (
-                ("waves", "waves"),
-                ("wind", "gusts"),
-                ("squalls", "squalls"),
-                ("noise", "measurement noise"),
-            )
-        },
+    met = {
+        "an active limit": any(run.exact_active_share > 0.0 for run in known),
+        "a problem without a feasible point": any(run.infeasible_steps > 0 for run in known),
     }
-    return [what for what, is_unmet in unmet.items() if is_unmet]
+    of_scenarios = [_list_conditions(scenario) for scenario in scenarios]
+    names = dict.fromkeys(name for conditions in of_scenarios for name in conditions)
+    met |= {name: any(conditions[name] for conditions in of_scenarios) for name in names}
+    return [what for what, is_met in met.items() if not is_met]
+
+
+def _list_conditions(scenario: Scenario) -> dict[str, bool]:
+    """Return which conditions a scenario contains, by name, as its documents state them.
+
+    An FMU may have any mass, damping and lag.
+    """
+    document = scenario.files["scenario"]
+    weather, plant = document.get("environment") or {}, document.get("plant") or {}
+    waves, fmu = weather.get("waves") or {}, plant.get("fmu")
+    has_drag = scenario.vessel.drag is not None
+    return {
+        "a loss of thrusters or limits": bool(document.get("faults")),
+        "waves": bool(waves),
+        "first-order wave motion": bool(waves.get("motion")),
+        "gusts": (weather.get("wind") or {}).get("gusts", "none") != "none",
+        "squalls": bool(weather.get("squalls")),
+        "measurement noise": bool(weather.get("noise")),
+        "a state estimator": (document.get("estimator") or {}).get("kind", "measured")
+        != "measured",
+        "thruster lag": bool(plant.get("thruster_lag_s") or fmu),
+        "actuator delay": bool(plant.get("delay_samples")),
+        "thrust below that commanded": any(plant.get("thrust_loss_percent") or ()),
+        "a model mismatch of the mass": bool(plant.get("mass_percent") or fmu),
+        "a model mismatch of the damping": bool(plant.get("damping_percent") or fmu or has_drag),
+    }
 
 
 def _format_station_limits(ship: ShipResult) -> str:

@@ -10,6 +10,7 @@ is left out.
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,10 +22,13 @@ from dpbench.scenario.problem_files import validate_settings_as_model
 from dpbench.scenario.tables.vessel_file import ThrusterTable
 from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.vessel import Vessel
+from dpbench.ship.weather import Windage
 
 TEXTS = ("name", "kind", "propeller", "group")
 ASSUMED_IN_SOURCE = "; assumed: "
 """Text of a vessel file's `source` after which it lists the values that were assumed."""
+_WIND_AREAS = re.compile(r"wind areas (?P<areas>[^;]* m² on the side), scaled from [^;]*")
+"""Wind areas in such a list."""
 SECTORS = {
     "sector_deg": ("sector_from_deg", "sector_to_deg"),
     "barred_deg": ("barred_from_deg", "barred_to_deg"),
@@ -168,9 +172,34 @@ def split_source(vessel: Vessel) -> tuple[str, str]:
     return source, assumed
 
 
+def describe_scaled_wind_areas(windage: Windage, library: str) -> str:
+    """Return text for a vessel's source on wind areas that are scaled from a library vessel's."""
+    return f"wind areas {_format_areas(windage)}, scaled from {library}"
+
+
+def _format_areas(windage: Windage) -> str:
+    """Return wind areas as text."""
+    return f"{windage.frontal_m2:.0f} m² in front, {windage.lateral_m2:.0f} m² on the side"
+
+
+def describe_own_wind_areas(vessel: Vessel) -> str:
+    """Return text on wind areas of one's own, in place of those assumed in the source; or ""."""
+    assumed = _WIND_AREAS.search(split_source(vessel)[1])
+    if assumed is None or vessel.windage is None:
+        return ""
+    areas = _format_areas(vessel.windage)
+    return "" if assumed["areas"] == areas else f"wind areas as given: {areas}"
+
+
 def list_assumptions_on_vessel(vessel: Vessel) -> list[str]:
-    """Return texts on what a vessel's file does not give: of thrusters, wind, hull (level 1)."""
-    assumed = [text] if (text := split_source(vessel)[1]) else []
+    """Return texts on what a vessel's file does not give: of thrusters, wind, hull (level 1).
+
+    The source lists what `dpbench init` assumed; wind areas that were replaced since are left out.
+    """
+    text = split_source(vessel)[1]
+    if describe_own_wind_areas(vessel):
+        text = _WIND_AREAS.sub("", text).strip("; ")
+    assumed = [text] if text else []
     thrusters = () if vessel.thrusters is None else vessel.thrusters.thrusters
     screws = {t.name: t.screw for t in thrusters if t.screw is not None}
     lacking = [name for name, screw in screws.items() if screw.height_m is None]

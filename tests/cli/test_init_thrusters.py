@@ -148,6 +148,36 @@ def test_what_is_assumed_of_thrusters_is_printed_and_marked(
     assert "; enter yours in [windage] of my_ship.toml (frontal_m2, lateral_m2)" in said
 
 
+def test_capability_prints_the_wind_areas_of_the_file(capsys: pytest.CaptureFixture[str]) -> None:
+    """Assumed ones as `init` wrote them, and others once the file has them."""
+    assert init(TABLE) == 0
+    capsys.readouterr()
+    assert main(["capability", FILES[0]]) == 0
+    scaled = " ".join(capsys.readouterr().out.split())
+    assert "; wind areas 304 m² in front, 772 m² on the side, scaled from " in scaled
+    file = Path(FILES[0])
+    text = re.sub(r"frontal_m2 = \S+", "frontal_m2 = 350.0", file.read_text(encoding="utf-8"))
+    text = re.sub(r"lateral_m2 = \S+", "lateral_m2 = 1000.0", text)
+    file.write_text(text, encoding="utf-8")
+    assert main(["capability", FILES[0]]) == 0
+    own = " ".join(capsys.readouterr().out.split())
+    assert "Wind areas as given: 350 m² in front, 1000 m² on the side." in own
+    assert "304 m²" not in own and "772 m²" not in own
+    assert "Assumed, not given: rise times " in own
+
+
+def test_turning_rates_that_nothing_limits_are_said_to_be_unused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rows = TABLE.replace("power_kW,group", "power_kW,group,turning_degps")
+    assert init(rows.replace("-30,0,1200,board B", "-30,0,1200,board B,12")) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "turning_degps of azimuth 5 is not used: neither the controller nor the" in said
+    assert main(["check", FILES[2], "--quick"]) == 0
+    said = capsys.readouterr().out
+    assert "turning_degps is not used without azimuth_turning = true in the controller." in said
+
+
 @pytest.mark.parametrize("kind", ["azimuth", "tunnel"])
 def test_rudders_are_said_not_to_count_where_mains_alone_push_aft(
     capsys: pytest.CaptureFixture[str], kind: str

@@ -13,7 +13,14 @@ from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.cli.main import main
 from dpbench.report.documents.markdown import make_report_markdown
 from dpbench.report.report import Report
-from dpbench.report.ship_text import BANNER, LOST as NOT_HELD, NOT_RUN, ShipSummary, summarise_ships
+from dpbench.report.ship_text import (
+    BANNER,
+    LOST as NOT_HELD,
+    NOT_RUN,
+    ShipSummary,
+    describe_unmet,
+    summarise_ships,
+)
 from dpbench.scenario.dotted_keys import copy_documents_with_values
 from dpbench.scenario.scenario import load_scenario
 
@@ -215,6 +222,42 @@ def test_a_qp_that_never_meets_a_limit_was_never_hard(records: Any) -> None:
         "Limits are active in 0 % (`calm`) to 20.0 % (`rough`) of the steps. In `calm` no limit "
         "is ever active."
     )
+
+
+NEEDED = {
+    "a loss of thrusters or limits": {"faults": [{"at_s": 1.0, "limit_share": [0.5, 0.5, 0.5]}]},
+    "first-order wave motion": {"environment.waves.motion": {}},
+    "gusts": {},
+    "measurement noise": {"environment.noise": {"position_m": 0.1, "heading_deg": 0.1}},
+    "a state estimator": {"estimator.kind": "kalman"},
+    "thruster lag": {"plant.thruster_lag_s": 1.5},
+    "actuator delay": {"plant.delay_samples": 2},
+    "thrust below that commanded": {"plant.thrust_loss_percent": [0.0, 5.0, 0.0]},
+    "a model mismatch of the mass": {"plant.mass_percent": 10.0},
+    "a model mismatch of the damping": {"plant.damping_percent": -10.0},
+}
+"""Keys of a scenario file that bring each condition into it; gusts are in `weather`."""
+
+
+@pytest.mark.parametrize("condition", NEEDED)
+def test_each_condition_is_unmet_until_a_scenario_contains_it(condition: str) -> None:
+    plain = load_scenario("weather")
+    absent = describe_unmet([], [plain])
+    assert set(absent) >= {"an active limit", *NEEDED} - {"gusts"}
+    assert "waves" not in absent and "gusts" not in absent and "squalls" in absent
+    with_it = plain.with_keys(NEEDED[condition])
+    found = describe_unmet([], [plain, with_it])
+    assert set(absent) - set(found) == {condition} - {"gusts"}
+    still = plain.with_keys({"environment.wind.gusts": "none"})
+    assert "gusts" in describe_unmet([], [still])
+
+
+def test_a_ship_with_cross_flow_drag_has_another_damping_than_its_model() -> None:
+    plain, other = load_scenario("weather"), load_scenario("weather@osv")
+    assert plain.files["vessel"].get("drag", "linear") == "linear"
+    assert other.files["vessel"]["drag"] == "cross_flow"
+    assert "a model mismatch of the damping" in describe_unmet([], [plain])
+    assert "a model mismatch of the damping" not in describe_unmet([], [other])
 
 
 def test_seas_of_a_study_are_counted(records: Any) -> None:

@@ -32,6 +32,7 @@ from dpbench.analysis.verdict.verdict import (
 )
 from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.plan.configurations import name_solvers_of_suite
+from dpbench.bench.record.cell import Configuration
 from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
@@ -50,6 +51,7 @@ from dpbench.report.commands_text import (
     describe_machine_states,
     describe_turns,
 )
+from dpbench.report.controller_text import describe_controllers, list_model_gaps
 from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
 from dpbench.report.formats import format_time, join_with_and, strip_markdown
 from dpbench.report.open_losses import find_open_losses
@@ -57,6 +59,7 @@ from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation, list_speed_margin_sentences
 from dpbench.report.page.terms import DRAG_MISMATCH
 from dpbench.report.ship_text import describe_ship, describe_unmet, list_losses, summarise_ships
+from dpbench.report.thrust_text import describe_thrust_after_loss
 from dpbench.report.verdict_text import (
     describe_deployment,
     describe_hardest_wait,
@@ -67,7 +70,11 @@ from dpbench.report.verdict_text import (
     format_p99_interval,
 )
 from dpbench.report.words import render_document
-from dpbench.scenario.own_thrusters import list_assumptions_on_vessel, split_source
+from dpbench.scenario.own_thrusters import (
+    describe_own_wind_areas,
+    list_assumptions_on_vessel,
+    split_source,
+)
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.capability.losses import list_thruster_cautions
 from dpbench.ship.thrusters import describe_sector, format_directions
@@ -166,7 +173,7 @@ _LOOKS: dict[str, dict[str, Any]] = {
 WRAPPED = ("", "!", "+", "%", "-", "~")  # Marks of lines that may be longer than the page is wide
 PICTURE_HEIGHT, ABOVE_PICTURE = 60.0, 14.0  # [points]
 BOTTOM = 24  # Space below the last line [points]
-SHRINKS = (1.0, 0.96, 0.92, 0.88, 0.84, 0.8, 0.75)
+SHRINKS = (1.0, 0.96, 0.92, 0.88, 0.84, 0.8, 0.75, 0.7)
 """Factors of the sizes of letters and gaps; the first with which all lines fit the page counts."""
 BOLD_WIDER = 1.15  # Width of bold letters over that of others
 _WIDTHS = {
@@ -218,6 +225,7 @@ def _fill_statement(
     versions = {name: ", ".join(sorted({str(v) for v in own if v})) for name, own in by_solver}
     timed = copy_with_thruster_times(records, data.requirements, chosen)
     vessels = {s.vessel.id: s.vessel for s in known}
+    loops = {ship.run.scenario for ship in ships}
     files = list({s.vessel.id: s.files["vessel"] for s in known}.values())
     return render_document(
         "statement",
@@ -236,10 +244,14 @@ def _fill_statement(
         assumed=dict.fromkeys(
             text for vessel in vessels.values() for text in list_assumptions_on_vessel(vessel)
         ),
+        controllers=describe_controllers([s for s in known if s.name in loops]),
+        model_gaps=list_model_gaps(known),
+        own_areas=[text for v in vessels.values() if (text := describe_own_wind_areas(v))],
         worst_losses=[text for plot in plots if (text := describe_worst_loss(records, plot))],
         cautions=_list_cautions(vessels.values()),
         held=_describe_held(records, plots, analyses),
         losses=find_open_losses(records, data.ships, plots, analyses),
+        thrust_used=_list_thrust_used(records, c),
         consequence_solver=describe_consequence_solver(records, c.solver),
         caption=caption,
         unmet=describe_unmet(ships, known),
@@ -305,6 +317,21 @@ def _describe_held(
         for plot in plots
     ]
     return [*lines, *(f"Consequence analysis: {describe_losses_held(one)}" for one in analyses)]
+
+
+def _list_thrust_used(records: Records, c: Configuration) -> list[str]:
+    """Return a sentence on each loop of a configuration with a loss: the thrust used after it."""
+    loops = records.select_runs(
+        mode="closed_loop", solver=c.solver, route=c.route, policy=c.policy, settings=c.settings
+    )
+    used = {
+        run.scenario: describe_thrust_after_loss(records, run)
+        for run in loops
+        if run.units == "scaled" and not run.study
+    }
+    return [
+        f"After the loss in {name}, {c.solver} uses {text}." for name, text in used.items() if text
+    ]
 
 
 def _list_cautions(vessels: Iterable[Vessel]) -> list[str]:

@@ -40,6 +40,7 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.page.section import Topic
+from dpbench.report.thrust_text import describe_thrust_after_loss
 from dpbench.report.verdict_text import describe_hardest_wait
 
 MOST_ROWS = 8
@@ -207,6 +208,8 @@ def _yield_offset_after_loss_sentences(
         )
         if own and lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, requirements):
             opening = f"After the loss of {join_with_and(lost)} ({run.scenario}), the ship"
+            used = describe_thrust_after_loss(records, run)
+            thrust = f" It uses {used}." if used else ""
             if run.r_tail_max_m > run.station_radius_m:
                 far, after = (
                     significant(run.r_tail_max_m),
@@ -214,11 +217,11 @@ def _yield_offset_after_loss_sentences(
                 )
                 yield (
                     f"{opening} with this solver drifts away: its offset, at the start of each "
-                    f"step, reaches {far} m within {after} of the loss."
+                    f"step, reaches {far} m within {after} of the loss.{thrust}"
                 )
             else:
                 within = format_rounded_up(run.r_tail_max_m, 2)
-                yield f"{opening} with this solver stays within {within} m."
+                yield f"{opening} with this solver stays within {within} m.{thrust}"
 
 
 def _compute_seconds_after_loss(run: RunRecord) -> float:

@@ -80,6 +80,18 @@ def list_thruster_cautions(thrusters: ThrusterSet) -> list[str]:
     return [*([rudders] if rudders else []), *list_zone_cautions(thrusters)]
 
 
+def describe_unused_turning_rates(thrusters: ThrusterSet) -> str:
+    """Return a sentence on turning rates of azimuths that no controller limits; "" without any."""
+    names = [t.name for t in thrusters.thrusters if t.turning_radps is not None]
+    if not names:
+        return ""
+    return (
+        f"turning_degps of {', '.join(names)} is not used: neither the controller nor the "
+        "simulated thruster limits turning. A controller that commands thrusters limits it with "
+        "azimuth_turning = true in [controller.thrusters]."
+    )
+
+
 def list_zone_cautions(thrusters: ThrusterSet) -> list[str]:
     """Return sentences on zones that bar the push towards a thruster and leave the race to it."""
     cautions = []

@@ -17,6 +17,7 @@ import pytest
 import vl_convert as vlc
 
 from dpbench.cli.main import main
+from dpbench.report.controller_text import describe_controllers, list_model_gaps
 from dpbench.report.documents import statement
 from dpbench.report.documents.statement import (
     HEIGHT,
@@ -30,8 +31,12 @@ from dpbench.report.open_losses import OpenLosses
 from dpbench.report.page.recommendation import list_speed_margin_sentences
 from dpbench.report.report import Report
 from dpbench.report.ship_text import BANNER
-from dpbench.scenario.own_thrusters import list_assumptions_on_vessel, split_source
-from dpbench.scenario.scenario import load_vessel
+from dpbench.scenario.own_thrusters import (
+    describe_own_wind_areas,
+    list_assumptions_on_vessel,
+    split_source,
+)
+from dpbench.scenario.scenario import load_scenario, load_vessel
 from dpbench.ship.thrusters import Screw, ThrusterSet
 from dpbench.ship.vessel import HullDrag
 
@@ -178,6 +183,52 @@ def test_it_lists_what_is_assumed_of_ship_and_thrusters() -> None:
     _, shafts, _ = list_assumptions_on_vessel(replace(own, thrusters=thrusters))
     assert shafts == (f"no thrust lost to air in waves, as shaft heights of {bow.name} are unknown")
     assert list_assumptions_on_vessel(load_vessel("supply_fs99")) == []
+
+
+def test_it_has_the_settings_of_each_controller_and_what_is_not_modelled() -> None:
+    """As in `problems/scenarios`: the values are typed here from these files."""
+    rough, weather, commanded = map(load_scenario, ("rough", "weather", "thrusters"))
+    own = commanded.with_keys({"plant.thruster_lag_s": 1.5})
+    first, second = describe_controllers([rough, weather, own])
+    assert first == (
+        "Controller in rough and weather: plans forces, sample time 0.3 s, prediction/control "
+        "horizon 60/10 samples, Q = diag(1, 1, 3000) [1/m², 1/m², 1/rad²], R = "
+        "diag(0.1, 0.1, 0.1)/(maximum increment)²."
+    )
+    table = commanded.files["scenario"]["controller"]["thrusters"]
+    assert f"R = {table['move_weight_relative']:g}/(maximum increment)²" in second
+    assert f"W = {table['thrust_weight_relative']:g}/(largest thrust)²" in second
+    assert second.endswith("simulated thrusters lag by 1.5 s.")
+    turning = "turning_degps is not used without azimuth_turning = true in the controller."
+    assert list_model_gaps([commanded]) == [turning]
+    limited = commanded.with_keys({"controller.thrusters.azimuth_turning": True})
+    assert list_model_gaps([rough, limited]) == []
+    assert commanded.vessel.thrusters is not None
+    first_one, *others = commanded.vessel.thrusters.thrusters
+    main = replace(first_one, kind="main", turning_radps=None, sector_rad=None)
+    thrusters = replace(commanded.vessel.thrusters, thrusters=(main, *others))
+    with_main = replace(limited, vessel=replace(limited.vessel, thrusters=thrusters))
+    assert list_model_gaps([with_main]) == ["Rudders are not modelled."]
+
+
+def test_wind_areas_of_ones_own_are_not_listed_as_assumed() -> None:
+    """They are compared with the text of the source, whatever wrote it."""
+    osv = load_vessel("osv")
+    assert osv.windage is not None and osv.capability is not None
+    hull = replace(osv.capability, assumed=())
+    scaled = "wind areas 304 m² in front, 772 m² on the side, scaled from supply_mss"
+    given = replace(osv.windage, frontal_m2=350.0, lateral_m2=772.2)
+    own = replace(osv, source=f"x; assumed: rise times 7 s; {scaled}", capability=hull)
+    mine = replace(own, windage=given)
+    assert list_assumptions_on_vessel(mine) == ["rise times 7 s"]
+    assert describe_own_wind_areas(mine) == (
+        "wind areas as given: 350 m² in front, 772 m² on the side"
+    )
+    same = replace(own, windage=replace(given, frontal_m2=304.4))
+    assert list_assumptions_on_vessel(same) == [f"rise times 7 s; {scaled}"]
+    assert describe_own_wind_areas(same) == describe_own_wind_areas(osv) == ""
+    alone = replace(mine, source=f"x; assumed: {scaled}")
+    assert list_assumptions_on_vessel(alone) == []
 
 
 def test_it_fits_a_page(drawn: str) -> None:

@@ -3,6 +3,7 @@ support."""
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dpbench.report.report import Report
@@ -77,6 +78,28 @@ def test_a_ship_that_drifts_off_after_a_loss_is_said_to(records: Any) -> None:
     assert second == (
         "After the loss of board A (thrusters_loss), the ship with this solver drifts away: its "
         "offset, at the start of each step, reaches 28.4 m within 60 s of the loss."
+    )
+
+
+def test_the_used_share_of_the_thrust_that_is_left_is_stated(records: Any) -> None:
+    """Of `ratownik` without board A, by its published thrusts of 195.5, 146.6 and 115.6 kN.
+
+    The lost thrusters of 10 s are down 11.1 s after 90 s. Until then 60 % of all thrust are used,
+    then 30 %, and 48 % at one step.
+    """
+    left = 1.0 - (195.5 + 115.6) / (2 * 195.5 + 146.6 + 2 * 115.6)
+    for name in ("thrusters", "thrusters_loss"):
+        records.loop("daqp", name, steps=600, tail_m=0.25, **WARM)
+    steps = records._steps[-1]
+    steps["thrust_share"] = np.where(steps["t_s"] < 101.0, 0.6, 0.3)
+    steps.loc[steps["k"] == 350, "thrust_share"] = 0.48
+    records.replay("daqp", "thrusters", **WARM)
+    _, second = output(records)
+    assert second == (
+        "After the loss of board A (thrusters_loss), the ship with this solver stays within "
+        "0.25 m. It "
+        f"uses {48 / left:.0f} % of the remaining thrust at most, {30 / left:.0f} % on "
+        "average in the last 60 s."
     )
 
 
