@@ -44,6 +44,20 @@ def test_nothing_newer_is_an_empty_list(monkeypatch: pytest.MonkeyPatch) -> None
     assert find_newer_releases(1.0) == []
 
 
+def test_an_index_that_does_not_answer_is_not_nothing_newer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What is installed satisfies pip without an index; what it has to fetch does not."""
+
+    def run(command: list[str], **options: object) -> subprocess.CompletedProcess[str]:
+        if "--ignore-installed" in command:
+            raise subprocess.CalledProcessError(1, command)
+        return subprocess.CompletedProcess(command, 0, answer(), "")
+
+    monkeypatch.setattr(subprocess, "run", run)
+    assert find_newer_releases(1.0) is None
+
+
 @pytest.mark.parametrize("text", ["", "no JSON", "[]", "{}", '{"install": [{}]}', '{"install": 1}'])
 def test_an_answer_that_is_none_is_passed_over(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     fake_index(monkeypatch, text)
