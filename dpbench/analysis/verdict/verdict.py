@@ -282,7 +282,13 @@ def _count_or_zero(count: float) -> int:
 def _count_judged_steps(run: RunRecord) -> int:
     """Return how many steps of a run have an answer whose accuracy was judged."""
     without = _count_or_zero(run.uncertified) + _count_or_zero(run.undecided_steps)
-    return max(0, run.steps_done - without // max(1, _count_or_zero(run.rounds)))
+    return max(0, run.steps_done - _count_per_round(without, run))
+
+
+def _count_per_round(count: int, run: RunRecord) -> int:
+    """Return how many steps of a round a count over all rounds is; at least 1 if there are any."""
+    rounds = max(1, _count_or_zero(run.rounds))
+    return max(count // rounds, min(1, count))
 
 
 def _find_missing_runs(runs: Sequence[RunRecord], asked: Sequence[RunRecord]) -> list[Finding]:
@@ -340,8 +346,9 @@ def _find_unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
             doubts.append(Finding("lost", (run,)))
         elif run.outcome != "finished":
             doubts.append(Finding("ended", (run,)))
-        elif _count_or_zero(run.uncertified):
-            doubts.append(Finding("uncertified", (run,), value=_count_or_zero(run.uncertified)))
+        elif uncertified := _count_or_zero(run.uncertified):
+            value = _count_per_round(uncertified, run)
+            doubts.append(Finding("uncertified", (run,), value=value))
     return doubts
 
 

@@ -176,6 +176,23 @@ def test_the_unmeasured_leaves_it_open(records: Any, loop: dict[str, Any], claus
 
 
 @pytest.mark.parametrize(
+    ("columns", "counted"),
+    [
+        ({"uncertified": 5, "rounds": 5}, "1 step of"),
+        ({"uncertified": 12, "rounds": 3}, "4 steps of"),
+        ({"uncertified": 1, "rounds": 3}, "1 step of"),
+    ],
+)
+def test_steps_without_a_certified_optimum_are_counted_once(
+    records: Any, columns: dict[str, int], counted: str
+) -> None:
+    """The column counts them in every round of a replay."""
+    records.loop("daqp")
+    records.replay("daqp", **columns)
+    assert f"{counted} the replay of `paper`" in _why(_verdict(records, "daqp"))
+
+
+@pytest.mark.parametrize(
     ("outcome", "clause"),
     [
         ("crashed", "its process ended in `paper`: killed by SIGSEGV"),
