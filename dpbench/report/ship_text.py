@@ -218,7 +218,8 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     if len(known) == 1:
         where, there = f"in `{farthest.name}`", ""
     else:
-        kind = "scenarios and realisations" if of_study else "scenarios"
+        alone = "realisations" if all(ship.run.study for ship in known) else "scenarios"
+        kind = alone if alone == "realisations" or not of_study else f"{alone} and realisations"
         where = f"in {len(kept)} of {len(known)} {kind}"
         there = f" at {_locate_ship(farthest)}" if run.study else f" in `{farthest.name}`"
     from_deg = find_weather_direction(ship.run for ship in known)

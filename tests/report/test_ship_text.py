@@ -269,7 +269,7 @@ def test_seas_of_a_study_are_counted(records: Any) -> None:
         == f"{BANNER}, whatever the solver: in 2 realisations of `seas` it leaves, by up to 37.0 m "
         "at point 0 with `waves.hs_m = 4`, realisation 2."
     )
-    assert "in 1 of 3 scenarios and realisations" in told.text
+    assert "in 1 of 3 realisations" in told.text
 
 
 @pytest.mark.parametrize("others", [0, 1])

@@ -32,6 +32,7 @@ from dpbench.report.charts.study import (
 from dpbench.report.formats import (
     MISSING,
     Table,
+    format_count,
     format_estimate_with_bounds,
     format_rounded_up,
     format_share,
@@ -81,21 +82,22 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
     seas = plural(study.seas_per_point, "realisation")
     reference = study.results_by_cost[0]
     stays = (
-        f"in {_format_share_with_bound(reference.within, study)} of the runs with {reference.name} "
-        f"the ship stays within {study.radius_m:g} m in the second half"
+        f"in {_format_share_with_bound(reference.within, study)} of the runs with "
+        f"{_mark_solver(reference.name)} the ship stays within {study.radius_m:g} m in the second "
+        "half"
     )
     is_alone = len(study.results_by_cost) == 1
     yield (
-        f"{study.name}: {plural(len(runs), 'run')} at {plural(points, 'point')} in {seas}; "
+        f"`{study.name}`: {plural(len(runs), 'run')} at {plural(points, 'point')} in {seas}; "
         f"{f'{stays}.' if is_alone else _describe_larger_errors(study)}"
     )
     if left_out := study.points_left_out:
         named = join_with_and([str(point) for point in left_out[:MOST_NAMED]])
         more = f" and {len(left_out) - MOST_NAMED} more" if left_out[MOST_NAMED:] else ""
         yield (
-            f"{study.name}: {plural(len(left_out), 'point')} excluded from every difference to "
-            f"{study.reference_name}, as the reference loop leaves its station there: "
-            f"{named}{more}."
+            f"`{study.name}`: {plural(len(left_out), 'point')} excluded from every difference to "
+            f"{_mark_solver(study.reference_name)}, as the reference loop leaves its station "
+            f"there: {named}{more}."
         )
     yield from _yield_unfinished_sentences(study)
     yield from yield_disturbance_sentences([study])
@@ -103,7 +105,7 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
     worst = min(study.results_by_cost, key=lambda c: c.share_within_radius)
     if not is_alone:
         others = (
-            f"; with {worst.name}, in {_format_share_with_bound(worst.within, study)}"
+            f"; with {_mark_solver(worst.name)}, in {_format_share_with_bound(worst.within, study)}"
             if worst.within < reference.within
             else ", as with all other configurations"
         )
@@ -114,26 +116,34 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
         yield dominated
 
 
+def _mark_solver(name: str) -> str:
+    """Return the name of a configuration, `solver` or `solver (settings)`, the solver as code."""
+    solver, *settings = name.split(" ", 1)
+    return " ".join([f"`{solver}`", *settings])
+
+
 def _yield_unfinished_sentences(study: Study) -> Iterator[str]:
     """Yield sentences on the runs that did not finish: those that their limit stopped apart."""
     runs, every = study.runs, plural(len(study.runs), "run")
     stopped, refused = int(runs["stopped"].sum()), len(study.refused)
     unfinished = int((~runs["finished"]).sum()) - refused
     if refused:
-        counts = Counter(f"{run.solver_label} ({explain_outcome(run)})" for run in study.refused)
+        counts = Counter(
+            f"{_mark_solver(run.solver_label)} ({explain_outcome(run)})" for run in study.refused
+        )
         yield (
-            f"{study.name}: {refused} of {every} refused and not judged: "
+            f"`{study.name}`: {refused} of {every} refused and not judged: "
             f"{name_counts(counts.most_common())}."
         )
     if stopped:
-        named = [(c.name, c.stopped) for c in study.results_by_cost if c.stopped]
+        named = [(_mark_solver(c.name), c.stopped) for c in study.results_by_cost if c.stopped]
         yield (
-            f"{study.name}: {stopped} of {every} stopped at the time limit (cell_limit_s) and not "
-            f"judged: {name_counts(named)}. They are in no share of runs within the radius."
+            f"`{study.name}`: {stopped} of {every} stopped at the time limit (`cell_limit_s`) and "
+            f"not judged: {name_counts(named)}. They are in no share of runs within the radius."
         )
     if unfinished:
         yield (
-            f"{study.name}: {unfinished} of {every} did not finish. Every difference is "
+            f"`{study.name}`: {unfinished} of {every} did not finish. Every difference is "
             "conditional on the realisations that both configurations finished."
         )
 
@@ -143,7 +153,7 @@ def yield_disturbance_sentences(studies: Sequence[Study]) -> Iterator[str]:
     for study in studies:
         if study.disturbance and study.is_disturbed:
             yield (
-                f"{study.name}: other work disturbed the machine: "
+                f"`{study.name}`: other work disturbed the machine: "
                 f"{join_with_and(study.disturbance.complaints())}. Effects on step times are not "
                 "shown, because the machine may have caused them."
             )
@@ -157,9 +167,9 @@ def _yield_failed_steps_sentences(study: Study) -> Iterator[str]:
     shares = failing["failed_steps"] / failing["steps_done"]
     worst = failing.iloc[int(np.argmax(shares))]
     yield (
-        f"{study.name}: steps failed in {len(failing)} of {plural(len(study.runs), 'run')}, most "
-        f"of them with {worst['configuration']} at point {worst['point']}, realisation "
-        f"{worst['replicate']}: {worst['failed_steps']:.0f} of "
+        f"`{study.name}`: steps failed in {len(failing)} of {plural(len(study.runs), 'run')}, most "
+        f"of them with {_mark_solver(worst['configuration'])} at point {worst['point']}, "
+        f"realisation {worst['replicate']}: {worst['failed_steps']:.0f} of "
         f"{plural(worst['steps_done'], 'step')}. In these steps the fallback or an unconverged "
         "iterate acted on the ship."
     )
@@ -167,27 +177,30 @@ def _yield_failed_steps_sentences(study: Study) -> Iterator[str]:
 
 def _describe_larger_errors(study: Study) -> str:
     """Return which configurations have significantly larger errors than the reference, as text."""
-    others = study.results_by_cost[1:]
+    others, reference = study.results_by_cost[1:], _mark_solver(study.reference_name)
     excess_m = {c.name: c.error_excess_m.mean_interval.value for c in others if c.error_excess_m}
     worse = sorted(
         (c for c in others if c.has_larger_error_than_reference), key=lambda c: -excess_m[c.name]
     )
-    wording = [f"{c.name} by {significant(100.0 * excess_m[c.name], 2)} cm" for c in worse[:3]]
+    wording = [
+        f"{_mark_solver(c.name)} by {significant(100.0 * excess_m[c.name], 2)} cm"
+        for c in worse[:3]
+    ]
     unnamed = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
     laws = set(study.runs.loc[study.runs["baseline_law"], "configuration"])
     solvers = {c.solver for c in study.results_by_cost if c.name not in laws}
-    lone = f"only {', '.join(solvers)} was run; " if len(solvers) == 1 else ""
+    lone = f"only `{', '.join(solvers)}` was run; " if len(solvers) == 1 else ""
     if lone and not worse and all(c.name in laws for c in others):
-        return f"only {study.reference_name} was run, so no other solver is compared."
+        return f"only {reference} was run, so no other solver is compared."
     if not worse:
         return (
-            f"{lone}no error is significantly larger than that of {study.reference_name} in the "
-            "same realisation."
+            f"{lone}no error is significantly larger than that of {reference} in the same "
+            "realisation."
         )
     same = len(others) - len(worse)
     rest = f"; not significantly larger with {same} more" if same else ""
     return (
-        f"{lone}errors significantly larger than {study.reference_name} in the same realisation: "
+        f"{lone}errors significantly larger than with {reference} in the same realisation: "
         f"{', '.join(wording)}{unnamed}{rest}."
     )
 
@@ -206,13 +219,13 @@ def _format_share_with_bound(share: float, study: Study) -> str:
 def _describe_loosest_tolerances(study: Study) -> str:
     """Return in words each solver's loosest tolerance that costs no more than a small limit."""
     cheap = {s: c for s, c in study.loosest_cheap_by_solver.items() if c is not None}
-    none = [s for s, c in study.loosest_cheap_by_solver.items() if c is None]
+    none = [f"`{s}`" for s, c in study.loosest_cheap_by_solver.items() if c is None]
     limits = (
         f"excess error significantly below {100 * SMALL_M:g} cm and excess cost significantly "
         f"below {100 * SMALL_COST:g} %"
     )
     parts = [
-        f"{solver} {c.tolerance:g} ({format_share(c.accurate)} of the steps accurate)"
+        f"`{solver}` {c.tolerance:g} ({format_share(c.accurate)} of the steps accurate)"
         for solver, c in cheap.items()
     ]
     wording = (
@@ -234,9 +247,9 @@ def _describe_inaccuracy(configuration: StudiedConfiguration, study: Study) -> s
         found = format_rounded_up(c.error_move, 2)
         reasons.append(f"the error of the first move is up to {found} (limit {limit:g})")
     if c.false_claims:
-        steps = f"{c.false_claims} of {plural(c.steps, 'step')}"
+        steps = f"{format_count(c.false_claims)} of {plural(c.steps, 'step')}"
         reasons.append(f"{steps} were reported as solved but are inaccurate")
-    wording = f"{c.solver} {c.tolerance:g} does not pass the requirements"
+    wording = f"`{c.solver}` {c.tolerance:g} does not pass the requirements"
     return f"{wording}: {join_with_and(reasons)}" if reasons else wording
 
 
@@ -324,7 +337,7 @@ def _make_configuration_row(configuration: StudiedConfiguration, study: Study) -
         "excess error [cm]": "reference"
         if behind_it is None
         else _format_difference(behind_it, 100.0),
-        "excess cost": "" if dearer is None else f"{_format_difference(dearer, 100.0)} %",
+        "excess cost [%]": "" if dearer is None else _format_difference(dearer, 100.0),
     }
     if behind_it is None:
         return row | {"significant": "", "realisations for 1 cm": ""}

@@ -70,7 +70,7 @@ def test_it_opens_where_a_ship_is_lost(study_page: Opener) -> None:
     page = study_page()
     assert page.inner_text("#one-title").startswith("osqp (")
     assert "beyond the radius, at most 1.5 m off" in page.inner_text("#study-said")
-    assert "in 1 of 4 realisations, over all points in 18 of 24" in page.inner_text("#study-said")
+    assert "of 4 realisations, and over all points in 18 of 24" in page.inner_text("#study-said")
     assert page.input_value("#study-sea") == "2"
     assert len(_rows(page, "design", "design")) == 6
     assert page.inner_text("#one-said").startswith(

@@ -93,8 +93,8 @@ def test_the_files_of_a_study_hold_numbers(records: Any) -> None:
 def test_stopped_runs_are_counted_and_named(records: Any) -> None:
     found = _fill(records, points=5, seas=4, lost=(2, 3), outcome="timed_out")
     assert found.lines[1] == (
-        "seas: 1 of 40 runs stopped at the time limit (cell_limit_s) and not judged: 1 of osqp. "
-        "They are in no share of runs within the radius."
+        "`seas`: 1 of 40 runs stopped at the time limit (`cell_limit_s`) and not judged: 1 of "
+        "`osqp`. They are in no share of runs within the radius."
     )
     assert "conditional on the realisations" in found.lines[2]
     assert found.tables[0].rows[1][:2] == ("osqp", "19 of 20, 1 stopped")
@@ -113,9 +113,9 @@ def test_refused_runs_are_counted_and_named(records: Any) -> None:
     found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None
     assert found.lines[1:] == (
-        "seas: 4 of 6 runs refused and not judged: 2 of scs (no native route) and 2 of scs (high) "
-        "(no native route).",
-        "In 100 % (at least 0 %) of the runs with daqp the ship stays within 1 m in the second "
+        "`seas`: 4 of 6 runs refused and not judged: 2 of `scs` (no native route) and 2 of `scs` "
+        "(high) (no native route).",
+        "In 100 % (at least 0 %) of the runs with `daqp` the ship stays within 1 m in the second "
         "half, as with all other configurations.",
     )
     assert found.tables[0].rows[1][:3] == ("scs", "0 of 2", "–")
@@ -131,11 +131,12 @@ def test_a_disturbed_machine_is_said_of_a_study(records: Any, switches: int) -> 
     assert found is not None
     said = [line for line in found.lines if "other work disturbed the machine" in line]
     expected = (
-        "seas: other work disturbed the machine: 10 involuntary context switches a second. "
+        "`seas`: other work disturbed the machine: 10 involuntary context switches a second. "
         "Effects on step times are not shown, because the machine may have caused them."
     )
     assert said == ([expected] if switches == 101 else [])
-    assert records.ending().get("times") == (expected if switches == 101 else None)
+    plain = expected.replace("`", "")
+    assert records.ending().get("times") == (plain if switches == 101 else None)
     report = make_report_markdown(Report.from_results(records.results()))
     assert (expected in report) == (switches == 101)
 
@@ -196,7 +197,7 @@ def test_settings_without_an_effect_have_one_row(records: Any) -> None:
             columns = {"settings": settings, "raw_max_ns": raw_max_ns + sea}
             records.sea("osqp", 0, sea, {EAST: 1.0}, **columns)
     found = topic.build_study_topic(find_studies(records.view()))
-    assert found is not None and found.lines[0].startswith("seas: 4 runs at 1 point")
+    assert found is not None and found.lines[0].startswith("`seas`: 4 runs at 1 point")
     assert {row[0] for row in found.tables[0].rows} == {"osqp", "osqp (low)"}
     assert found.tables[0].note.endswith(
         "Settings without an effect share a row: osqp (high) with osqp."
@@ -253,7 +254,7 @@ def test_the_loosest_tolerance_states_its_accuracy(records: Any) -> None:
     found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None and found.lines[-1] == (
         "The loosest tolerance with an excess error significantly below 1 cm and an excess cost "
-        "significantly below 1 %: osqp 0.01 (25.0 % of the steps accurate). osqp 0.01 does not "
+        "significantly below 1 %: `osqp` 0.01 (25.0 % of the steps accurate). `osqp` 0.01 does not "
         "pass the requirements: the error of the first move is up to 0.028 (limit 0.01) and 168 "
         "of 240 steps were reported as solved but are inaccurate."
     )
@@ -275,8 +276,8 @@ def test_failed_steps_of_runs_are_said(records: Any) -> None:
     records.sea("osqp", 0, 2, {EAST: 1.0}, failed=4, done=20)
     found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None and found.lines[1] == (
-        "seas: steps failed in 2 of 3 runs, most of them with osqp at point 0, realisation 2: 4 of "
-        "20 steps. In these steps the fallback or an unconverged iterate acted on the ship."
+        "`seas`: steps failed in 2 of 3 runs, most of them with `osqp` at point 0, realisation 2: "
+        "4 of 20 steps. In these steps the fallback or an unconverged iterate acted on the ship."
     )
 
 
@@ -401,7 +402,7 @@ def test_points_left_out_are_named(records: Any) -> None:
     assert (tabulate_study_points(studies)["r_max_m"] == 1.77).all()
     built = topic.build_study_topic(studies)
     assert built is not None and built.lines[1] == (
-        "seas: 1 point excluded from every difference to daqp, as the reference loop leaves "
+        "`seas`: 1 point excluded from every difference to `daqp`, as the reference loop leaves "
         "its station there: 0."
     )
 
@@ -414,8 +415,8 @@ def test_of_one_configuration_the_answer_is_what_it_does(records: Any) -> None:
     found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None
     assert found.lines == (
-        "seas: 4 runs at 2 points in 2 realisations; in 50 % of the runs with daqp the ship stays "
-        "within 1 m in the second half.",
+        "`seas`: 4 runs at 2 points in 2 realisations; in 50 % of the runs with `daqp` the ship "
+        "stays within 1 m in the second half.",
     )
 
 
@@ -443,6 +444,6 @@ def test_a_solver_that_ran_alone_is_compared_with_none(records: Any) -> None:
     assert found is not None
     first, *_ = found.lines
     assert first == (
-        "seas: 8 runs at 1 point in 4 realisations; only daqp was run, so no other solver is "
+        "`seas`: 8 runs at 1 point in 4 realisations; only `daqp` was run, so no other solver is "
         "compared."
     )

@@ -82,15 +82,16 @@ function wrongOf(run) {
 function verdictOf(run, name) {
   const experiment = facts.experiments[state.p];
   const verdict = { pass: "passes", borderline: "is borderline", late: "is late", fail: "fails" }[run.verdict] ?? "is inconclusive";
-  return `${experiment.study ? "In" : `${name} ${verdict} in`} \`${experiment.label}\``;
+  return experiment.study ? `In \`${experiment.label}\`` : `${name} ${verdict} in \`${experiment.label}\``;
 }
 
 // The result of the selected configuration in the selected scenario or replay.
 function resultOf(run) {
+  const solver = `\`${C().solver[state.c]}\``;
   const within = run.settle_s === null || run.settle_s === "inf" ? ""
     : ` From ${run.settle_s === 0 ? "the start" : `${figure(run.settle_s)} s on`}, it stayed within 1 m and 1° of its reference for at least 30 s.`;
   return [
-    `${verdictOf(run, `\`${C().solver[state.c]}\``)}: it ran ${run.steps} of ${run.planned} steps${
+    `${verdictOf(run, solver)}${facts.experiments[state.p].study ? `, ${solver}` : ": it"} ran ${run.steps} of ${run.planned} steps${
       wrongOf(run) ? `; ${wrongOf(run)}` : ", and all are accurate"}.`,
     `The largest error of the first move was ${figure(run.error)} times the maximum increment.`,
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop.${within}`,

@@ -22,7 +22,7 @@ function drawChosen() {
   const verdict = C().verdict[c] === "not judged" ? "" : `, overall verdict ${C().verdict[c]}`;
   const about = `${verdict}${usual}${beside()}${largest.join("")}`.slice(2);
   const shown = `shown: \`${facts.experiments[state.p].label}\`${state.k === null ? "" : `, step ${state.k}`}`;
-  $("chosen").replaceChildren(...coded(`${marked(c)}: ${about && `${about}; `}${shown}`));
+  $("chosen").replaceChildren(...coded(`${marked(c)}${about && `: ${about}`}; ${shown}`));
 }
 
 // Draws the eye to what has changed.

@@ -122,7 +122,7 @@ function studySaid(study) {
   const share = all.length ? within(all) / all.length : NaN, none = study.bound_of_none_percent;
   const bounded = share === 1 || share === 0
     ? ` (95 % bound: at ${share ? "least" : "most"} ${share ? 100 - none : none} % of all realisations)` : "";
-  return `${at}: ${study.names[who]} stays within ${study.radius_m} m in ${within(own)} of ${judgedOf(study, own).length} realisations, over all points in `
+  return `${at}: with ${study.names[who]} the ship stays within ${study.radius_m} m in ${within(own)} of ${judgedOf(study, own).length} realisations, and over all points in `
     + `${within(all)} of ${all.length}${bounded}. Realisation ${sea}: ${here}.`;
 }
 
