@@ -47,7 +47,7 @@ def test_nothing_newer_is_an_empty_list(monkeypatch: pytest.MonkeyPatch) -> None
 def test_an_index_that_does_not_answer_is_not_nothing_newer(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """What is installed satisfies pip without an index; what it has to fetch does not."""
+    """Installed packages satisfy pip without an index; missing ones do not."""
 
     def run(command: list[str], **options: object) -> subprocess.CompletedProcess[str]:
         if "--ignore-installed" in command:

@@ -170,7 +170,7 @@ def test_the_topic_names_who_misses_alarms(storm: Records) -> None:
 
 
 def test_it_says_that_no_alarm_was_due(records: Any) -> None:
-    """Where every QP is feasible, no solver can miss one."""
+    """No solver misses an alarm if every QP is feasible."""
     topic = build_consequence_topic(view(records, {"quadprog": {"board A": [[TRUE] * 4]}}))
     assert topic.lines[0].endswith(
         "no alarm was due, as every QP that a solver reached is feasible."

@@ -199,7 +199,7 @@ def test_one_disturbed_command_among_quiet_ones_is_not_called_quiet(records: Any
 
 
 def test_a_replay_that_is_worse_than_the_limits_alone_is_counted(records: Any) -> None:
-    """Of 30 rounds together 1 is disturbed, but of the 2 of one replay it is half."""
+    """One disturbed round is few among 30, but half of the 2 rounds of one replay."""
     for solver in ("daqp", "osqp", "piqp"):
         records.replay(solver, rounds=10, steps=9, **QUIET)
     records.replay("quadprog", rounds=1, steps=9, **QUIET | {"disturbed_rounds": 1})

@@ -82,7 +82,7 @@ def test_a_ship_that_drifts_off_after_a_loss_is_said_to(records: Any) -> None:
 
 
 def test_the_used_share_of_the_thrust_that_is_left_is_stated(records: Any) -> None:
-    """Of `ratownik` without board A, by its published thrusts of 195.5, 146.6 and 115.6 kN.
+    """Numbers of `ratownik` without board A, by its published thrusts of 195.5, 146.6 and 115.6 kN.
 
     The lost thrusters of 10 s are down 11.1 s after 90 s. Until then 60 % of all thrust are used,
     then 30 %, and 48 % at one step.
