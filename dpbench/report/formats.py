@@ -234,6 +234,12 @@ def escape_markdown_cell(text: str) -> str:
     return _PIPE.sub(r"\1\1\\|", escape_markdown(text))
 
 
+def mark_solver(name: str) -> str:
+    """Return the name of a configuration, `solver` or `solver (settings)`, the solver as code."""
+    solver, *settings = name.split(" ", 1)
+    return " ".join([f"`{solver}`", *settings])
+
+
 @dataclass(frozen=True)
 class Table:
     """Table of text with heads, a title and a note, for page, file and Markdown.

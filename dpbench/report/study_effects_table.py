@@ -16,7 +16,7 @@ from dpbench.analysis.suites.study_effects import (
     compute_study_interactions,
     find_dominated_effects,
 )
-from dpbench.report.formats import MISSING, Table, format_estimate_with_bounds, plural
+from dpbench.report.formats import MISSING, Table, format_estimate_with_bounds, mark_solver, plural
 
 MOST_ROWS = 24
 """The page shows so many rows; `tables/study_effects.csv` has all."""
@@ -106,16 +106,16 @@ def describe_dominated_effects(study: Study) -> str:
     if not found:
         return ""
     named = [
-        f"that of {one.effect.factor} on the {_name_measure(one.effect.measure, study)} of "
-        f"{one.effect.configuration} depends on {one.other}"
+        f"that of `{one.effect.factor}` on the {_name_measure(one.effect.measure, study)} of "
+        f"{mark_solver(one.effect.configuration)} depends on `{one.other}`"
         for one in found[:MOST_NAMED]
     ]
     more = len(found) - len(named)
     named += [f"{more} more"] if more > 0 else []
     are = "is" if len(found) == 1 else "are"
     return (
-        f"{study.name}: {plural(len(found), 'effect')} {are} smaller than an interaction of the "
-        f"factor: {'; '.join(named)}. See tables/study_interactions.csv."
+        f"`{study.name}`: {plural(len(found), 'effect')} {are} smaller than an interaction of the "
+        f"factor: {'; '.join(named)}. See `tables/study_interactions.csv`."
     )
 
 

@@ -37,6 +37,7 @@ from dpbench.report.formats import (
     format_rounded_up,
     format_share,
     join_with_and,
+    mark_solver,
     plural,
     significant,
 )
@@ -83,7 +84,7 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
     reference = study.results_by_cost[0]
     stays = (
         f"in {_format_share_with_bound(reference.within, study)} of the runs with "
-        f"{_mark_solver(reference.name)} the ship stays within {study.radius_m:g} m in the second "
+        f"{mark_solver(reference.name)} the ship stays within {study.radius_m:g} m in the second "
         "half"
     )
     is_alone = len(study.results_by_cost) == 1
@@ -96,7 +97,7 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
         more = f" and {len(left_out) - MOST_NAMED} more" if left_out[MOST_NAMED:] else ""
         yield (
             f"`{study.name}`: {plural(len(left_out), 'point')} excluded from every difference to "
-            f"{_mark_solver(study.reference_name)}, as the reference loop leaves its station "
+            f"{mark_solver(study.reference_name)}, as the reference loop leaves its station "
             f"there: {named}{more}."
         )
     yield from _yield_unfinished_sentences(study)
@@ -105,7 +106,7 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
     worst = min(study.results_by_cost, key=lambda c: c.share_within_radius)
     if not is_alone:
         others = (
-            f"; with {_mark_solver(worst.name)}, in {_format_share_with_bound(worst.within, study)}"
+            f"; with {mark_solver(worst.name)}, in {_format_share_with_bound(worst.within, study)}"
             if worst.within < reference.within
             else ", as with all other configurations"
         )
@@ -116,12 +117,6 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
         yield dominated
 
 
-def _mark_solver(name: str) -> str:
-    """Return the name of a configuration, `solver` or `solver (settings)`, the solver as code."""
-    solver, *settings = name.split(" ", 1)
-    return " ".join([f"`{solver}`", *settings])
-
-
 def _yield_unfinished_sentences(study: Study) -> Iterator[str]:
     """Yield sentences on the runs that did not finish: those that their limit stopped apart."""
     runs, every = study.runs, plural(len(study.runs), "run")
@@ -129,14 +124,14 @@ def _yield_unfinished_sentences(study: Study) -> Iterator[str]:
     unfinished = int((~runs["finished"]).sum()) - refused
     if refused:
         counts = Counter(
-            f"{_mark_solver(run.solver_label)} ({explain_outcome(run)})" for run in study.refused
+            f"{mark_solver(run.solver_label)} ({explain_outcome(run)})" for run in study.refused
         )
         yield (
             f"`{study.name}`: {refused} of {every} refused and not judged: "
             f"{name_counts(counts.most_common())}."
         )
     if stopped:
-        named = [(_mark_solver(c.name), c.stopped) for c in study.results_by_cost if c.stopped]
+        named = [(mark_solver(c.name), c.stopped) for c in study.results_by_cost if c.stopped]
         yield (
             f"`{study.name}`: {stopped} of {every} stopped at the time limit (`cell_limit_s`) and "
             f"not judged: {name_counts(named)}. They are in no share of runs within the radius."
@@ -168,7 +163,7 @@ def _yield_failed_steps_sentences(study: Study) -> Iterator[str]:
     worst = failing.iloc[int(np.argmax(shares))]
     yield (
         f"`{study.name}`: steps failed in {len(failing)} of {plural(len(study.runs), 'run')}, most "
-        f"of them with {_mark_solver(worst['configuration'])} at point {worst['point']}, "
+        f"of them with {mark_solver(worst['configuration'])} at point {worst['point']}, "
         f"realisation {worst['replicate']}: {worst['failed_steps']:.0f} of "
         f"{plural(worst['steps_done'], 'step')}. In these steps the fallback or an unconverged "
         "iterate acted on the ship."
@@ -177,14 +172,13 @@ def _yield_failed_steps_sentences(study: Study) -> Iterator[str]:
 
 def _describe_larger_errors(study: Study) -> str:
     """Return which configurations have significantly larger errors than the reference, as text."""
-    others, reference = study.results_by_cost[1:], _mark_solver(study.reference_name)
+    others, reference = study.results_by_cost[1:], mark_solver(study.reference_name)
     excess_m = {c.name: c.error_excess_m.mean_interval.value for c in others if c.error_excess_m}
     worse = sorted(
         (c for c in others if c.has_larger_error_than_reference), key=lambda c: -excess_m[c.name]
     )
     wording = [
-        f"{_mark_solver(c.name)} by {significant(100.0 * excess_m[c.name], 2)} cm"
-        for c in worse[:3]
+        f"{mark_solver(c.name)} by {significant(100.0 * excess_m[c.name], 2)} cm" for c in worse[:3]
     ]
     unnamed = f" and {len(worse) - 3} more" if len(worse) > 3 else ""
     laws = set(study.runs.loc[study.runs["baseline_law"], "configuration"])

@@ -147,8 +147,8 @@ def test_an_effect_that_an_interaction_exceeds_is_named(
         assert text == ""
         return
     assert {one.other for one in found} == {EAST}
-    assert f"{HORIZON} on the 95 % radial error of daqp depends on {EAST}" in text
-    assert text.startswith("sea: 1 effect is smaller than an interaction")
+    assert f"`{HORIZON}` on the 95 % radial error of `daqp` depends on `{EAST}`" in text
+    assert text.startswith("`sea`: 1 effect is smaller than an interaction")
 
 
 def test_one_factor_or_a_range_has_no_interaction() -> None:
