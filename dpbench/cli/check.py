@@ -134,7 +134,8 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
             "[limits] or [[thrusters]] (a vessel), [controller] and [environment] (a scenario), "
             f"or {', '.join(f'[[{table}]]' for table in of_suite)} (a suite)"
         )
-        raise InputError(str(file), "", f"the keys {', '.join(document) or '(none)'}", allowed)
+        found = f"the keys {', '.join(document)}" if document else "no keys"
+        raise InputError(str(file), "", found, allowed)
     suite_path, suite = load_path_and_suite(file)
     from dpbench.bench.design import pair_controllers_with_vessels
     from dpbench.bench.embedded_counts import pair_sequences_with_cores
@@ -178,7 +179,9 @@ def _suggest_first_run(file: Path) -> list[str]:
         return []
     if FIRST_SOLVER not in name_solvers_of_suite(whole.document.solvers) or not part.cells:
         return []
-    share = f"{len(part.cells)} of the suite's {len(whole.cells)} cells; a complete run keeps them"
+    share = (
+        f"{len(part.cells)} of the suite's {len(whole.cells)} cells, which a complete run reuses"
+    )
     command = f"dpbench run {path} --solver {FIRST_SOLVER} --settings default"
     return [f"short first run ({share}):", f"  {command}"]
 

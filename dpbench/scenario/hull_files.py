@@ -152,8 +152,8 @@ def _read_coefficients_by_name(path: Path) -> dict[str, float]:
     """Return the hull coefficients of a CSV table by name; InputError for a bad row."""
     rows = read_csv_rows(path)
     if not rows or [cell.strip() for cell in rows[0][:2]] != ["coefficient", "value"]:
-        first = ",".join(rows[0]) if rows else "an empty file"
-        raise InputError(str(path), "first row", repr(first)[:80], "coefficient,value")
+        found = repr(",".join(rows[0]))[:80] if rows else "an empty file"
+        raise InputError(str(path), "first row", found, "coefficient,value")
     values: dict[str, float] = {}
     known = (*PARTICULARS, *REQUIRED, *COUPLINGS)
     for cell, *rest in rows[1:]:

@@ -19,7 +19,7 @@ from typing import Any
 from dpbench.errors import InputError, SituationError, format_allowed_names
 from dpbench.files.regular_files import read_csv_rows
 from dpbench.scenario.problem_files import validate_settings_as_model
-from dpbench.scenario.tables.vessel_file import ThrusterTable
+from dpbench.scenario.tables.vessel_file import ThrusterTable, build_thruster_set
 from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather import Windage
@@ -119,7 +119,7 @@ def complete_thruster_values(
             found = f"columns {', '.join(row)}"  # without the values that are added here
             raise InputError(at, "", found, error.allowed) from error
         _require_thruster_inside_ship(tables[-1], berth, at)
-    return tuple(tables), ThrusterSet(tuple(table.build_thruster() for table in tables), where)
+    return tuple(tables), build_thruster_set(tables, where)
 
 
 def _join_sector_columns(keys: dict[str, Any], where: str) -> None:

@@ -41,16 +41,26 @@ _ALLOWED = {
     "greater_than_equal": "{ge:g} or more",
     "less_than": "below {lt:g}",
     "less_than_equal": "at most {le:g}",
-    "too_short": "a length of {min_length} or more",
-    "too_long": "a length of at most {max_length}",
+    "string_too_short": "text of {min_length} or more characters",
+    "string_too_long": "text of at most {max_length} characters",
+    "string_pattern_mismatch": "text that matches {pattern}",
     "float_type": "a number",
     "int_type": "a whole number",
     "int_from_float": "a whole number",
-    "string_type": "a string",
+    "string_type": "text",
     "bool_type": "true or false",
-    "list_type": "an array",
+    "dict_type": "a table",
+    "model_type": "a table",
 }
 """Allowed values by the type of a fault of Pydantic; other types keep its own words."""
+_ANY_VALUE = {
+    "string": "text",
+    "number": "a number",
+    "integer": "a whole number",
+    "boolean": "true or false",
+    "object": "a table",
+}
+"""Words for any value of a type, by the type in a JSON schema."""
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
@@ -161,8 +171,22 @@ def make_unknown_problem_name_error(kind: str, text: str, otherwise: str) -> Unk
     """Return an error for an unknown vessel, scenario, suite or sequence name, with near names."""
     listing = "dpbench list vessels" if kind == "vessels" else f"list_{kind}()"
     allowed = format_allowed_names(text, list_shipped_problem_names(kind), listing=listing)
-    shown = repr(text if len(text) <= 80 else f"{text[:77]}...")
-    return UnknownNameError(f"{kind[:-1]} name", "", shown, f"{allowed}; or {otherwise}")
+    return UnknownNameError(
+        f"{kind[:-1]} name", "", _quote_name(text), f"{allowed}; or {otherwise}"
+    )
+
+
+def make_unknown_qps_name_error(text: str) -> UnknownNameError:
+    """Return an error for a name of neither a scenario nor a sequence, with near names of both."""
+    known = [*list_shipped_problem_names("scenarios"), *list_shipped_problem_names(SEQUENCES)]
+    nearest = format_allowed_names(text, known, listing="list_scenarios()")
+    allowed = f"{nearest}, `list_sequences()`; or a .toml or .npz path"
+    return UnknownNameError("scenario or sequence name", "", _quote_name(text), allowed)
+
+
+def _quote_name(text: str) -> str:
+    """Return a name in quotes, a long one shortened."""
+    return repr(text if len(text) <= 80 else f"{text[:77]}...")
 
 
 def omit_prose(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -228,18 +252,47 @@ def validate_settings_as_model(document: dict[str, Any], model: type[_Model], wh
             )
             raise InputError(where, key, "an unknown key", allowed) from None
         if first["type"] == "missing":
-            raise InputError(where, key, "nothing", "a value") from None
-        message = _word_allowed_values(first)
+            raise InputError(where, key, "nothing", _describe_any_value(model, first)) from None
+        message = _word_allowed_values(model, first)
         value = first["input"]
-        found = f"keys {', '.join(value)}" if isinstance(value, dict) else repr(value)[:200]
+        found = repr(value)[:200]
+        if isinstance(value, dict):
+            found = f"keys {', '.join(value)}" if value else "no keys"
         raise InputError(where, key, found, message) from None
 
 
-def _word_allowed_values(fault: ErrorDetails) -> str:
+def _word_allowed_values(model: type[BaseModel], fault: ErrorDetails) -> str:
     """Return what is allowed at a faulty key, as a noun where the library has a sentence."""
+    if fault["type"] == "too_short" and isinstance(fault["input"], dict):
+        return "a table of {min_length} or more keys".format(**fault["ctx"])
+    if fault["type"] in ("list_type", "too_short", "too_long"):
+        return _describe_any_value(model, fault)
     if wording := _ALLOWED.get(fault["type"]):
         return wording.format(**fault.get("ctx", {}))
     return fault["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+
+
+def _describe_any_value(model: type[BaseModel], fault: ErrorDetails) -> str:
+    """Return the type of value at a faulty key as text, such as "an array of 3 entries"."""
+    whole: dict[str, Any] = model.model_json_schema()
+    schema = whole
+    for key in fault["loc"]:
+        others = schema.get("additionalProperties") or {}
+        inner = schema.get("properties", {}).get(key, others)
+        schema = schema.get("items", {}) if isinstance(key, int) else inner
+        schema = next((s for s in schema.get("anyOf", ()) if s.get("type") != "null"), schema)
+        if "$ref" in schema:
+            schema = whole["$defs"][schema["$ref"].rpartition("/")[2]]
+    if "enum" in schema:
+        return " or ".join(map(repr, schema["enum"]))
+    if schema.get("type") != "array":
+        return _ANY_VALUE.get(schema.get("type", ""), "a value")
+    if "$ref" in schema.get("items", {}):
+        return f"an array of tables, each below [[{'.'.join(map(str, fault['loc']))}]]"
+    least, most = schema.get("minItems", 0), schema.get("maxItems")
+    if most is None:
+        return f"an array of {least} or more entries" if least else "an array"
+    return f"an array of {most} entries" if least == most else f"an array of {least} to {most}"
 
 
 def _list_allowed_keys_of_nested_table(model: type[BaseModel], keys: list[str]) -> list[str]:

@@ -110,7 +110,7 @@ class Thruster:
     def __post_init__(self) -> None:
         if self.turning_radps is not None and self.kind != "azimuth":
             found = f"a thruster of kind {self.kind}"
-            raise InputError(f"thruster {self.name}", "turning_degps", found, "only for an azimuth")
+            raise InputError(f"thruster {self.name}", "turning_degps", found, "an azimuth thruster")
         self._require_width("sector_deg", self.sector_rad, 359.0)
         self._require_width("controller_sector_deg", self.controller_sector_rad, 180.0)
         if self.sector_rad is not None and self.controller_sector_rad is not None:
@@ -127,7 +127,7 @@ class Thruster:
         width_deg = float(np.degrees(sector[1] - sector[0]))
         if self.kind != "azimuth" or not 0.0 < width_deg <= most_deg + _ROUNDING:
             found = f"{width_deg:g} degrees of a thruster of kind {self.kind}"
-            allowed = f"only for an azimuth, from a to b with b − a above 0 and up to {most_deg:g}"
+            allowed = f"[a, b] of an azimuth thruster, with b − a above 0 and up to {most_deg:g}"
             raise InputError(f"thruster {self.name}", key, found, allowed)
 
     def may_push(self, direction_rad: float) -> bool:

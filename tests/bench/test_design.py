@@ -174,7 +174,7 @@ def test_a_design_whose_process_fails_is_missing_with_the_reason(tmp_path: Path)
     assert broken.records == ()
     (missing,) = broken.missing
     assert (missing.vessel, missing.controller) == ("supply_fs99", "paper")
-    assert "missing; required: a value" in missing.reason
+    assert "missing; required: text" in missing.reason
 
 
 @pytest.mark.parametrize(

@@ -121,10 +121,10 @@ def test_a_file_that_is_no_toml_is_told_with_the_place(
         ({**GOOD, "titel": "t"}, "titel", "an unknown key", "one of title, inner, other"),
         ({"titel": "t", "inner": {"depth_m": 3.0}}, "titel", "an unknown key", "title"),
         ({**GOOD, "other": {"depth_m": 3.0, "x": 5}}, "other.x", "unknown", "depth_m, draught_m"),
-        ({**GOOD, "inner": {}}, "inner.depth_m", "nothing", "a value"),
-        ({**GOOD, "inner": 3}, "inner", "3", "valid dictionary or instance of Inner"),
+        ({**GOOD, "inner": {}}, "inner.depth_m", "nothing", "a number"),
+        ({**GOOD, "inner": 3}, "inner", "3", "a table"),
         ({**GOOD, "inner": {"depth_m": float("nan")}}, "inner.depth_m", "nan", "finite number"),
-        ({**GOOD, "title": 3}, "title", "3", "a string"),
+        ({**GOOD, "title": 3}, "title", "3", "text"),
     ],
 )
 def test_a_document_that_does_not_fit_names_key_found_and_allowed(

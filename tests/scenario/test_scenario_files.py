@@ -85,7 +85,7 @@ BAD_SCENARIOS = [
         "-20.0, 55.0]",
         "environment.mean_kN",
         "[-20.0, 55.0]",
-        "length of 3 or more",
+        "an array of 3 entries",
     ),
     ("sample_s = 0.3", "sample_s = true", "sample_s", "True", "number"),
     ("= 5", "= 5.5", "controller.control_horizon", "5.5", "whole number"),
@@ -107,7 +107,7 @@ BAD_SCENARIOS = [
 
 
 BAD_VESSELS = [
-    ("3.7454e9]]", "3.7454e9], [1.0, 1.0, 1.0]]", "inertia", "[1.0, 1.0, 1.0]", "at most 3"),
+    ("3.7454e9]]", "3.7454e9], [1.0, 1.0, 1.0]]", "inertia", "[1.0, 1.0, 1.0]", "3 entries"),
     ("[[5.3122e6", "[[-5.3122e6", ": inertia:", "-5.31e+06", "positive definite"),
     ("4.1894e8", "0.0", ": damping:", "eigenvalue", "positive definite"),
     ("sway_N = [-417000.0", "sway_N = [1000.0", ": limits:", "1000.0", "a minimum below 0"),

@@ -343,7 +343,7 @@ class Controller(ABC):
         """Return the builder of the sparse QPs; InputError where there is no sparse form."""
         why = self.reason_for_no_sparse_form
         if why or self.amplitude == "soft":
-            allowed = "a scenario without layers and with one model"
+            allowed = "a scenario with one model, hard or reachable limits and no output bounds"
             raise InputError(where, "formulation", why, allowed)
         return StagedQP(self.problem, units=units, amplitude=self.amplitude)
 
@@ -353,7 +353,7 @@ class Controller(ABC):
         if self.linearisation.why_no_sparse_form:
             return self.linearisation.why_no_sparse_form
         if self.amplitude == "soft" or self.outputs is not None:
-            return "sparse: soft limits and output bounds are layers on the condensed problem"
+            return "sparse: soft limits and output bounds exist in the condensed form only"
         return ""
 
     def make_allocation_qp_builder(self, units: UnitSystem = "scaled") -> AllocationQP | None:

@@ -210,6 +210,16 @@ class CapabilityTable(FileModel):
         )
 
 
+def build_thruster_set(tables: Sequence[ThrusterTable], where: str) -> ThrusterSet:
+    """Return the thrusters of a file in SI units; InputError names the file and the thruster."""
+    try:
+        every = tuple(table.build_thruster() for table in tables)
+    except InputError as error:
+        key = f"{error.where}: {error.key}"
+        raise InputError(where, key, error.found, error.allowed) from error
+    return ThrusterSet(every, where)
+
+
 class VesselFile(FileModel):
     """Contents of a vessel file, with matrices in SI units or dimensionless in the Bis system.
 
@@ -306,12 +316,7 @@ class VesselFile(FileModel):
 
     def _build_thrusters_if_any(self, where: str) -> ThrusterSet | None:
         """Return the thrusters in SI units; None where the file has none."""
-        if not self.thrusters:
-            return None
-        try:
-            return ThrusterSet(tuple(table.build_thruster() for table in self.thrusters), where)
-        except InputError as error:
-            raise InputError(where, f"thrusters.{error.key}", error.found, error.allowed) from error
+        return build_thruster_set(self.thrusters, where) if self.thrusters else None
 
     def _compute_force_and_rate_limits(
         self, thrusters: ThrusterSet | None
