@@ -33,13 +33,12 @@ from dpbench.bench.progress import Progress
 from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.source import read_sequence
 from dpbench.bench.workers.jobs import count_steps
-from dpbench.errors import SituationError, UnknownNameError, format_allowed_names
+from dpbench.errors import SituationError, UnknownNameError
 from dpbench.files.regular_files import write_text_atomically
 from dpbench.qp.program import CONSTANT, QPSequence
 from dpbench.scenario.problem_files import (
-    SEQUENCES,
     is_shipped_sequence_name,
-    list_shipped_problem_names,
+    make_unknown_qps_name_error,
     omit_prose,
     resolve_sequence_path,
 )
@@ -100,10 +99,9 @@ def load_tuned_problem(name: str, steps: int = 0) -> TunedProblem:
     try:
         scenario = load_scenario(name)
     except UnknownNameError as error:
-        known = [*list_shipped_problem_names("scenarios"), *list_shipped_problem_names(SEQUENCES)]
-        nearest = format_allowed_names(name, known, listing="list_scenarios()")
-        allowed = f"{nearest}, `list_sequences()`; or a .toml or .npz path"
-        raise UnknownNameError("sequence or scenario name", "", error.found, allowed) from error
+        if "@" in name:  # The error may be about the vessel
+            raise
+        raise make_unknown_qps_name_error(name) from error
     origin = str(Path(name).resolve()) if name.endswith(".toml") else name
     table = {
         "kind": "replay",

@@ -59,5 +59,7 @@ def test_a_problem_is_a_table_of_a_suite(tmp_path: Path) -> None:
 
 
 def test_an_unknown_name_is_refused() -> None:
-    with pytest.raises(UnknownNameError, match="scenario name: found 'papre'; allowed: paper"):
+    with pytest.raises(
+        UnknownNameError, match="scenario or sequence name: found 'papre'; allowed: paper"
+    ):
         load_tuned_problem("papre")

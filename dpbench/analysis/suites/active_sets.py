@@ -19,11 +19,14 @@ from dpbench.arrays import Floats
 from dpbench.bench.sequences.source import load_named_sequence, record_scenario
 from dpbench.embedded.recipe import find_recipes
 from dpbench.embedded.toolchain import find_target_by_name, require_extra
-from dpbench.errors import InputError
+from dpbench.errors import InputError, UnknownNameError
 from dpbench.qp.program import QPSequence
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.referee import certify_all_steps
-from dpbench.scenario.problem_files import list_shipped_problem_names
+from dpbench.scenario.problem_files import (
+    list_shipped_problem_names,
+    make_unknown_qps_name_error,
+)
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.own.active_set_memory import ActiveSetMemoryWorkspace
@@ -160,6 +163,9 @@ def _load(name: str) -> tuple[QPSequence, Sequence[Optimum]]:
     if name in list_shipped_problem_names("scenarios") or Path(name).suffix == ".toml":
         recorded = record_scenario(load_scenario(name))
     else:
-        recorded = load_named_sequence(name)
+        try:
+            recorded = load_named_sequence(name)
+        except UnknownNameError as error:
+            raise make_unknown_qps_name_error(name) from error
     sequence = recorded.sequence.scaled or recorded.sequence
     return sequence, recorded.optima or certify_all_steps(sequence)

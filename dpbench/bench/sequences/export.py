@@ -16,7 +16,7 @@ from dpbench.arrays import Vector
 from dpbench.bench.run.exact_loop import Part
 from dpbench.bench.sequences import source
 from dpbench.bench.sequences.sequence_file import KEYS, Recorded
-from dpbench.errors import InputError, SituationError
+from dpbench.errors import InputError, SituationError, UnknownNameError
 from dpbench.files.regular_files import (
     make_folder_if_missing,
     write_file_atomically,
@@ -25,7 +25,11 @@ from dpbench.files.regular_files import (
 from dpbench.qp.program import ARRAYS, QPSequence, QuadraticProgram
 from dpbench.qp.random_mpc import is_random_mpc_sequence_name
 from dpbench.qp.referee.referee import certify_all_steps
-from dpbench.scenario.problem_files import is_shipped_sequence_name, list_shipped_problem_names
+from dpbench.scenario.problem_files import (
+    is_shipped_sequence_name,
+    list_shipped_problem_names,
+    make_unknown_qps_name_error,
+)
 from dpbench.scenario.scenario import Scenario, resolve_to_scenario
 from dpbench.scenario.tables.key_types import Horizons, parse_horizons
 from dpbench.solvers.one_sided import OneSidedForm
@@ -137,10 +141,11 @@ def export_sequence(
 def check_export_options(options: dict[str, Any]) -> None:
     """Raise InputError unless `dpbench export` has --all alone, or what to export with --out."""
     if not options["all"]:
-        if options["what"] is None or options["out"] is None:
-            raise SituationError(
-                "export", "give WHAT to write and an output file with --out, or give --all"
-            )
+        if options["what"] is None:
+            raise SituationError("export", "name the QPs to write (WHAT), or give --all")
+        if options["out"] is None:
+            _require_known_name(options["what"])
+            raise InputError("export", "--out", "nothing", "the file or folder to write")
         return
     defaults = {"every": 1, "format": "npz", "part": "controller"}
     for key in ("what", "horizons", "steps", "every", "format", "at", "part"):
@@ -160,7 +165,7 @@ def _record_requested(
 ) -> Recorded:
     """Return a stored sequence, or one recorded from a scenario, cut to the requested steps."""
     if _is_scenario(what):
-        scenario = resolve_to_scenario(what)
+        scenario = _load_scenario(what)
         record = partial(source.record_scenario, horizons=horizons, part=part)
         if at is None:
             return record(scenario, steps=steps, every=every)
@@ -195,6 +200,25 @@ def _is_scenario(what: object) -> bool:
         or is_random_mpc_sequence_name(what)
     )
     return str(what) in list_shipped_problem_names("scenarios") or not is_file
+
+
+def _load_scenario(what: object) -> Scenario:
+    """Return a scenario given as an object, by name or as a file; the name may be a sequence's."""
+    try:
+        return resolve_to_scenario(what)
+    except UnknownNameError as error:
+        name = str(what)
+        if "@" in name:  # The error may be about the vessel
+            raise
+        raise make_unknown_qps_name_error(name) from error
+
+
+def _require_known_name(what: str) -> None:
+    """Raise InputError for a name of neither a scenario nor a sequence, and a missing file."""
+    if _is_scenario(what):
+        _load_scenario(what)
+    elif not is_random_mpc_sequence_name(what):
+        _load_recorded(what)
 
 
 def _load_recorded(what: str | Path | Scenario | QPSequence) -> Recorded:

@@ -131,9 +131,13 @@ def test_all_is_said_with_nothing_beside_it(capsys: pytest.CaptureFixture[str]) 
     for more in (["paper"], ["--steps", "3"], ["--horizons", "30/5"], ["--every", "2"]):
         assert main(["export", "--all", *more]) == 2
         assert capsys.readouterr().err.count("\n") == 1
-    for arguments in (["export", "paper"], ["export", "--out", "x.npz"]):
+    for arguments, message in (
+        (["export", "paper"], "export: --out: missing; required: the file or folder to write"),
+        (["export", "paperr"], "scenario or sequence name: found 'paperr'; allowed: paper, "),
+        (["export", "--out", "x.npz"], "export: name the QPs to write (WHAT), or give --all"),
+    ):
         assert main(arguments) == 2
-        assert "--all" in capsys.readouterr().err
+        assert message in capsys.readouterr().err
 
 
 def test_a_manifest_that_leaves_out_what_it_has_not_is_refused(tmp_path: Path) -> None:
