@@ -116,7 +116,8 @@ class Recipe:
         """Return the recipe's settings with those given; InputError for one that it has not."""
         for key in given:
             if key not in self.file.settings:
-                allowed = ", ".join(self.file.settings) or "none"
+                known = list(self.file.settings)
+                allowed = format_allowed_names(key, known) if known else "no settings"
                 raise InputError(f"settings of {self.solver}", key, "an unknown key", allowed)
         return {**self.file.settings, **given}
 
@@ -127,7 +128,8 @@ class Recipe:
         if single and file.float_defines is None:
             raise InputError(self.solver, "--float", "single precision", "double precision only")
         if changes and not file.matrices:
-            found = f"{' and '.join(changes)} that change in {sequence.name}"
+            verb = "change" if len(changes) > 1 else "changes"
+            found = f"{' and '.join(changes)}, which {verb} in {sequence.name}"
             raise InputError(self.solver, "", found, "constant matrices and bounds")
         if file.largest and n > file.largest:
             allowed = f"at most {file.largest}, as its C code grows with the QP"

@@ -211,7 +211,7 @@ def find_plugin(name: str) -> Plugin | None:
         raise
     except BaseException as error:  # a stranger's code may raise anything; it becomes an InputError
         raise InputError(
-            where, "", _describe_exception_on_one_line(error), "an object that loads"
+            where, "", _describe_exception_on_one_line(error), "a module that can be imported"
         ) from error
     version = point.dist.version if point.dist is not None else ""
     plugin = _check_and_register_plugin(where, module, version, point.value)
@@ -234,7 +234,8 @@ def _check_and_register_plugin(
         found = "nothing" if record is None else repr(record)
         raise InputError(where, "RECORD", found, "a SolverRecord, made by solver_record()")
     if not callable(opener):
-        raise InputError(where, "open", repr(opener), "a function of (policy, options)")
+        found = "nothing" if opener is None else repr(opener)
+        raise InputError(where, "open", found, "a function of (policy, options)")
     if not is_plain_file_name(record.name):
         raise InputError(where, "RECORD.name", repr(record.name), "a name without a path")
     other = _LOADED.get(record.name)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from numbers import Real
 from typing import Any
 
-from dpbench.errors import SettingsError, find_nearest_names
+from dpbench.errors import SettingsError, format_allowed_names
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_public_settings_attributes
 from dpbench.solvers.contract import (
     DEFAULT,
@@ -21,6 +21,9 @@ from dpbench.solvers.contract import (
     Settings,
 )
 from dpbench.solvers.table import find_solver_record, get_native_adapter
+
+_NOUNS = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
+"""Types of options, as allowed values in errors."""
 
 
 def has_distinct_tolerance_presets(solver: str) -> bool:
@@ -157,10 +160,7 @@ def refuse_unknown_option_names(
         keys = [f"{name}.{member}" for member in value] if isinstance(value, Mapping) else [name]
         for key in keys:
             if key not in known:
-                near = find_nearest_names(key, known)
-                # No command lists them.
-                others = [name for name in known if name not in near]
-                allowed = ", ".join([*near, *others]) or "no settings"
+                allowed = format_allowed_names(key, known) if known else "no settings"
                 raise SettingsError(f"settings of {solver}", key[:80], "an unknown key", allowed)
 
 
@@ -186,7 +186,8 @@ def _set_options_or_refuse_values(solver: str, settings: Mapping[str, object], t
         try:
             setattr(target, key, value)
         except (TypeError, ValueError, OverflowError) as error:
-            kind = type(getattr(target, key)).__name__
-            raise SettingsError(
-                f"settings of {solver}", key, repr(value)[:80], f"a {kind}"
-            ) from error
+            kind = type(getattr(target, key))
+            allowed = _NOUNS.get(kind, f"a value of type {kind.__name__}")
+            if isinstance(value, kind):
+                allowed += " that the library accepts"
+            raise SettingsError(f"settings of {solver}", key, repr(value)[:80], allowed) from error

@@ -161,7 +161,7 @@ def test_matrices_of_each_step_and_single_precision() -> None:
         assert count(solver, "a53", changing).error_plan.max() < 1e-11
     single = count("paper_active_set", "m7", load("move-30-5", 5), single=True)
     assert 1e-9 < single.error_plan.max() < 1e-3
-    with pytest.raises(InputError, match=r"osqp: found P that change in turn-30-5"):
+    with pytest.raises(InputError, match=r"osqp: found P, which changes in turn-30-5"):
         count("osqp", "a53", changing)
     with pytest.raises(InputError, match=r"quadprog: --float: found single precision"):
         count("quadprog", "m7", load("move-30-5", 5), single=True)

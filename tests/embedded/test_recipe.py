@@ -18,11 +18,11 @@ TEXT = 'solver = "mine"\nlicence = "MIT"\norigin = "here"\nstart = "none"\ntuned
     ("text", "message"),
     [
         ("solver = ", r"recipe.toml: found invalid TOML"),
-        ('solver = "mine"', r"recipe.toml: licence: missing; required: a value"),
+        ('solver = "mine"', r"recipe.toml: licence: missing; required: text"),
         (f"{TEXT}other = 1\n", r"recipe.toml: other: found an unknown key; allowed: "),
         (
             f'{TEXT}[package]\nname = "x"\nversion = "1"\nsha256 = "0"\n',
-            r"recipe.toml: package.sha256: found '0'; allowed: String should match",
+            r"recipe.toml: package.sha256: found '0'; allowed: text that matches",
         ),
         (TEXT, r"shim.c: no such file"),
     ],
@@ -40,7 +40,8 @@ def test_a_recipe_of_a_users_own(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match=r"--solver: found 'mine'; allowed: "):
         select_recipes(["mine"])
     with pytest.raises(
-        InputError, match=r"settings of osqp: sigma: found an unknown key; allowed: eps_abs, rho"
+        InputError,
+        match=r"settings of osqp: sigma: found an unknown key; allowed: one of eps_abs, rho, ",
     ):
         select_recipes(["osqp"])[0].with_settings({"sigma": 1})
 

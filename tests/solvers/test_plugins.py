@@ -115,7 +115,7 @@ def test_what_a_plugin_raises_is_an_answer(sequence):
             for case in (
                 ("1/0", "ZeroDivisionError"),
                 ("from example import RECORD", "ModuleNotFoundError"),
-                (TEXT.replace("open = ", "shut = "), "open: found None"),
+                (TEXT.replace("open = ", "shut = "), "open: missing; required: a function"),
                 (TEXT.replace('"admm", method', '"daqp", method'), "RECORD.name.*'daqp'"),
                 (
                     TEXT.replace("first order", "first ordre"),

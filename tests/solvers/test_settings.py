@@ -142,13 +142,10 @@ def test_there_is_no_call_of_a_library_that_no_adapter_writes():
     assert format_library_call("osqp", "qpsolvers", "warm", "default") == ""
 
 
-def test_all_options_are_named_beside_an_unknown_one():
-    """The nearest first."""
+def test_the_nearest_options_are_named_beside_an_unknown_one():
     with pytest.raises(SettingsError) as caught:
         open_workspace("osqp", settings={"rhoo": 1.0})
-    assert caught.value.allowed.startswith("rho, rho_is_vec, adaptive_rho, ")
-    named = set(caught.value.allowed.split(", "))
-    assert {"max_iter", "eps_abs", "scaling", "delta", "sigma"} <= named
+    assert caught.value.allowed.startswith("rho, rho_is_vec, adaptive_rho, … ")
 
 
 def test_osqp_adapts_its_penalty_by_iterations_at_every_level():
@@ -231,10 +228,14 @@ def test_a_setting_reaches_the_library(solver, loose, sequence):
     assert counts[0] < counts[1]
 
 
-@pytest.mark.parametrize("value", [2**40, -1, 1.5, "many"])
-def test_a_number_that_does_not_fit_is_refused(value):
+@pytest.mark.parametrize(
+    ("value", "allowed"),
+    [(2**40, " that the library accepts"), (-1, " that the library accepts"), (1.5, ""), ("a", "")],
+)
+def test_a_number_that_does_not_fit_is_refused(value, allowed):
     """Clarabel's limit of iterations is an unsigned integer of 32 bits."""
-    with pytest.raises(SettingsError, match=r"settings of clarabel: max_iter: found .*: a int"):
+    message = f"settings of clarabel: max_iter: found .*: a whole number{allowed}$"
+    with pytest.raises(SettingsError, match=message):
         resolve_settings_to_options({"max_iter": value}, NATIVE["clarabel"])
 
 
