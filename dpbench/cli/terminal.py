@@ -11,8 +11,9 @@ import webbrowser
 from collections.abc import Iterable
 from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
+from rich.cells import cell_len
 from rich.console import Console, RenderableType
 from rich.markup import escape
 from rich.progress import (
@@ -45,6 +46,7 @@ ENDING_STYLES = {
 }
 """Styles of the lines that a run ends with."""
 _INDENT = 4 * " "
+_BETWEEN = " │ "  # Of two columns of a table
 
 
 def make_console() -> Console:
@@ -101,12 +103,34 @@ def make_report_table(table: ReportTable, screen: Console) -> RenderableType:
         show_edge=False,
         pad_edge=False,
     )
-    for i, head in enumerate(table.heads):
-        shown.add_column(escape(head), justify="left" if i < table.text_columns else "right")
+    widths = _fit_columns(table, screen.width)
+    if widths is None:
+        return _format_rows_as_text(table)
+    for i, (head, width) in enumerate(zip(table.heads, widths, strict=True)):
+        side: Literal["left", "right"] = "left" if i < table.text_columns else "right"
+        shown.add_column(escape(head), justify=side, width=width)
     for row in table.rows:
         shown.add_row(*(Text(cell, style=STYLES.get(cell, "")) for cell in row))
-    unbroken = screen.measure(shown, options=screen.options.update_width(1000)).minimum
-    return shown if unbroken <= screen.width else _format_rows_as_text(table)
+    return shown
+
+
+def _fit_columns(table: ReportTable, width: int) -> list[int] | None:
+    """Return the widths of a table's columns within `width`; None if a word would be broken.
+
+    Rich shortens the widest column below its longest word, so that rows lose what differs in them.
+    """
+    columns = list(zip(table.heads, *table.rows, strict=True))
+    widest = [max(map(cell_len, column)) for column in columns]
+    least = [
+        max(cell_len(word) for text in column for word in (text.split() or [""]))
+        for column in columns
+    ]
+    spare = width - len(_BETWEEN) * (len(columns) - 1) - sum(least)
+    if spare < 0:
+        return None
+    wanted = [most - own for most, own in zip(widest, least, strict=True)]
+    share = min(1.0, spare / max(1, sum(wanted)))
+    return [own + int(share * more) for own, more in zip(least, wanted, strict=True)]
 
 
 def _format_rows_as_text(table: ReportTable) -> Text:

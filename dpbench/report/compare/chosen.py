@@ -28,11 +28,11 @@ from dpbench.report.ship_text import summarise_ships
 from dpbench.report.verdict_text import describe_paired_times
 
 NOTE = (
-    "Time of the second over that of the first on the same steps, which were timed by turns: "
-    "geometric mean, replays of one size of equal weight, with a 95 % interval from 500 steps on. "
-    "It holds within this run; ratios of two runs can differ by more. "
-    "Windows of hardest steps are not counted. "
-    "A configuration that fails has a ratio too: its answers are not right on every step."
+    "Ratio: time of the second divided by that of the first on the same steps, which were timed by "
+    "turns. It is a geometric mean in which replays of one size have equal weight, with a 95 % "
+    "interval from 500 steps on. The interval holds within this run; ratios of two runs can differ "
+    "by more. Windows of hardest steps are not counted. A configuration that fails also has a "
+    "ratio, although its answers are not accurate on every step."
 )
 
 

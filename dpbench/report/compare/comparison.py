@@ -85,9 +85,10 @@ def make_solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[Figu
             }
         )
     note = (
-        "Over all its configurations: slower, faster, worse or better where a configuration is "
-        "and none is the contrary; equivalent where every configuration is; same where every "
-        "metric that is comparable is. Claims on step times hold together over all solvers."
+        "A solver is slower, faster, worse or better if at least one of its configurations is and "
+        "none is the contrary. It is equivalent if all its configurations are, and the same if all "
+        "comparable metrics are. The error probability of step time verdicts is that of all "
+        "solvers together."
     )
     return Table.from_rows(rows, "Verdict per solver", note=note, text_columns=4)
 
@@ -112,8 +113,8 @@ def make_times_table(
     machine = f"that ratio of {reference}, the reference"
     if not reference:
         machine = (
-            "the median of that ratio over the other configurations of the sequence (below four of "
-            "the reference kernel, if both runs were quiet)"
+            "the median of that ratio over the other configurations of the sequence (with fewer "
+            "than four, the ratio of the reference kernel if both runs were quiet)"
         )
     rows = (
         compared if ordered else sorted(compared, key=lambda c: TIMES.index(c.assessment.verdict))
@@ -121,11 +122,11 @@ def make_times_table(
     percent = f"{100 * margin:g} %"
     note = (
         "B/A: geometric mean over the steps of the ratio of algorithmic times (minimum over "
-        f"as many rounds of either run). Machine: {machine}, taken out of the next. Its "
-        "interval holds for all rows together and counts the noise between two runs. Slower or "
-        f"faster: by more than {percent}, faster only where every answer of B is verified; "
-        f"equivalent: within {percent}; each kind of claim "
-        f"with a family-wise error of {100 * alpha:g} % (Holm)."
+        f"equally many rounds of both runs). Machine: {machine}. B/A less machine: B/A divided by "
+        "that. The interval holds for all rows together and includes the noise between two runs. "
+        f"Slower or faster: by more than {percent}, and faster only if every answer of B is "
+        f"verified. Equivalent: within {percent}. Each kind of claim has a family-wise error of "
+        f"{100 * alpha:g} % (Holm)."
     )
     cells = [
         {
@@ -151,17 +152,15 @@ def _format_known_factor(factor: float, found: Assessment) -> str:
 
 
 def describe_shared_factor(shared: SharedFactor) -> str:
-    """Return a sentence on the time change all of a QP sequence share, and its cause."""
-    moved = "rose" if shared.factor >= 1.0 else "fell"
-    wording = f"`{shared.sequence}`: step times of "
-    wording += f"{plural(shared.configurations, 'configuration')} {moved} together "
-    wording += f"by a factor {shared.factor:.3f}"
+    """Return a sentence on the step time ratios of a QP sequence, and what the median shows."""
+    count = plural(shared.configurations, "configuration")
+    wording = f"`{shared.sequence}`: time ratio B/A {shared.factor:.3f} (median of {count})"
     if not math.isnan(shared.kernel):
-        wording += f", by {shared.kernel:.3f} the reference kernel"
+        wording += f", {shared.kernel:.3f} (reference kernel)"
     if not math.isnan(shared.load):
-        wording += f", by {shared.load:.3f} the calibration workload"
+        wording += f", {shared.load:.3f} (calibration workload)"
     if shared.assessment is None:
-        return f"{wording}; {shared.unjudged}, so this is not judged"
+        return f"{wording}: not judged, as {shared.unjudged}"
     verdict = shared.assessment.verdict
     cause = " in a part that all configurations share" if verdict in ("slower", "faster") else ""
     return f"{wording}: {verdict}{cause}"
@@ -174,17 +173,17 @@ def make_changes_table(answers: Sequence[FigureChange], margin: float) -> Table 
         return None
     changed.sort(key=lambda answer: answer.change != "worse")
     unlike = sum(answer.change == "not comparable" for answer in answers)
-    left_out = f" {plural(unlike, 'figure')} {STOPPED}." if unlike else ""
+    left_out = f" {plural(unlike, 'metric')} {STOPPED}." if unlike else ""
     note = (
-        f"{plural(len(changed), 'figure')} of {format_count(len(answers) - unlike)}; the others "
-        f"are the same within {100 * margin:g} %, counts and shares exactly. A range: over the "
-        f"rounds.{left_out}"
+        f"{plural(len(changed), 'metric')} of {format_count(len(answers) - unlike)}; the others "
+        f"are the same within {100 * margin:g} %, counts and shares exactly. A range is "
+        f"that of the rounds.{left_out}"
     )
     rows = [
         {
             "configuration": answer.pair.configuration_label,
             "experiment": f"{answer.pair.a.mode.replace('_', ' ')} of {answer.pair.a.problem}",
-            "figure": answer.measure.head,
+            "metric": answer.measure.head,
             "A": _format_range(answer.measure.column, answer.a),
             "B": _format_range(answer.measure.column, answer.b),
             "change": answer.change,
@@ -461,7 +460,9 @@ def _make_summary_lines(
     lines += _describe_verdict_changes(changed_verdicts)
     verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:
-        lines.append("step times: " + ", ".join(f"{n} {v}" for v, n in verdicts.most_common()))
+        lines.append(
+            "step times: " + ", ".join(f"{format_count(n)} {v}" for v, n in verdicts.most_common())
+        )
     windows = sum(pair.a.steps_searched_for_hardest > 0 for pair in pairs.pairs)
     if windows:
         lines.append(f"{plural(windows, 'window')} of hardest steps: step times without a verdict")
@@ -470,7 +471,7 @@ def _make_summary_lines(
     if figures:
         words = {"not comparable": STOPPED}
         counts = ", ".join(
-            f"{n} {words.get(change, change)}" for change, n in changes.most_common()
+            f"{format_count(n)} {words.get(change, change)}" for change, n in changes.most_common()
         )
         lines.append(f"accuracy and control: {counts}")
     for what, cells in (

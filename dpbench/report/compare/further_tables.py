@@ -70,9 +70,9 @@ def make_windows_table(a: Records, b: Records, pairs: Sequence[Pair]) -> Table |
             }
         )
     note = (
-        "The p99 is of all steps that the hardest were chosen from; below 100 it is the largest. "
-        "B/A: geometric mean over the steps of the window, the machine's factor in it. So few "
-        "steps give no interval and no verdict."
+        "The p99 is that of all steps from which the hardest were chosen; with fewer than 100 "
+        "steps it is the largest. B/A: geometric mean over the steps of the window, including the "
+        "machine factor. So few steps give no interval and no verdict."
     )
     title = "Step times, windows of hardest steps"
     return Table.from_rows(rows, title, note=note, text_columns=2) if rows else None
@@ -92,12 +92,13 @@ def make_settings_table(a: Records, b: Records) -> Table | None:
             row |= {f"ratio in {name}": value, f"interval in {name}": interval}
         rows.append(row)
     note = (
-        "Step time of the settings over that of the others on the same steps of the same run: "
-        "geometric mean, replays of one size of equal weight, with a 95 % interval for each ratio "
-        "alone, within its run. The machine's factor between A and B is not in it."
+        "Ratio: step time with the settings divided by that with the others, on the same steps of "
+        "the same run. It is a geometric mean in which replays of one size have equal weight, with "
+        "a 95 % interval for each ratio alone, within its run. The machine factor between A and B "
+        "cancels."
     )
     if any(UNSTABLE in cell for row in rows for cell in row.values()):
-        note += " Unstable: another measure, such as the p99, names the other settings as faster."
+        note += " Unstable: by another measure, such as the p99, the other settings are faster."
     title = "Two settings of one solver, within each folder"
     return Table.from_rows(rows, title, note=note, text_columns=2) if rows else None
 

@@ -141,16 +141,18 @@ def _make_selection_addresses(order: Sequence[ComparedTimes]) -> list[str]:
 def make_lead_sentences(comparison: Comparison) -> list[str]:
     """Return sentences on a comparison of two runs: step times, accuracy, shared changes."""
     together = [
-        strip_markdown(f"All together: {describe_shared_factor(shared)}.")
+        strip_markdown(f"Shared change: {describe_shared_factor(shared)}.")
         for shared in comparison.shared
         if shared.assessment is not None and shared.assessment.verdict == "slower"
     ]
     worse = [answer for answer in comparison.figures if answer.change == "worse"]
     count = len(comparison.figures)
-    figures = f"No figure of accuracy or control of {count} is worse." if count else ""
+    figures = (
+        f"None of {plural(count, 'metric')} of accuracy and control is worse." if count else ""
+    )
     if worse:
         figures = (
-            f"Worse: {len(worse)} of {plural(count, 'figure')}, first {describe_change(worse[0])}."
+            f"Worse: {len(worse)} of {plural(count, 'metric')}, first {describe_change(worse[0])}."
         )
     changed = [
         f"{line[0].upper()}{line[1:]}." for line in describe_changed_options(comparison.pairs)

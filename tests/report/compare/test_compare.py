@@ -118,7 +118,7 @@ def test_planted_ratios_are_found_and_the_others_are_equivalent(make: Make) -> N
     assert row[["ratio", "raw", "machine"]].tolist() == pytest.approx([1.3, 1.43, 1.1], rel=0.02)
     assert row["low"] < 1.3 < row["high"]
     assert found.worse
-    assert any("by 1.100 the reference kernel" in line for line in found.lines)
+    assert any("1.100 (reference kernel)" in line for line in found.lines)
     assert found.markdown().startswith("# Comparison: slower\n")
 
 
@@ -236,13 +236,13 @@ def test_what_all_configurations_share_is_judged_on_a_quiet_machine_alone(
     b = make("b", seed=2, machine=1.496, **({"reference_kernel_ns": 1.025 * 5e4} | after))
     page = tmp_path / "compare.md"
     assert main(["compare", str(a), str(b), "--markdown", str(page)]) == 0
-    output = f"{reason}, so this is not judged"
+    output = f": not judged, as {reason}"
     # Lines of 80 columns in a terminal; one line in Markdown.
     for text in (capsys.readouterr().out, page.read_text(encoding="utf-8")):
         words = " ".join(text.split())
         assert words.count(output) == 1
         before = words[: words.index(output)]
-        assert "rose together by a factor 1.49" in before[-200:]
+        assert "time ratio B/A 1.49" in before[-200:]
     (shared,) = compare(a, b).shared
     assert shared.assessment is None
     assert set(compare(a, b).times["verdict"]) == {"equivalent"}
@@ -541,7 +541,7 @@ def test_a_load_that_the_reference_kernel_does_not_feel_is_the_machine(make: Mak
     loaded = compare(a, make("b", seed=2, machine=1.4, load_kernel_ns=1.4 * 6e4))
     assert not loaded.worse
     (line,) = [line for line in loaded.lines if line.startswith("`paper`")]
-    assert "by 1.400 the calibration workload" in line
+    assert "1.400 (calibration workload)" in line
     assert compare(a, make("c", seed=2, machine=1.4, load_kernel_ns=6e4)).worse
 
 
