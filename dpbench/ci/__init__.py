@@ -18,7 +18,7 @@ def parse_allowance(text: str) -> tuple[str, str]:
     """Read a measure and a solver, such as `iterations:osqp`; ArgumentTypeError for other text."""
     measure, _, solver = text.partition(":")
     if not (measure and solver):
-        raise argparse.ArgumentTypeError(f"found {text}; allowed: such as iterations:osqp")
+        raise argparse.ArgumentTypeError(f"found {text}; allowed: MEASURE:SOLVER, such as iterations:osqp")
     return measure, solver
 
 
@@ -35,6 +35,6 @@ DISTURBED_EXIT: dict[str, Any] = {
     "metavar": "CODE",
     "type": parse_exit_code,
     "default": 0,
-    "help": "exit code where other load took a verdict and no regression is shown (0)",
+    "help": "exit code if other load prevents a verdict and no regression is shown (default: 0)",
 }
 """Option that gate, revisions and pytest have in common."""

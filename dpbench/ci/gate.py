@@ -44,6 +44,18 @@ from dpbench.ci.failures import FailedBenchmarks
 from dpbench.errors import InputError
 from dpbench.report.formats import plural
 
+HELP_EPILOG = """\
+exit codes:
+  0     no regression shown, or the baseline was stored
+  1     a regression: slower, worse, wrong answers, a benchmark that failed or is gone
+  2     bad input
+  CODE  of --disturbed-exit: times disturbed, no regression shown
+
+examples:
+  python -m dpbench.ci.gate now.json base.json
+  python -m dpbench.ci.gate now.json baselines/ --retries 5 --disturbed-exit 75
+"""
+
 
 class SessionComparison:
     """Plug-in that compares a session's benchmarks with a stored run and fails on a regression."""
@@ -104,7 +116,8 @@ def measure_suspects_again(
         ]
         if not doubtful:
             break
-        console.print(f"measuring {len(doubtful)} again, not the baseline", soft_wrap=True)
+        count = plural(len(doubtful), "benchmark")
+        console.print(f"repeating {count}, but not the baseline", soft_wrap=True)
         again = _run_benchmarks(doubtful)
         kept = {
             name: _merge_repeated_measurements(
@@ -135,23 +148,34 @@ def _merge_repeated_measurements(was: Benchmark, *measured: Benchmark) -> Benchm
     return replace(fastest, exact=exact)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Compare benchmarks with a baseline, or store it if missing; return the exit code."""
-    parser = argparse.ArgumentParser(prog="dpbench.ci.gate", description=__doc__.splitlines()[0])
-    parser.add_argument("json", type=Path, metavar="FILE", help="written with --benchmark-json")
-    parser.add_argument(
-        "baseline", type=Path, help="a JSON file, or a folder that keeps one for each machine"
-    )
-    parser.add_argument("--renew", action="store_true", help="make this run the baseline")
-    parser.add_argument(
-        "--retries", type=int, default=3, help="of what looks worse or was disturbed (3)"
+def _build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser(
+        prog="dpbench.ci.gate",
+        description=__doc__.splitlines()[0],
+        usage="python -m %(prog)s [OPTIONS] FILE BASELINE",
+        epilog=HELP_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "--allow-gone", action="store_true", help="pass where a benchmark of the baseline is gone"
+        "json", type=Path, metavar="FILE", help="JSON file written by pytest --benchmark-json"
     )
+    baseline = "JSON file of an earlier run, or a folder with one for each machine"
+    parser.add_argument("baseline", type=Path, metavar="BASELINE", help=baseline)
+    renew = "store this run as the baseline; compare nothing"
+    parser.add_argument("--renew", action="store_true", help=renew)
+    retries = "repeat benchmarks that look worse or were disturbed up to N times (default: 3)"
+    parser.add_argument("--retries", type=int, default=3, metavar="N", help=retries)
+    gone = "pass even if a benchmark of the baseline is missing"
+    parser.add_argument("--allow-gone", action="store_true", help=gone)
     parser.add_argument("--disturbed-exit", **DISTURBED_EXIT)
     parser.add_argument("--allow", **ALLOW)
-    arguments = parser.parse_args(argv)
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Compare benchmarks with a baseline, or store it if missing; return the exit code."""
+    arguments = _build_parser().parse_args(argv)
     console = Console() if sys.stdout.isatty() else Console(width=200)
     baseline: Path = arguments.baseline
     if baseline.suffix != ".json":

@@ -25,19 +25,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--dpbench-compare",
         metavar="FILE",
-        help="compare with the file of an earlier --benchmark-json; fail on a regression",
+        help="compare with a file that an earlier --benchmark-json wrote; fail on a regression",
     )
     group.addoption(
         "--dpbench-margin",
         metavar="SHARE",
         type=float,
         default=MARGIN,
-        help=f"how much slower is no regression ({MARGIN})",
+        help=f"largest slowdown that is no regression (default: {MARGIN})",
     )
     group.addoption(
         "--dpbench-allow-gone",
         action="store_true",
-        help="pass where a benchmark of that file is missing",
+        help="pass even if a benchmark of that file is missing",
     )
     group.addoption("--dpbench-allow", **ALLOW)
     group.addoption("--dpbench-disturbed-exit", **DISTURBED_EXIT)

@@ -129,9 +129,10 @@ def _open_solver(solver: Workspace | str | Path, options: dict[str, Any]) -> Wor
             if isinstance(error.__cause__, ModuleNotFoundError) and error.__cause__.name:
                 package = error.__cause__.name.partition(".")[0]
                 remedy = (
-                    f"it imports {package}, which is not found: pip install {package}, or for a "
+                    f"it imports {package}, which is not installed: run `pip install {package}` "
+                    "or, for a package in src, `pip install .` there, or set "
+                    '`pythonpath = ["src"]` of pytest'
                 )
-                remedy += 'package in src pip install . there or pytest `pythonpath = ["src"]`'
                 raise SituationError(f"solver module {solver}", remedy) from error
             raise
     return open_workspace(solver, **options)

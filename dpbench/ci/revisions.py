@@ -50,7 +50,7 @@ Arguments after -- are those of pytest.
 
 disturbed:
   Other programs, the host or throttling slowed the machine during a benchmark, so its time is
-  not judged. Iterations, errors and failed tests are judged all the same. A disturbed pair of
+  not judged. Iterations, errors and failed tests are still judged. A disturbed pair of
   runs is repeated; two in a row end the measurement.
 
 exit codes:
@@ -303,18 +303,20 @@ def _build_parser() -> argparse.ArgumentParser:
     parser.add_argument("base", type=Path, metavar="BASE", help="working tree to compare with")
     parser.add_argument("head", type=Path, metavar="HEAD", help="working tree of the change")
     parser.add_argument(
-        "--pairs", type=int, default=5, metavar="N", help="runs of each revision (5)"
+        "--pairs", type=int, default=5, metavar="N", help="runs of each revision (default: 5)"
     )
     parser.add_argument(
         "--margin",
         type=float,
         default=MARGIN,
         metavar="SHARE",
-        help=f"largest slowdown that is no regression ({MARGIN})",
+        help=f"largest slowdown that is no regression (default: {MARGIN})",
     )
-    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write Markdown")
     parser.add_argument(
-        "--allow-gone", action="store_true", help="pass where a benchmark of the base is gone"
+        "--markdown", type=Path, metavar="FILE", help="write the comparison as Markdown"
+    )
+    parser.add_argument(
+        "--allow-gone", action="store_true", help="pass even if a benchmark of the base is missing"
     )
     parser.add_argument("--allow", **ALLOW)
     parser.add_argument("--disturbed-exit", **DISTURBED_EXIT)
