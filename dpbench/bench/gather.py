@@ -114,7 +114,7 @@ def _make_common_plan(
         if shard.harness_version != HARNESS_VERSION:
             found = f"{folder} of dpbench {shard.harness_version}"
             raise InputError(
-                _WHERE, "", found, f"folders of {HARNESS_VERSION}, the installed version"
+                _WHERE, "", found, f"folders of dpbench {HARNESS_VERSION}, which is installed"
             )
         if shard.digest != first.digest:
             found = f"{folder} of another suite, or with other options, than {where}"

@@ -126,7 +126,7 @@ def refuse_other_selection(cells: Iterable[PlannedCell], out: Path, remedy: str)
         first = dict(zip(_SELECTION_COLUMNS, next(iter(others.values())), strict=True))
         place = first["sequence"] or first["scenario"]
         example = f"{first['solver']} in {place}, {first['steps_planned']} steps"
-        found = f"{out} with {len(others)} finished runs that were not requested, as of {example}"
+        found = f"{out} with {len(others)} finished runs that were not requested, such as {example}"
         if added := len(others.keys() & _read_added_run_ids(out)):
             found += f" ({added} of add_runs, to be added again afterwards)"
         raise InputError("`out`", "", found, remedy)

@@ -27,7 +27,7 @@ _STORED = {
 _BAD_INPUT = "2 bad input"
 _LOST = "1 runs were lost through a fault of dpbench (run the same command again)"
 _NOT_HELD = "with --strict, the controller does not hold a ship"
-_BUSY = f"{_BAD_INPUT}, or another dpbench benchmark is running (--no-wait, or after --wait)"
+_BUSY = f"{_BAD_INPUT}, or another dpbench campaign is running (--no-wait, or after --wait)"
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class CommandHelp:
 _PARSER_ERRORS = {
     r"argument (.+): invalid int value: (.+)": r"\1: found \2; allowed: a whole number",
     r"argument (.+): invalid float value: (.+)": r"\1: found \2; allowed: a number",
-    r"argument (.+): expected one argument": r"\1: missing; required: a value",
-    r"argument (.+): expected (\d+) arguments": r"\1: found another number of values; allowed: \2",
+    r"argument (.+): expected one argument": r"\1: found no value; allowed: one value",
+    r"argument (.+): expected (\d+) arguments": r"\1: wrong number of values; required: \2 values",
     r"argument (.+): not allowed with argument (.+)": r"\1: found with \2; allowed: one of the two",
     r"argument (.+): ignored explicit argument (.+)": r"\1: found \2; allowed: no value",
     r"the following arguments are required: (.+)": r"\1: missing",
@@ -255,9 +255,10 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "worst-case": CommandHelp(
         _ANALYSE,
-        "Search for a solver's slowest or least accurate step",
+        "Search for a solver's worst step (iterations or error)",
         options.add_worst_case_options,
         ("worst-case osqp --budget 100", "worst-case daqp --goal error --policy warm"),
+        f"0 done; {_BAD_INPUT}; 130 interrupted, the worst step so far is written",
     ),
     "iteration-bound": CommandHelp(
         _ANALYSE,
@@ -339,7 +340,8 @@ COMMANDS: dict[str, CommandHelp] = {
         "Count instructions and memory of solvers' C code",
         options.add_embedded_options,
         ("embedded paper-30-5 --target m7 --target a53", "embedded rough-60-10 --solver daqp"),
-        f"0 done; 1 a solver could not be counted; {_BAD_INPUT}, or no solver could be counted",
+        "0 done; 1 a solver could not be counted, or the counts of two tools differ; "
+        f"{_BAD_INPUT}, or no solver could be counted",
         "Compile the C code of solvers for an embedded core, run it on an emulated core along a "
         "sequence of QPs, and count instructions, memory and errors of each step (needs "
         "pip install 'dpbench[embedded]').",

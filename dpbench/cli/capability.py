@@ -133,9 +133,7 @@ def format_wind_table(
     """
     columns = _list_columns(capability)
     room = _CELL - 2 - (0 if planned is None else _SPARE)
-    names = [case if len(case) <= room else f"{case[: room - 1]}…" for case in columns]
-    beside = "" if planned is None else f"{'planned':<{_PLANNED}}"
-    head = "".join(f"  {name:<{room}}{beside}" for name in names)
+    heads = _format_heads([*columns], room, "" if planned is None else f"{'planned':<{_PLANNED}}")
     parts = [[_format_wind_limit(held) for held in column] for column in columns.values()]
     if planned is not None:
         for part, column in zip(parts, _list_columns(planned).values(), strict=True):
@@ -151,7 +149,6 @@ def format_wind_table(
         "held [m/s] and DP capability number, by the direction from which wind, waves and current "
         "come (90° is starboard); + marks the largest wind of the standard's table."
     )
-    table = [f" from {head}".rstrip(), *rows]
     assumed = list_assumptions_on_vessel(vessel)
     notes = [*_explain_planned(planned, vessel), *caution_on_rudders(vessel)]
     notes += _explain_notation(capability, vessel)
@@ -160,7 +157,17 @@ def format_wind_table(
         notes.append(f"{own_areas[0].upper()}{own_areas[1:]}.")
     notes += list_zone_cautions(vessel.thrusters) if vessel.thrusters else []
     notes = [line for note in notes for line in textwrap.wrap(note, WIDTH)]
-    return [*textwrap.wrap(about, WIDTH), "", *table, "", *notes]
+    return [*textwrap.wrap(about, WIDTH), "", *heads, *rows, "", *notes]
+
+
+def _format_heads(names: Sequence[str], room: int, beside: str) -> list[str]:
+    """Return the head of the table of winds, in as many lines as its longest name takes."""
+    wrapped = [textwrap.wrap(name, room) for name in names]
+    most = max(map(len, wrapped))
+    above = zip(*([""] * (most - len(name)) + name[:-1] for name in wrapped), strict=True)
+    lines = ["".join(f"  {part:<{room + len(beside)}}" for part in line) for line in above]
+    last = "".join(f"  {name[-1]:<{room}}{beside}" for name in wrapped)
+    return [*(f"      {line}".rstrip() for line in lines), f" from {last}".rstrip()]
 
 
 def caution_on_rudders(vessel: Vessel) -> list[str]:

@@ -123,14 +123,14 @@ def format_limits_by_axis(vessel: Vessel) -> list[str]:
             *(f"{_format_number(t)} s" for t in ships.compute_axis_time_constants_s(vessel)),
         ),
         ("acceleration at full", *_format_with_units(acceleration, ("mm/s²", "mm/s²", "mrad/s²"))),
-        ("speed at full force" if vessel.drag else "speed, linear damping", *drift),
+        ("speed at full force", *drift),
     ]
     table = [f"{row[0]:<22}" + "".join(f"{cell:<19}" for cell in row[1:]) for row in rows]
     find_share = None if reach is None else reach.find_least_thrust_share
     current_mps = ships.find_largest_current_abeam_mps(vessel, find_share)
     lines = [line.rstrip() for line in table]
     lines.append(_describe_sideways_force(pure, current_mps, unit, per))
-    lines += _describe_drag_error(vessel, unit, per)
+    lines.append(_describe_drag(vessel, unit, per))
     if vessel.thrusters is None:
         return lines
     on_thrusters = [
@@ -154,12 +154,12 @@ def _format_forces(vessel: Vessel, unit: str, per: float) -> list[str]:
     return [f"{_format_range(*pair)} {unit}" for pair, unit in zip(limits, units, strict=True)]
 
 
-def _describe_drag_error(vessel: Vessel, unit: str, per: float) -> list[str]:
-    """Return lines on how far the controller's model is from a ship's drag; none without drag."""
+def _describe_drag(vessel: Vessel, unit: str, per: float) -> str:
+    """Return a line on a ship's drag, and on how far the controller's model is from it."""
     if vessel.drag is None:
-        return []
+        return "damping is linear at every speed, as in the controller's model"
     linear = f"{_format_number(vessel.D[ships.SWAY, ships.SWAY] / per)} {unit}"
-    return [f"drag is cross-flow; the controller's linear model has {linear} at 1 m/s sideways"]
+    return f"drag is cross-flow; the controller's linear model has {linear} at 1 m/s sideways"
 
 
 def _format_range(low: float, high: float) -> str:

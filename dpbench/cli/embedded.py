@@ -181,7 +181,7 @@ def _read_sources(texts: list[str]) -> dict[str, Path]:
     for text in texts:
         solver, _, folder = text.partition("=")
         if not folder or not Path(folder).is_dir():
-            raise InputError("--source", "", repr(text), "SOLVER=DIR, a folder that exists")
+            raise InputError("--source", "", repr(text), "SOLVER=DIR with an existing folder DIR")
         sources[solver] = Path(folder)
     return sources
 

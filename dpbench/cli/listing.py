@@ -56,7 +56,8 @@ def _list_scenarios() -> RenderableType:
         controller = scenario.controller
         horizons = f"{controller.prediction_horizon}/{controller.control_horizon}"
         vessel = Path(scenario.vessel).stem
-        about = f"vessel {vessel}, tuning {controller.tuning} {horizons}, {scenario.steps} steps"
+        about = f"vessel {vessel}; tuning {controller.tuning}; horizons {horizons}; "
+        about += f"{scenario.steps} steps"
         drawn = scenario.environment.build_environment(Froude(1.0)).random_parts
         about += f"; random: {', '.join(drawn) or 'none'}"
         entries.append(format_heading_and_paragraphs(name, [about, scenario.shows]))
@@ -72,7 +73,8 @@ def _list_suites() -> RenderableType:
     table = make_small_table("name", "cells", "purpose")
     for name in problems.list_shipped_problem_names("suites"):
         path, suite = load_path_and_suite(name)
-        table.add_row(name, str(len(plan_suite(suite, beside=path.parent))), suite.title)
+        purpose = suite.title.removeprefix(f"{name.capitalize()}: ")
+        table.add_row(name, str(len(plan_suite(suite, beside=path.parent))), purpose)
     return table
 
 

@@ -101,11 +101,11 @@ def _add_wait_options(group: Command) -> None:
     """Add the options on how long to wait for another campaign to a command or a group of it."""
     wait = group.add_mutually_exclusive_group()
     longest = (
-        "longest time to wait for another dpbench benchmark on this machine to end "
+        "longest time to wait for another dpbench campaign on this machine to end "
         "(default: no limit)"
     )
     _option(wait, "--wait", "SECONDS", longest, type=float, dest="wait_s")
-    never = "exit with 2 if another dpbench benchmark is running on this machine"
+    never = "exit with 2 if another dpbench campaign is running on this machine"
     wait.add_argument("--no-wait", action="store_const", const=0.0, dest="wait_s", help=never)
 
 
@@ -202,7 +202,7 @@ def add_export_options(export: Command) -> None:
     formats = "file format: npz (default), qpbenchmark, mat, csv or qps"
     _option(output, "--format", "FORMAT", formats, default="npz")
     _option(
-        output, "--out", "PATH", "file or folder to write (default with --all: results/sequences)"
+        output, "--out", "PATH", "file or folder to write; with --all, default: results/sequences"
     )
 
 
@@ -294,7 +294,7 @@ def add_init_options(init: Command) -> None:
     )
     moment = "largest yaw moment [kN·m] (default: 0.57 times sway thrust times length)"
     _option(thrust, "--yaw-moment", "KNM", moment)
-    rows = "read the thrusters instead, one per row; - prompts for them"
+    rows = "read the thrusters from a file instead, one per row; - prompts for them"
     _option(thrust, "--thrusters", "FILE.csv", rows)
     _option(
         init.add_argument_group("weather"),
@@ -320,7 +320,7 @@ def add_capability_options(capability: Command) -> None:
         "that controllers plan with"
     )
     _flag(capability, "--planned", planned)
-    solver = "judge this solver's answers to the QPs at this limit; all: every installed solver"
+    solver = "judge this solver's answers to the QPs at the wind limit; all: every installed solver"
     _repeated(capability, "--solver", "SOLVER", solver)
     output = capability.add_argument_group("output")
     _option(output, "--out", "DIR", "folder for these QPs (default: results/capability-VESSEL)")

@@ -96,8 +96,8 @@ QUANTITIES = {
     "draught": OptionQuantity("draught", "m", 0.5, 40),
     "displacement": OptionQuantity("displacement", "t", 10, 1e6),
     "thrust": OptionQuantity("largest force ahead", "kN", 1, 1e5),
-    "sway-thrust": OptionQuantity("largest force sideways", "kN", 1, 1e5),
-    "yaw-moment": OptionQuantity("largest turning moment", "kN·m", 1, 1e7),
+    "sway-thrust": OptionQuantity("largest force abeam", "kN", 1, 1e5),
+    "yaw-moment": OptionQuantity("largest yaw moment", "kN·m", 1, 1e7),
 }
 PARTICULARS = ("length", "breadth", "draught", "displacement")
 _KEYS = {"displacement": "displacement_t"} | {
@@ -365,7 +365,7 @@ def _suggest_harder_sea(
     where = "" if folder == Path() else f" --out {folder}"
     return [
         f"harder: dpbench init {vessel.id} --sea {harder}{where}",
-        f"      (its level-1 mean force takes {share:.0%} of {whole}: limits active more often)",
+        f"      (level-1 mean force: {share:.0%} of {whole}; limits are active more often)",
     ]
 
 

@@ -54,7 +54,7 @@ SIDES_DEG = (scaling.FROM_DEG, 360.0 - scaling.FROM_DEG)
 """Starboard and port of the bow, from where the sea of a new ship may come."""
 ASKED = ("kind", "x_m", "y_m", "power_kW", "thrust_kN", "group")
 HINTS = {
-    "kind": "azimuth, tunnel or main; empty: no more",
+    "kind": "azimuth, tunnel or main; empty to finish",
     "x_m": "ahead of midships",
     "y_m": "to starboard; empty: 0",
     "power_kW": "empty: by thrust",
@@ -138,7 +138,7 @@ class OwnThrusters:
         thrusters = replace(self.thrusters, thrusters=tuple(t.build_thruster() for t in tables))
         said = tuple(sentences.values())
         if said:
-            said += (f"What half turns cost: dpbench capability {vessel.id}.toml --planned.",)
+            said += (f"To show what they cost: dpbench capability {vessel.id}.toml --planned.",)
         return replace(self, tables=tuple(tables), thrusters=thrusters, half_turns=said)
 
 
@@ -169,8 +169,9 @@ def _describe_half_turns(
         )
     return (
         f"{name}: controllers plan with {format_sector(best)}. Wind held off the bow [m/s] intact "
-        f"(after each loss, the worst first), by half turn: {', '.join(each)}. The best after the "
-        f"worst loss is chosen, then after the next, then intact.{tie}"
+        f"(after each loss, the worst first), by half turn: {', '.join(each)}. The half turn "
+        "with the most wind after the worst loss is chosen; equal ones are compared after the next "
+        f"loss, then intact.{tie}"
     )
 
 

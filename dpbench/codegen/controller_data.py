@@ -135,7 +135,7 @@ def _refuse_unsupported_controller(scenario: Scenario, controller: Controller) -
     if not is_force and not isinstance(controller, ThrusterController):
         found, allowed = (
             controller.tuning_horizons_and_command_text,
-            "a force with limits axis by axis, or thrusters",
+            "a controller of three forces with limits by axis, or of thrusters",
         )
         raise InputError(where, "controller", found, f"{allowed}, without a cascade")
     if controller.linearisation is not FIXED_MODEL:

@@ -335,7 +335,7 @@ def test_barred_directions_leave_the_sector_and_both_are_printed(
     )
     assert said in " ".join(capsys.readouterr().out.split())
     text = Path(FILES[0]).read_text(encoding="utf-8")
-    assert "sector_deg = [30.0, 150.0]  # pushes, from and to" in text
+    assert "sector_deg = [30.0, 150.0]  # from and to: the directions in which it pushes" in text
     barred = text.replace("sector_deg = [30.0, 150.0]", "barred_deg = [150, 30]")
     wrapped = text.replace("sector_deg = [30.0, 150.0]", "sector_deg = [390, 150]")
     sectors = []
@@ -366,10 +366,12 @@ def test_a_narrow_barred_zone_stays_and_controllers_get_a_half_turn(
     assert init(rows.rstrip("\n") + ",150,210\n") == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "DP capability-L1(8, 5, 0, 0)" in said
-    tried = re.search(r"azimuth 5: controllers plan with (\S+ to \S+)\. (.*?)\. The best", said)
+    tried = re.search(
+        r"azimuth 5: controllers plan with (\S+ to \S+)\. (.*?)\. The half turn", said
+    )
     assert tried is not None
     text = Path(FILES[0]).read_text(encoding="utf-8")
-    assert "sector_deg = [210.0, 150.0]  # pushes" in text
+    assert "sector_deg = [210.0, 150.0]  # from and to" in text
     assert tried[2][:30] in text.replace("\n# ", " ")
     found = re.findall(r"(\d+° to \d+°) (\S+) \((.*?)\)", tried[2])
     winds = {half: [*map(float, lost.split(", ")), float(mps)] for half, mps, lost in found}

@@ -395,10 +395,10 @@ class _ScenarioCache:
         allowed = "a key that the run depends on"
         found = f"a key that changes nothing in {steps} steps of {self._base.name}"
         if key == SEED and not self._base.environment.is_random:
-            found = f"a seed where the weather of {self._base.name} draws nothing at random"
+            found = f"a seed, although the weather of {self._base.name} has no random part"
             allowed = (
                 "a scenario with [environment.waves] (hs_m, tp_s), gusts in [environment.wind] or "
-                "[environment.noise]; `dpbench list scenarios` shows which draw at random"
+                "[environment.noise]; `dpbench list scenarios` shows the random parts of each"
             )
         raise InputError(self._where, key, found, allowed)
 

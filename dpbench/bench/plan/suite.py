@@ -391,8 +391,9 @@ def load_path_and_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     document = read_toml_as_dict(path)
     kind = next((kind for key, kind in _OTHER_FILES.items() if key in document), None)
     if kind is not None:
-        own = "`run_campaign(SUITE, scenarios=[FILE])` or `dpbench run SUITE --scenario FILE`"
-        remedy = f"To run a scenario, use {own}"
+        name = "FILE" if kind == "a scenario" else "SCENARIO@FILE"
+        python = f'`run_campaign(SUITE, scenarios=["{name}"])`'
+        remedy = f"To run it, use `dpbench run SUITE --scenario {name}` or {python}"
         raise SituationError(str(path), f"found {kind}; required: a suite. {remedy}")
     return path, validate_settings_as_model(document, SuiteFile, str(path))
 

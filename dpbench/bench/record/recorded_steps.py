@@ -210,7 +210,10 @@ def make_missing_columns_error(path: Path, columns: Sequence[str]) -> ResultsErr
     """Return the `ResultsError` for a table that lacks columns."""
     named = ", ".join(columns[:3]) + (", …" if len(columns) > 3 else "")
     return ResultsError(
-        str(path), named, "no such columns", "the columns that `dpbench run` writes"
+        str(path),
+        named,
+        "no such column" if len(columns) == 1 else "no such columns",
+        "the columns that `dpbench run` writes",
     )
 
 

@@ -176,7 +176,9 @@ def refuse_impossible_runs(runs: pd.DataFrame, path: Path) -> None:
         if is_bad.any():
             row = int(is_bad.to_numpy().argmax())
             value = runs[column].iloc[row]
-            found = "nothing" if pd.isna(value) else str(value)[:80]
+            found = (
+                "nothing" if pd.isna(value) else f"{value!r}" if value == "" else str(value)[:80]
+            )
             raise ResultsError(
                 str(path), f"{column}[{row}]", found, f"{allowed}; run the suite again"
             )
@@ -346,7 +348,8 @@ def _read_checked_runs(folder: Path) -> pd.DataFrame:
     others = sorted(set(table["schema"].unique().to_pylist()) - {SCHEMA_VERSION}, key=str)
     if others:
         # Before its columns are read: another schema has others.
-        found, allowed = f"schema {others}", f"schema {SCHEMA_VERSION}; run the suite again"
+        found = ", ".join(map(str, others))
+        allowed = f"{SCHEMA_VERSION}; run the suite again"
         raise ResultsError(str(path), "schema", found, allowed)
     try:
         runs = runs_to_frame(add_missing_run_columns(table)).reset_index(drop=True)

@@ -83,14 +83,19 @@ class WorstCase:
             "" if worst is None else "worse than " if self.beats_baseline else "not worse than "
         )
         lines = [
-            f"{configuration}: {headline}; {search.evaluations} cases tried{early}",
+            f"{configuration}: {headline}; {_count_cases(search.evaluations)} tried{early}",
             f"{beside}the {cell.steps} steps of {cell.scenario_name} itself: {own}",
         ]
         for what, path in self.failures.items():
             count, first = search.failures[what]
-            words = f"{_WORDS.get(what, what)} in {count} cases"
+            words = f"{_WORDS.get(what, what)} in {_count_cases(count)}"
             lines.append(f"{words} ({first.outcome.detail}); the first is {path}")
         return lines
+
+
+def _count_cases(count: int) -> str:
+    """Return a number of cases as text."""
+    return f"{count} case{'s' * (count != 1)}"
 
 
 def find_worst_case(

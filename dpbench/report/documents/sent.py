@@ -122,7 +122,7 @@ _BLANK = """\
 # Who ran this, when, and how. `dpbench check` lists what is missing.
 who = ""      # a name, and a contact if you like
 when = {when}
-command = ""  # what was typed: "dpbench run standard"
+command = ""  # the command line, such as "dpbench run standard"
 remarks = ""  # what a reader should know: power plan, other load, own build of a solver
 """
 

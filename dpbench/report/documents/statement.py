@@ -153,7 +153,7 @@ def write_statement(path: Path, folder: Path, results: Results, data: PageData) 
     elif path.suffix == ".pdf":
         write_bytes_to_file_or_pipe(path, vlc.svg_to_pdf(drawn))
     else:
-        raise InputError("--statement", "", str(path), "a file that ends in .pdf or .svg")
+        raise InputError("--statement", "", str(path), "a file name that ends in .pdf or .svg")
     return path
 
 

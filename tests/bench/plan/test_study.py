@@ -108,7 +108,7 @@ def test_columns_of_a_study_in_the_table_of_runs() -> None:
     [
         (
             {"base": "rough", "replicates": {"count": 3}},
-            "seed.*draws nothing at random.*waves.*list scenarios",
+            "seed.*has no random part.*waves.*list scenarios",
         ),
         ({"base": "rough", "product": {"title": ["a", "b"]}}, "title.*changes nothing"),
         ({"product": {"environment.wnd.speed_mps": [1.0]}}, "unknown key 'wnd'.*wind"),

@@ -92,7 +92,7 @@ def test_a_column_that_is_in_no_file_is_missing(folder: Path) -> None:
     assert found["gap"].isna().all() and found["latency_ns"].isna().all()
     assert (found["status"] == "").all() and not found["late"].any()
     pq.write_table(table.drop_columns(["k"]), path)
-    with pytest.raises(ResultsError, match=r"steps\.parquet: k: no such columns"):
+    with pytest.raises(ResultsError, match=r"steps\.parquet: k: no such column;"):
         StepsOnDisk(folder)
 
 

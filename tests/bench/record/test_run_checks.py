@@ -32,14 +32,14 @@ def copy(made: Path, tmp_path: Path) -> Path:
     ("column", "value", "found"),
     [
         ("policy", "x", "policy[0]: found x; allowed: fresh | reuse | warm"),
-        ("mode", "", "mode[0]: found ; allowed: closed_loop | replay"),
+        ("mode", "", "mode[0]: found ''; allowed: closed_loop | replay"),
         ("outcome", "done", "outcome[0]: found done"),
         ("rounds", 0, "rounds[1]: found 0; allowed: 1 or more, as it finished"),
         ("steps_done", -1, "steps_done[0]: found -1; allowed: 0 or more"),
         ("replay_s", 0.0, "replay_s[0]: found 0.0"),
         ("N_p", None, "N_p[0]: missing; required: a horizon"),
         ("study", "seas", "study_point[0]: missing"),
-        ("schema", 1, "schema: found schema [1]"),
+        ("schema", 1, "schema: found 1; allowed: "),
     ],
 )
 def test_impossible_rows_are_refused(copy: Path, column: str, value: object, found: str) -> None:

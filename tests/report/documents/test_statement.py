@@ -69,7 +69,7 @@ def test_pdf_and_svg_are_written(records: Any, tmp_path: Path, capsys: Any) -> N
     capsys.readouterr()
     assert main(["report", str(out), "--statement", str(tmp_path / "a.doc")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.endswith("allowed: a file that ends in .pdf or .svg")
+    assert line.endswith("allowed: a file name that ends in .pdf or .svg")
 
 
 @pytest.mark.parametrize(
