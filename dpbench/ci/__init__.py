@@ -18,7 +18,9 @@ def parse_allowance(text: str) -> tuple[str, str]:
     """Read a measure and a solver, such as `iterations:osqp`; ArgumentTypeError for other text."""
     measure, _, solver = text.partition(":")
     if not (measure and solver):
-        raise argparse.ArgumentTypeError(f"found {text}; allowed: MEASURE:SOLVER, such as iterations:osqp")
+        raise argparse.ArgumentTypeError(
+            f"found {text}; allowed: MEASURE:SOLVER, such as iterations:osqp"
+        )
     return measure, solver
 
 
