@@ -246,6 +246,8 @@ def find_bracket_in_still_water(
     own = scenario.files["scenario"]
     kept = ("title", "shows", "vessel", "sample_s", "controller")
     trial = {key: own[key] for key in kept} | {"duration_s": DURATION_S, "environment": {}}
+    # The lag of thrusters is theirs in still water too; an FMU has a weather of its own.
+    trial["plant"] = {key: value for key, value in own["plant"].items() if key != "fmu"}
     still = build_scenario_from_documents(scenario.files | {"scenario": trial})
     # In still water port mirrors starboard, where ship and model do.
     mirrored = has_mirror_symmetry(still.vessel) and still.controller.psi0_rad == 0.0

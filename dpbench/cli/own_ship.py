@@ -58,6 +58,13 @@ SAMPLE_S = 0.3
 START_M = (1.2, 1.3)  # North and east; sample and start are the paper's
 YAW_WEIGHT = 3000.0
 """Heading weight of the robust tuning of the paper's ship [1/rad²]; its lever is 0.72 L."""
+MOVE_WEIGHT = 0.3
+"""Weight of moves in multiples of 1/(maximum increment)². With the 0.1 of the paper's robust tuning
+a lag of 2 s lost a ship of 45 m; with 1.0 a ship of little thrust swings by 3 m. Table of what was
+tried: docs/guide/own-ship.md."""
+LAG_S = 1.0
+"""Time constant of thrusters [s] of a ship as long as the paper's: that of the propellers of the
+supply vessel of 76.2 m in the MSS toolbox and the Python Vehicle Simulator (`T_n`)."""
 FORM_DIFFERS = 0.2
 """Relative difference of a ratio from the library vessel's that counts as another form."""
 SOLVERS = ("daqp", "quadprog", "osqp", "piqp", "proxqp", "clarabel", "paper_active_set")
@@ -509,6 +516,8 @@ def render_scenario_file(
         steps=_find_step_of_loss(vessel) + after if steered else STEPS,
         start=[round(metres * longer, 2) for metres in START_M],
         sea=scaling.make_environment_of_dp_number(number, from_deg),
+        lag_s=round(LAG_S * scaling.compute_froude_time_scale(vessel.length_m), 2),
+        move_weight=MOVE_WEIGHT,
         # A lever that grows with the ship.
         yaw_weight=float(f"{YAW_WEIGHT * longer**2:.3g}"),
     )

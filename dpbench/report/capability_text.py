@@ -83,9 +83,11 @@ def _find_worst_loss(failed: pd.DataFrame) -> tuple[str, str]:
 def _format_least_wind(edges: pd.DataFrame) -> str:
     """Return a text of the least wind held over all directions [m/s], and its direction.
 
-    "no wind" where none is held from any direction.
+    "no wind" where none is held from any direction. Of equal winds the first direction from the bow
+    to starboard counts, as in `dpbench init`.
     """
-    least = edges.nsmallest(1, "wind_mps").iloc[0]
+    rounded = edges.assign(wind_mps=edges["wind_mps"].round(3))
+    least = rounded.sort_values(["wind_mps", "from_deg"]).iloc[0]
     is_alike = len(edges) > 1 and (edges["wind_mps"] == least["wind_mps"]).all()
     if least["wind_mps"] == 0.0:
         return "no wind" if is_alike else f"no wind from {least['from_deg']:.0f}°"

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dpbench import run_closed_loop
 from dpbench.bench.capability.frontier import FROM_DEG, CapabilityPlot
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import load_path_and_suite
@@ -164,6 +165,33 @@ def test_capability_prints_the_wind_areas_of_the_file(capsys: pytest.CaptureFixt
     assert "Wind areas as given: 350 m² in front, 1000 m² on the side." in own
     assert "304 m²" not in own and "772 m²" not in own
     assert "Assumed, not given: rise times " in own
+
+
+SMALL = """kind,x_m,y_m,power_kW,group
+main,-21,-3,900,board A
+main,-21,3,900,board B
+tunnel,18,,300,board A
+tunnel,-18,,300,board B
+azimuth,16,0,400,board B
+azimuth,-15,0,400,board A
+"""
+"""A ship of 45 m that a move weight of 0.1 loses at a lag of 2 s."""
+
+
+@pytest.mark.parametrize("kind", ["weather", "thrusters"])
+def test_the_controller_holds_the_ship_with_twice_the_lag_that_is_written(kind: str) -> None:
+    """Lag of 1 s at 76.2 m, by Froude's law; the plant with lag is tested in `test_actuators`."""
+    small = ["--length", "45", "--breadth", "12", "--draught", "4", "--displacement", "1400"]
+    Path("small.csv").write_text(SMALL, encoding="utf-8")
+    assert main(["init", "small", *small, "--thrusters", "small.csv"]) == 0
+    scenario = load_scenario(f"small_{kind}.toml")
+    lag_s = scenario.files["scenario"]["plant"]["thruster_lag_s"]
+    assert lag_s == pytest.approx(math.sqrt(45.0 / 76.2), abs=5e-3)
+    for factor in (1.0, 2.0):
+        lagging = scenario.with_keys({"plant.thruster_lag_s": factor * lag_s})
+        found = run_closed_loop(lagging, "daqp").summary
+        assert math.isnan(found["exact_left_s"])
+        assert found["exact_offset_end_m"] < 0.1
 
 
 def test_turning_rates_that_nothing_limits_are_said_to_be_unused(

@@ -156,6 +156,14 @@ def test_the_worst_loss_is_named_with_the_least_wind_held_after_it(records: Any)
     assert describe_worst_loss(view, CapabilityResult("osv", 8, edges[:1], ())) == ""
 
 
+def test_of_equal_winds_the_starboard_direction_is_named(records: Any) -> None:
+    """As by `dpbench init`; the search of an edge leaves differences below 1 mm/s."""
+    rows = [("intact", 9.0, 0.0), ("board A", 3.00004, 70.0), ("board A", 3.00001, 290.0)]
+    edges = pd.DataFrame(rows, columns=["case", "wind_mps", "from_deg"])
+    said = describe_worst_loss(records.view(), CapabilityResult("osv", 8, edges, ()))
+    assert "at least 3.00 m/s of wind, from 70°" in said
+
+
 def test_a_plot_says_that_it_has_more_directions_than_controllers_plan_with(records: Any) -> None:
     """`ratownik` with an azimuth barred for 60°, 240° in all, of which 180° are planned with."""
     records.loop("daqp", "thrusters")
