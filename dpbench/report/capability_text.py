@@ -91,8 +91,9 @@ def _format_least_wind(edges: pd.DataFrame) -> str:
     is_alike = len(edges) > 1 and (edges["wind_mps"] == least["wind_mps"]).all()
     if least["wind_mps"] == 0.0:
         return "no wind" if is_alike else f"no wind from {least['from_deg']:.0f}°"
-    where = "every direction" if is_alike else f"{least['from_deg']:.0f}°"
-    return f"at least {format_rounded_down(least['wind_mps'])} m/s of wind, from {where}"
+    weakest = f"in its weakest direction, from {least['from_deg']:.0f}°"
+    where = "from every direction" if is_alike else weakest
+    return f"{format_rounded_down(least['wind_mps'])} m/s of wind {where}"
 
 
 def describe_time_held(of_group: pd.DataFrame) -> str:
@@ -161,7 +162,7 @@ def describe_answers_at_edge(plot: CapabilityResult) -> str:
     if not plot.answers:
         return ""
     right = sorted(a.solver for a in plot.answers if a.has_only_right_answers)
-    qps = f"all {plural(plot.qp_count, 'QP')} at that edge"
+    qps = f"all {plural(plot.qp_count, 'QP')} at the edge of the plot"
     names = f": {join_with_and(right)}" if right else ""
     verb = "answers" if len(right) == 1 else "answer"
     return f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {qps} correctly{names}."
@@ -213,7 +214,7 @@ def _list_kinds(answers: Sequence[Answers | BatchAnswers]) -> list[str]:
 
 def describe_required_force(analysis: ConsequenceAnalysis) -> str:
     """Return in words the force that the thrusters must make after a loss."""
-    return f"force through a 60 s filter, times a dynamic margin of {analysis.margin:g}"
+    return f"required force: filtered over 60 s, times a dynamic margin of {analysis.margin:g}"
 
 
 def describe_unanswered_qps(records: Records, solver: str) -> str:
@@ -228,4 +229,5 @@ def describe_unanswered_qps(records: Records, solver: str) -> str:
     if not silent:
         return ""
     alarms = " where a loss cannot be held" if silent == infeasible else ""
-    return f"{solver} leaves {silent} of {asked} QPs of the consequence analysis unanswered{alarms}"
+    qps = f"{silent} of {asked} QPs of the consequence analysis"
+    return f"`{solver}` leaves {qps} unanswered{alarms}"

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import compress
 
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import Measure
@@ -82,12 +83,14 @@ HEAD: tuple[str, ...] = (
     *("longest step", "speed margin", "largest error [maximum increments]", "failed steps"),
 )
 
+PERCENTILES = ("p99", "p99 of single timings")
+"""Columns that are left out where no replay is long enough for them."""
 CALL_MODES = (
     "Call modes: fresh sets up the solver at every step, reuse keeps its workspace, and warm also "
     "starts from its last solution. Speed margin: factor by which the computer may be slower until "
-    "the worst p99 or the longest step reaches its limit. The p99 of single timings includes "
-    "interference from other work."
+    "the worst p99 or the longest step reaches its limit."
 )
+SINGLE_TIMINGS = " The p99 of single timings includes interference from other work."
 
 
 def make_report_markdown(report: Report) -> str:
@@ -200,7 +203,9 @@ def _explain_columns(listed: Sequence[Verdict]) -> str:
         return ""
     are_known = [not math.isnan(v.replay_p99_ns) for v in listed if v.timed_on]
     few = " A p99 of step times needs at least 1000 steps; a dash marks a shorter replay."
-    return CALL_MODES + (few if any(are_known) and not all(are_known) else "")
+    has_raw_p99 = any(not math.isnan(verdict.raw_p99_ns) for verdict in listed)
+    notes = CALL_MODES + SINGLE_TIMINGS * has_raw_p99
+    return notes + (few if any(are_known) and not all(are_known) else "")
 
 
 def _unlisted_text(verdicts: Verdicts, listed: int) -> str:
@@ -227,13 +232,14 @@ def make_solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
     rows = make_solver_rows(data, listed)
     if not rows:
         return ""
-    heads = HEAD
-    if all(math.isnan(verdict.replay_p99_ns) for verdict in listed):
-        at = HEAD.index("p99")
-        heads, rows = (*HEAD[:at], *HEAD[at + 1 :]), [(*r[:at], *r[at + 1 :]) for r in rows]
+    shown = [
+        head not in PERCENTILES or set(cells) != {MISSING}
+        for head, *cells in zip(HEAD, *rows, strict=True)
+    ]
+    heads, *kept = ([*compress(cells, shown)] for cells in (HEAD, *rows))
     return "\n\n".join(
         [
-            make_markdown_table(heads, rows, 3),
+            make_markdown_table(heads, kept, 3),
             *map(escape_markdown_paragraph, yield_table_remarks(listed)),
         ]
     )
@@ -254,9 +260,14 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
     }
     hardest = {label: _where(v.max_run) for label, v in zip(labels, timed, strict=True)}
     if len({*usual.values()}) > 1 or any(verdict.replays > 1 for verdict in timed):
-        has_p99 = any(not math.isnan(verdict.replay_p99_ns) for verdict in timed)
-        names = "The p50, the p99" if has_p99 else "The p50"
-        yield f"{names} and the p99 of single timings are {_most_and_others(usual, 'from')}."
+        tails = zip(PERCENTILES, ("replay_p99_ns", "raw_p99_ns"), strict=True)
+        known = [
+            f"the {name}"
+            for name, column in tails
+            if any(not math.isnan(getattr(verdict, column)) for verdict in timed)
+        ]
+        names, are = join_with_and(["The p50", *known]), "are" if known else "is"
+        yield f"{names} {are} {_most_and_others(usual, 'from')}."
     if any(v.p99_run is not None and v.p99_run.steps_searched_for_hardest for v in timed):
         yield "A p99 of hardest steps has no interval, because the other steps were not timed."
     for name, found in (("worst p99", worst), ("longest step", hardest)):

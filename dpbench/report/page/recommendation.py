@@ -30,6 +30,7 @@ from dpbench.analysis.verdict.verdict import (
     find_solver_record_or_none,
     rank_configurations,
 )
+from dpbench.bench.judge.rules import LEAST_STRETCH
 from dpbench.bench.record.cell import Configuration
 from dpbench.errors import InputError, format_allowed_names
 from dpbench.report.capability_text import describe_consequence_solver, describe_unanswered_qps
@@ -338,6 +339,7 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
         chosen = copy_with_thruster_times(data.records, requirements, chosen)
         least = format_rounded_down(of_all.allowed_slowness_factor)
         controller, also = "With commanded thrusters, ", f" (× {least} over all replays)"
+        also *= least != format_rounded_down(margin.allowed_slowness_factor)
     wait = describe_hardest_wait(data.records, margin.hardest.run)
     hardest = p99 = _describe_slow_step(margin.hardest, wait)
     longest_step = "This is its longest step, which"
@@ -347,7 +349,9 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
         bound = format_time(margin.p99.time_ns * more)
         p99 = f"{p99}. Scaled up to the iterations of its closed loop, it is {bound}"
         longest_step = f"Its longest step takes {hardest} and"
-    time = "limiting p99" if isfinite(chosen.p99_ns) else "largest step time (in place of a p99)"
+    is_short = 0 < margin.p99.run.steps_searched_for_hardest < LEAST_STRETCH
+    time = "largest step time (in place of a p99)"
+    time = "limiting p99" if isfinite(chosen.p99_ns) and not is_short else time
     is_of_own_plant = any(run.is_of_own_plant for run in data.records.runs)
     computer = "the computer" if is_of_own_plant else "the ship's computer"
     opening = f"{controller}{computer}"

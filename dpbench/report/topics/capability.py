@@ -141,8 +141,8 @@ def _draw_consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]
     yield Figure(
         f"consequence-{_name_file_of_analysis(analysis)}",
         draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
-        f"Each state is proved for the {describe_required_force(analysis)}: an optimum exists "
-        "(held) or none does (not held).",
+        "Each state is proved: an optimum exists (held) or none does (not held); "
+        f"{describe_required_force(analysis)}.",
     )
     timed = [
         answers

@@ -65,18 +65,19 @@ def build_routes_topic(records: Records) -> Topic | None:
             figures = _format_gain(found), format_time(found.median_ns)
             rows.append((found.solver, found.settings, change, *figures))
         if rows:
-            head = ("solver", "settings", "from → to", "times as fast (95 %)", "p50")
+            head = ("solver", "settings", "from → to", "speed-up (95 %)", "p50")
             tables.append(Table(head, tuple(rows), sequence))
     if not tables:
         return None
     wording = (
-        "How many times as fast a step becomes, median over solvers and sequences: "
+        "Speed-up of a step, median over solvers and sequences: "
         + "; ".join(
             f"{change} {significant(median_of_known(gain)) if gain else MISSING}"
             for change, gain in gains.items()
         )
         + ".",
-        "Time saved by the native interface, then by a kept workspace, then by a warm start.",
+        "Speed-up: ratio of the step times before and after a change, by the native interface, "
+        "then by a kept workspace, then by a warm start.",
     )
     return Topic("routes", "Routes", wording, (), tuple(tables))
 

@@ -141,7 +141,7 @@ def test_a_loss_after_which_nothing_is_held_is_so_from_every_direction(records: 
     table = pd.DataFrame(rows, columns=["case", "from_deg", "edge_mps"])
     table = table.assign(k=range(6), sequence="plot", vessel="osv", sides=8, lost="", number=1)
     (plot,) = build_capability_results(records.view(), table)
-    said = "at least 9.00 m/s of wind, from every direction; after the loss of board A no wind ("
+    said = "9.00 m/s of wind from every direction; after the loss of board A no wind ("
     assert said in " ".join(describe_capability(records.view(), plot))
 
 
@@ -150,7 +150,7 @@ def test_the_worst_loss_is_named_with_the_least_wind_held_after_it(records: Any)
     rows = [("intact", 2.0, 0.0), ("board A", 9.0, 0.0), ("board A", 3.0, 90.0)]
     rows += [("board B", 5.0, from_deg) for from_deg in (0.0, 90.0)]
     edges = pd.DataFrame(rows, columns=["case", "wind_mps", "from_deg"])
-    said = "After the worst loss, of board A, osv holds at least 3.00 m/s of wind, "
+    said = "After the worst loss, of board A, osv holds 3.00 m/s of wind in its weakest direction, "
     plot, view = CapabilityResult("osv", 8, edges, ()), records.view()
     assert describe_worst_loss(view, plot) == f"{said}from 90° (level 1)."
     assert describe_worst_loss(view, CapabilityResult("osv", 8, edges[:1], ())) == ""
@@ -186,13 +186,16 @@ def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
     runs = edge_runs(records)
     topic = build_capability_topic(runs, plot_table())
     assert topic.lines == (
-        "Intact, osv holds at least 12.0 m/s of wind, from 90° (DNV-ST-0111, level 1; azimuths as "
-        "polygons of 8 sides). 1 of 2 solvers answers all 4 QPs at that edge correctly: quadprog. "
+        "Intact, osv holds 12.0 m/s of wind in its weakest direction, from 90° (DNV-ST-0111, level "
+        "1; azimuths as polygons of 8 sides). 1 of 2 solvers answers all 4 QPs at the edge of the "
+        "plot correctly: quadprog. "
         "False claims: osqp (1). No answer (given up or out of time): osqp (1).",
     )
     assert len(topic.figures) == 2
     (line,) = statement._describe_held(runs, build_capability_results(runs, plot_table()), [])
-    assert line.endswith("1 of 2 solvers answers all 4 QPs at that edge correctly: quadprog.")
+    assert line.endswith(
+        "1 of 2 solvers answers all 4 QPs at the edge of the plot correctly: quadprog."
+    )
     without_plot = build_capability_topic(runs, None)
     assert without_plot.lines[0].startswith("1 of 2 solvers") and len(without_plot.figures) == 1
     without_runs = build_capability_topic(

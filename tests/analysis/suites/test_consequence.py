@@ -152,7 +152,7 @@ def test_the_topic_says_when_a_loss_can_be_held(
     monkeypatch.setitem(CERTIFICATES, "board A", certificates)
     answers = [REFUSED if kind == "infeasible" else TRUE for kind in certificates]
     topic = build_consequence_topic(view(records, {"quadprog": {"board A": [answers]}}))
-    margin = "(force through a 60 s filter, times a dynamic margin of "
+    margin = "(required force: filtered over 60 s, times a dynamic margin of "
     assert f"the loss of board A can be held {said} {margin}" in topic.lines[0]
 
 
@@ -207,14 +207,15 @@ def test_a_solver_that_leaves_qps_unanswered_is_named(storm: Records) -> None:
     assert (
         describe_unanswered_qps(storm, "quadprog") == describe_unanswered_qps(storm, "piqp") == ""
     )
-    left = "daqp leaves 1 of 8 QPs of the consequence analysis unanswered"
+    left = "`daqp` leaves 1 of 8 QPs of the consequence analysis unanswered"
     assert describe_unanswered_qps(storm, "daqp") == left
 
 
 def test_a_solver_that_is_silent_where_a_loss_cannot_be_held_is_named(records: Any) -> None:
     silent = view(records, {"daqp": {"board B": [[TRUE, TRUE, SILENT, SILENT]]}})
     assert describe_unanswered_qps(silent, "daqp") == (
-        "daqp leaves 2 of 4 QPs of the consequence analysis unanswered where a loss cannot be held"
+        "`daqp` leaves 2 of 4 QPs of the consequence analysis unanswered where a loss cannot be "
+        "held"
     )
 
 

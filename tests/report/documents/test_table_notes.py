@@ -1,6 +1,7 @@
 """Notes below a Markdown table of solvers: replays that differ, options of the user's settings."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -32,8 +33,8 @@ def test_rows_of_other_replays_and_own_options_are_named() -> None:
     own = _verdict("osqp", "squall", settings="mine", options='{"rho": 1.6}')
     notes = list(yield_table_remarks([_verdict("daqp", "move"), own, _verdict("piqp", "move")]))
     assert notes == [
-        "The p50 and the p99 of single timings are from the replay of `move`; for `osqp` (native "
-        "warm, mine), from the replay of `squall`.",
+        "The p50 is from the replay of `move`; for `osqp` (native warm, mine), from the replay of "
+        "`squall`.",
         "Custom settings: `osqp` mine: rho=1.6.",
     ]
 
@@ -72,7 +73,9 @@ def test_times_of_all_rows_are_of_one_sequence_that_all_have(records: Any) -> No
     assert [verdict.p50_ns / 1e3 for verdict in verdicts] == pytest.approx([90, 60], rel=0.05)
     assert {v.p99_run.sequence for v in verdicts if v.p99_run} == {"turn", "paper"}
     usual, *_ = yield_table_remarks(verdicts)
-    assert usual == "The p50, the p99 and the p99 of single timings are from the replay of `turn`."
+    assert usual == "The p50 and the p99 are from the replay of `turn`."
+    raw, *_ = yield_table_remarks([replace(v, raw_p99_ns=9.0) for v in verdicts])
+    assert raw == "The p50, the p99 and the p99 of single timings are from the replay of `turn`."
 
 
 def test_more_than_three_exceptions_are_counted() -> None:
