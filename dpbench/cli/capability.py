@@ -162,12 +162,16 @@ def format_wind_table(
 
 def _format_heads(names: Sequence[str], room: int, beside: str) -> list[str]:
     """Return the head of the table of winds, in as many lines as its longest name takes."""
-    wrapped = [textwrap.wrap(name, room) for name in names]
+    if all(len(name) <= room for name in names):
+        return [f" from {''.join(f'  {name:<{room}}{beside}' for name in names)}".rstrip()]
+    width = room + len(beside)
+    wrapped = [textwrap.wrap(name, width) for name in names]
     most = max(map(len, wrapped))
-    above = zip(*([""] * (most - len(name)) + name[:-1] for name in wrapped), strict=True)
-    lines = ["".join(f"  {part:<{room + len(beside)}}" for part in line) for line in above]
-    last = "".join(f"  {name[-1]:<{room}}{beside}" for name in wrapped)
-    return [*(f"      {line}".rstrip() for line in lines), f" from {last}".rstrip()]
+    lines = zip(*([""] * (most - len(name)) + name for name in wrapped), strict=True)
+    heads = ["".join(f"  {part:<{width}}" for part in line) for line in lines]
+    if beside:
+        heads.append(len(names) * f"  {'':<{room}}{beside}")
+    return [*(f"      {head}".rstrip() for head in heads[:-1]), f" from {heads[-1]}".rstrip()]
 
 
 def caution_on_rudders(vessel: Vessel) -> list[str]:
