@@ -491,7 +491,7 @@ def _describe_losses_not_held(held: HeldSea, number: int) -> list[str]:
     if not weak:
         return []
     without = _name_groups_lost_one_by_one(weak)
-    by = "level 1 with the half turns of controllers" if held.has_half_turns else "level 1"
+    by = "level 1, with the half turns of controllers," if held.has_half_turns else "level 1"
     lines = [f"CAUTION: by {by} the thrusters do not hold this sea {without}."]
     for group in weak:
         if smaller := held.losses[group]:
