@@ -155,8 +155,20 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
     missing += [f"{file}: {text}" for text in _describe_unstable_loops(plan.cells)]
     estimate = estimate_plan(plan, Path("results") / suite_path.stem, count_slots(None))
     to_run, *expected = estimate.lines
-    counted = [f"{file}: a suite of {len(plan.cells)} cells", *[to_run] * bool(estimate.finished)]
+    whole = f"{file}: a suite of {len(plan.cells)} cells{_count_refused_and_rows(plan.cells)}"
+    counted = [whole, *[to_run] * bool(estimate.finished)]
     return "\n".join([*missing, *counted, *expected, *also])
+
+
+def _count_refused_and_rows(planned: Sequence[PlannedCell]) -> str:
+    """Return text on refused cells, and on rows of `runs.parquet` where they outnumber the cells.
+
+    A cell has a further row under each other name of equal settings.
+    """
+    refused = sum(bool(one.refused) for one in planned)
+    rows = sum(1 + len(one.alias_settings) for one in planned)
+    text = f", {refused} of them refused" if refused else ""
+    return text + (f"; {rows} rows in runs.parquet" if rows > len(planned) else "")
 
 
 def _suggest_first_run(file: Path) -> list[str]:

@@ -61,6 +61,13 @@ def describe_how_results_were_made(
     steps = sum(int(run.steps_done) for run in runs)
     refused = sum(run.outcome == "refused" for run in runs)
     notes = [f"including {plural(refused, 'refused run')}"] if refused else []
+    twice = len(runs) - len({run.measurement_key for run in runs})
+    notes += [f"{twice} listed again under another name of equal settings"] if twice else []
+    apart = {
+        "of consequence analyses": len(records.consequence),
+        "at the edge of capability plots": len(records.at_edge),
+    }
+    notes += [f"excluding {plural(count, 'run')} {what}" for what, count in apart.items() if count]
     notes += ["excluding calibration runs"] if records.calibration else []
     note = f" ({', '.join(notes)})" if notes else ""
     numpy = machine.get("versions", {}).get("numpy", "")

@@ -70,8 +70,24 @@ def test_check_takes_every_suite(suite: str, say: Say) -> None:
     text = " ".join(say("check", suite).split())
     about, _, rest = text.partition(": a suite of ")
     assert about.endswith(f"{suite}.toml") and int(rest.split(" cells")[0]) > 0
-    expected = r" cells (about|at least) [\d.]+ (s|min|h) on this machine, .*; [\d.]+ MB of tables"
+    counts = r" cells(, \d+ of them refused)?(; \d+ rows in runs.parquet)?"
+    expected = (
+        counts + r" (about|at least) [\d.]+ (s|min|h) on this machine, .*; [\d.]+ MB of tables"
+    )
     assert re.search(expected, rest)
+
+
+@pytest.mark.slow
+def test_check_and_run_count_the_same_cells(say: Say) -> None:
+    """Those to run and the refused ones of `run --dry-run` are the cells of `check`."""
+    shown = " ".join(say("check", "thrusters", "--quick").split())
+    checked = re.search(r"a suite of (\d+) cells, (\d+) of them refused", shown)
+    dry = re.search(
+        r"([\d ]+) cells to run and ([\d ]+) refused", say("run", "thrusters", "--dry-run")
+    )
+    assert checked is not None and dry is not None
+    to_run, refused = (int(text.replace(" ", "")) for text in dry.groups())
+    assert (int(checked[1]), int(checked[2])) == (to_run + refused, refused)
 
 
 @pytest.mark.parametrize(("policy", "warned"), [("warm", False), ("reuse", True)])

@@ -1,5 +1,6 @@
 """The last paragraph of the report: what was run, by which versions, on which machine."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -39,3 +40,24 @@ def test_a_long_report_keeps_the_paragraph(records: Any, monkeypatch: Any) -> No
     records.loop("daqp", "calm", steps=40)
     text = make_report_markdown(Report.from_results(records.results()))
     assert len(text.encode()) <= 900 and "daqp" in _paragraph(text)
+
+
+def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> None:
+    """Of four rows one is the same run under another name, and one a consequence analysis."""
+    columns = {"route": "native", "policy": "warm", "replay_s": 1.25}
+    for settings in ("default", "high"):
+        records.replay("quadprog", settings=settings, setup=False, **columns)
+    records.loop("daqp", "thrusters_loss", steps=40)
+    source = {
+        "kind": "consequence",
+        "name": "thrusters_loss[2:6], board A lost",
+        "group": "board A",
+    }
+    files = records.scenario("thrusters_loss").files
+    cell = json.dumps({"scenario": files, "source": source})
+    records.replay("daqp", source["name"], steps=4, scenario="thrusters_loss", cell=cell)
+    frame = records.results().runs
+    assert len(frame) == 4
+    made = _paragraph(make_report_markdown(Report.from_results(records.results())))
+    assert "3 runs with" in made
+    assert "excluding 1 run of consequence analyses" in made
