@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from pydantic import TypeAdapter
@@ -232,6 +233,12 @@ class Cell:
         backup = [f"backup {self.backup}"] if self.backup else []
         unusual = backup + [self.fallback] * (self.fallback != DEFAULT_FALLBACK)
         return f"{name} ({', '.join(unusual)})" if unusual else name
+
+    @property
+    def fmu_name(self) -> str:
+        """Name of the FMU file that replaces the scenario's ship; "" for a run without one."""
+        plant = self.scenario.get("scenario", {}).get("plant", {})
+        return Path((plant.get("fmu") or {}).get("file", "")).name
 
     @property
     def sequence(self) -> str:

@@ -57,7 +57,6 @@ FORKSERVER_DIED = Outcome(
 KILLED_FORKSERVER = Outcome(
     "crashed", "the fork server was killed while it ran, and again while it ran alone"
 )
-PLANT_FAULT = "the plant failed (its FMU), not the solver"
 _UNHEARD = 255  # The exit code that `multiprocessing` gives a process whose template died
 STARTS = 3  # Attempts to start a process whose template is killed meanwhile
 _DYING_S = 1.0  # For a process of which it is known that it was killed, until it is gone
@@ -254,7 +253,7 @@ class Child:
         """Return the outcome of a worker that wrote none, by its exit code and what it was at."""
         by_solver = self.notice.phase.blames_solver
         if self._killed_for and self.notice.phase is Phase.PLANT:
-            return Outcome("invalid", f"{PLANT_FAULT}: {self._killed_for}")
+            return self._blame_plant(self._killed_for)
         if self._killed_for:
             return Outcome("hung" if by_solver else "lost", self._killed_for)
         code = self.process.exitcode or 0
@@ -269,10 +268,14 @@ class Child:
         if by_solver:
             return Outcome("crashed", self._describe_end(code))
         if self.notice.phase is Phase.PLANT:
-            return Outcome("invalid", f"{PLANT_FAULT}: {self._describe_end(code)}")
+            return self._blame_plant(self._describe_end(code))
         if not self.folder.exists():
             return Outcome("lost", f"its scratch folder {self.folder} was removed")
         return Outcome("lost", self._describe_end(code))
+
+    def _blame_plant(self, reason: str) -> Outcome:
+        """Return the outcome of a run that its FMU ended; it counts against no solver."""
+        return Outcome("invalid", f"plant {self.notice.fmu} failed, not the solver: {reason}")
 
     def _memory_ran_out(self) -> bool:
         """Return whether the kernel killed processes for lack of memory, or hides that."""

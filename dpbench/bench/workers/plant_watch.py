@@ -6,19 +6,21 @@ from contextlib import contextmanager
 
 from dpbench.bench.run.assemble import clock
 from dpbench.bench.run.steered import plant_observers
-from dpbench.bench.workers.shared_status import Phase, set_phase
+from dpbench.bench.workers.shared_status import Phase, set_fmu, set_phase
 
 
 class PlantWatch:
     """Observer of a custom plant, so that its faults are told from those of a solver.
 
-    after : phase of the process between calls of the plant. call_limit_s : time of one call after
-    which the kernel ends the process, where no supervisor limits it; 0 for none.
+    after : phase of the process between calls of the plant. fmu : file name of the FMU that is the
+    plant; "" for none. call_limit_s : time of one call after which the kernel ends the process,
+    where no supervisor limits it; 0 for none.
     """
 
-    def __init__(self, after: Phase, call_limit_s: float = 0.0) -> None:
+    def __init__(self, after: Phase, fmu: str, call_limit_s: float = 0.0) -> None:
         self._after, self._call_limit_s, self._since_ns = after, call_limit_s, 0
         self.spent_ns = 0
+        set_fmu(fmu)
 
     @contextmanager
     def observe(self) -> Iterator[None]:

@@ -35,7 +35,10 @@ _PEAK_AT = _HEAD.size + _TEMPLATE.size
 _STEP = struct.Struct("ii")
 _STEP_AT = _PEAK_AT + _PEAK.size
 """Offset of the steps done and to do of the file that the process makes; zeros for none."""
-_WORDS = _STEP_AT + _STEP.size
+_FMU = struct.Struct("256p")
+_FMU_AT = _STEP_AT + _STEP.size
+"""Offset of the file name of the FMU that is the plant; "" for none."""
+_WORDS = _FMU_AT + _FMU.size
 _PACKAGE = Path(__file__).parents[2]
 _BY_SOLVERS = (
     f"{_PACKAGE / 'solvers'}{os.sep}",
@@ -157,6 +160,10 @@ class SharedStatus:
         """Set how many of its steps the file that the worker makes has; zeros to show none."""
         _STEP.pack_into(self._page, _STEP_AT, done, steps)
 
+    def set_fmu(self, name: str) -> None:
+        """Set the file name of the FMU that the worker runs; its first 255 bytes are kept."""
+        _FMU.pack_into(self._page, _FMU_AT, name.encode(errors="replace"))
+
     def record_exit(self, phase: Phase, reason: str) -> None:
         """Record the phase in which the process ends, the reason, and its peak memory."""
         text = " ".join(reason.split()).encode()[: mmap.PAGESIZE - _WORDS]
@@ -179,6 +186,12 @@ class SharedStatus:
         """Steps done and to do of the file that the worker makes; zeros where none are shown."""
         done, steps = _STEP.unpack_from(self._page, _STEP_AT)
         return int(done), int(steps)
+
+    @property
+    def fmu(self) -> str:
+        """File name of the FMU that the worker runs; "" where it runs none."""
+        name: bytes = _FMU.unpack_from(self._page, _FMU_AT)[0]
+        return name.decode(errors="replace")
 
     @property
     def forkserver(self) -> int:
@@ -224,6 +237,12 @@ def set_step(done: int, steps: int) -> None:
     """Report to the supervisor how many of its steps the file has that this process makes."""
     for notice in _process_status:
         notice.set_step(done, steps)
+
+
+def set_fmu(name: str) -> None:
+    """Report the file name of the FMU that this process runs to the supervisor."""
+    for notice in _process_status:
+        notice.set_fmu(name)
 
 
 def discard_captured_output() -> None:

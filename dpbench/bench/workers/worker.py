@@ -233,7 +233,7 @@ def _run_closed_loop(
         return Outcome("refused", str(error))
     with open_arrays(source) as stored:
         setup.drawn = parse_stored_weather(stored)
-    before, watch = read_disturbance_counters(), PlantWatch(Phase.SOLVER)
+    before, watch = read_disturbance_counters(), PlantWatch(Phase.SOLVER, cell.fmu_name)
     set_phase(Phase.SOLVER)
     try:
         with watch.observe(), raise_at_step_limit(STEP_SHARE * cell.limit_s, clock):
@@ -244,8 +244,8 @@ def _run_closed_loop(
     # Not where a solver ends the process: that is charged to it by the phase.
     set_phase(Phase.HARNESS)
     if not complete and watch.spent_ns > 0.5 * limit_ns:
-        found = f"the plant took {watch.spent_ns * 1e-9:.3g} s of the {cell.limit_s:g} s of the run"
-        return Outcome("invalid", f"{found} (cell_limit_s), and stopped it")
+        found = f"{watch.spent_ns * 1e-9:.3g} s of the {cell.limit_s:g} s of the run (cell_limit_s)"
+        return Outcome("invalid", f"plant {cell.fmu_name} took {found}, and stopped it")
     np.subtract(read_disturbance_counters(), before, out=setup.log.counters[0])
     stopped = "" if complete else f"with {int(setup.log.done[0])} steps"
     return _make_outcome(cell, workspace, setup.solver, stopped)
@@ -419,7 +419,7 @@ def make_source(text: str, folder: Path, name: str, core: int, path: Path) -> No
     cell, part = Cell.from_json(text), path.with_suffix(".part.npz")
     try:
         if not is_readable(cell, path):
-            with PlantWatch(Phase.HARNESS, cell.limit_s).observe():
+            with PlantWatch(Phase.HARNESS, cell.fmu_name, cell.limit_s).observe():
                 choose_source_file(cell, _make_step_report()).make_file(part)
             part.replace(path)
     except (CertificateError, InputError) as error:
