@@ -18,6 +18,7 @@ from dpbench.analysis.verdict.requirements import (
     Finding,
     Requirements,
     State,
+    is_right_on_every_step,
 )
 from dpbench.analysis.verdict.verdict import (
     SolverChoice,
@@ -242,6 +243,9 @@ def explain_no_recommendation(
     view: Records, verdicts: Verdicts, recommendation: SolverChoice
 ) -> str:
     """Return why no solver is recommended, as text: none deployable, none timed, none passes."""
+    solved = [run for run in view.runs if run.has_steps and not run.is_baseline_law]
+    if solved and all(run.has_no_optimum for run in solved):
+        return _explain_lack_of_optima(solved, verdicts.requirements)
     if recommendation.faster is not None:
         return (
             "No solver that can be deployed passes. "
@@ -254,6 +258,20 @@ def explain_no_recommendation(
     if "inconclusive" in states:
         return "Nothing is recommended while the verdict on a solver is inconclusive."
     return "Nothing is recommended: no solver passes in any configuration that was run."
+
+
+def _explain_lack_of_optima(runs: Sequence[RunRecord], requirements: Requirements) -> str:
+    """Return why runs without any optimum recommend nothing, and which solvers reported that."""
+    by_solver = group_by_key(runs, lambda run: run.solver)
+    right = [
+        f"`{solver}`"
+        for solver, own in by_solver.items()
+        if all(is_right_on_every_step(run, requirements) for run in own)
+    ]
+    return (
+        "Nothing is recommended, because no step has a feasible point. Solvers that reported this "
+        f"correctly on every step of all their runs: {join_with_and(right) or 'none'}."
+    )
 
 
 def format_usual_time(verdict: Verdict) -> str:

@@ -288,6 +288,13 @@ class RunRecord:
         return self.steps_done > 0
 
     @property
+    def has_no_optimum(self) -> bool:
+        """True if no step of the run has a feasible point, and therefore none an optimum."""
+        # Errors are known, or infinite, at every step that has an optimum.
+        without_proof = self.uncertified > 0 or self.undecided_steps > 0
+        return self.infeasible_steps > 0 and np.isnan(self.error_move_max) and not without_proof
+
+    @property
     def outcome_message(self) -> str:
         """Message of the solver library or benchmark on how the run ended; "" for none."""
         return self.outcome_detail.strip().rstrip(".")

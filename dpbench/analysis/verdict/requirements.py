@@ -52,13 +52,17 @@ class Requirements:
 def is_right_on_every_step(run: RunRecord, requirements: Requirements) -> bool:
     """Return whether every step of a run was solved within the accuracy requirements.
 
-    A run that its time limit stopped counts if it had done every step at least once by then.
+    A run that its time limit stopped counts if it had done every step at least once by then. A run
+    of which no step has a feasible point is right if the solver reported that at every step.
     """
+    is_accurate = run.error_move_max <= requirements.error_move
+    if run.has_no_optimum:
+        is_accurate = run.true_share == 1.0
     return (
         run.outcome in ("finished", "timed_out")
         and run.caching_sign is None
         and run.steps_done == run.steps_planned
-        and run.error_move_max <= requirements.error_move
+        and is_accurate
         and run.failed_steps <= requirements.failed_steps
     )
 
@@ -101,6 +105,7 @@ Doubt = Literal[
     "lost",
     "ended",
     "uncertified",
+    "no optimum",
     "remembered",
     "hidden work",
     "not alone",

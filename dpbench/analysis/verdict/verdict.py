@@ -8,7 +8,7 @@ sequence, and its single timings are no later than the machine explains (`latene
 It *fails* by a wrong or failed step or a process that crashed, and is *late* by time alone: a late
 step, or a call that did not return. No time proves it that other programs may have caused
 (`find_own_times_ns`). It is *inconclusive* where it was not run, could not be
-measured, or may be late. It is *borderline* where nothing of that holds and a time is within its
+measured, may be late, or had no step with a feasible point. It is *borderline* where nothing of that holds and a time is within its
 uncertainty of a limit (`estimate_uncertainty`).
 
 The fastest of all may exist only as this benchmark's own Python code; it is named, not recommended.
@@ -239,7 +239,8 @@ def judge_configuration(
     own_doing = {kind: tuple(run for run in ran if run.outcome == kind) for kind in OWN_DOING}
     ended = [Finding(kind, of_kind) for kind, of_kind in own_doing.items() if of_kind]
     causes = [*find_wrong_answers(records, ran, requirements), *ended, *late]
-    doubts, gaps = [*_find_unfinished(ran), *unsure], _find_missing_runs(runs, asked)
+    doubts = [*_find_unfinished(ran), *_find_lack_of_optima(ran), *unsure]
+    gaps = _find_missing_runs(runs, asked)
     return Verdict(
         configuration,
         _decide_overall_state(causes, [*doubts, *gaps], near, len({run.mode for run in ran})),
@@ -350,6 +351,11 @@ def _find_unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
             value = _count_per_round(uncertified, run)
             doubts.append(Finding("uncertified", (run,), value=value))
     return doubts
+
+
+def _find_lack_of_optima(runs: Sequence[RunRecord]) -> list[Finding]:
+    """Return a finding where no step of any run has a feasible point, so that no error is known."""
+    return [Finding("no optimum", tuple(runs))] * all(run.has_no_optimum for run in runs)
 
 
 ALIKE = 0.03

@@ -147,9 +147,10 @@ def _describe_right_levels(records: Records, requirements: Requirements) -> str:
         if levels and "default" not in levels
     ]
     never = [name for name, levels in good.items() if not levels]
-    parts = [
-        f"Accurate on every step with default settings: {join_with_and(by_default) or 'no solver'}"
-    ]
+    right = "Accurate on every step"
+    if all(run.has_no_optimum for run in records.runs):
+        right = "No step has a feasible point. Reported correctly on every step"
+    parts = [f"{right} with default settings: {join_with_and(by_default) or 'no solver'}"]
     parts += [f"with other settings only: {', '.join(others)}"] if others else []
     parts += [f"with no settings that were run: {join_with_and(never)}"] if never else []
     return "; ".join(parts) + "."

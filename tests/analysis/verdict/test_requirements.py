@@ -26,6 +26,7 @@ from dpbench.analysis.verdict.verdict import judge_solvers
 LIMIT = 0.0078125
 """Limit of `error_move`: 2⁻⁷, which every table stores exactly."""
 BEYOND = math.nextafter(LIMIT, 1.0)
+NEVER_FEASIBLE = {"error": math.nan, "infeasible_steps": 120}
 REQUIREMENTS = Requirements(error_move=LIMIT, failed_steps=2)
 
 
@@ -45,6 +46,11 @@ def only_run(records: Any) -> RunRecord:
         ({"error": BEYOND}, False),
         ({"error": math.inf}, False),
         ({"error": math.nan}, False),
+        ({**NEVER_FEASIBLE, "true_share": 1.0}, True),
+        ({**NEVER_FEASIBLE, "true_share": 0.99}, False),
+        ({**NEVER_FEASIBLE, "true_share": 1.0, "done": 119}, False),
+        ({**NEVER_FEASIBLE, "true_share": 1.0, "uncertified": 1}, False),
+        ({**NEVER_FEASIBLE, "true_share": 1.0, "undecided_steps": 1}, False),
         ({"failed": 2}, True),
         ({"failed": 3}, False),
         ({"outcome": "timed_out"}, True),

@@ -600,6 +600,23 @@ def test_steps_without_a_solution_are_said(records: Any) -> None:
     assert _facts(records).count_infeasible_steps(_facts(records).configurations[-1]) == (0, True)
 
 
+def test_without_a_feasible_step_nothing_is_recommended(records: Any) -> None:
+    never = {"error": np.nan, "infeasible_steps": 3000}
+    records.replay("daqp", true_share=0.0, **never)
+    records.replay("quadprog", true_share=1.0, **never)
+    found = _answer(records)
+    assert found.first is not None and not found.snippets
+    assert found.sentence == (
+        "Nothing is recommended, because no step has a feasible point. Solvers that reported this "
+        "correctly on every step of all their runs: `quadprog`."
+    )
+    for verdict in judge_solvers(records.view(), Requirements()).all_verdicts:
+        assert verdict.state == "inconclusive"
+        assert "no step of the replay of `paper` has a feasible" in Recommendation.why(verdict)
+    records.loop("quadprog")
+    assert "Use `quadprog`" in _answer(records).sentence
+
+
 @pytest.mark.parametrize(("shortest_us", "output"), [(20, True), (5, False), (None, False)])
 def test_a_p50_below_checked_waits_is_said(
     records: Any, shortest_us: int | None, output: bool

@@ -1,13 +1,19 @@
 """Topics on replays: formulations side by side, and the quality of measurements."""
 
+from pathlib import Path
 from typing import Any
 
+import pytest
+
+from dpbench import load_results, run_campaign
 from dpbench.analysis.times.contrasts import (
     compare_routes,
 )
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
+from dpbench.cli.main import main
 from dpbench.report.formats import Table
+from dpbench.report.report import Report
 from dpbench.report.topics.replays import build_formulations_topic
 from dpbench.report.topics.trust import build_trust_topic
 
@@ -90,6 +96,23 @@ def test_rankings_and_verdicts_keep_to_the_common_formulation(records: Any) -> N
     )
     assert found == expected
     assert len(after.all_runs) == len(before.all_runs) + 3
+
+
+@pytest.mark.slow
+def test_a_replay_without_a_feasible_step_is_answered_by_who_reports_that(tmp_path: Path) -> None:
+    """The 102nd QP of the sequence, at 121 s, has no feasible point (quadprog: inconsistent)."""
+    path = tmp_path / "never.npz"
+    assert main(["export", "thruster_loss_hard-30-5", "--at", "101", "--out", str(path)]) == 0
+    levels = ["default", "mid"]
+    folder = run_campaign(
+        sequence=path, out=tmp_path / "never", solvers=["quadprog"], settings=levels
+    )
+    ending = dict(Report.from_results(load_results(folder)).summary_rows())
+    assert ending["answer"] == (
+        "No step has a feasible point. Reported correctly on every step with default settings: "
+        "quadprog."
+    )
+    assert "Nothing is recommended, because no step has a feasible point." in ending["solver"]
 
 
 def test_what_the_machine_hides_is_said(records: Any) -> None:
