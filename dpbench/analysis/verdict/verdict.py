@@ -7,9 +7,9 @@ sequence, and its single timings are no later than the machine explains (`latene
 
 It *fails* by a wrong or failed step or a process that crashed, and is *late* by time alone: a late
 step, or a call that did not return. No time proves it that other programs may have caused
-(`find_own_times_ns`). It is *inconclusive* where it was not run, could not be
-measured, may be late, or had no step with a feasible point. It is *borderline* where nothing of that holds and a time is within its
-uncertainty of a limit (`estimate_uncertainty`).
+(`find_own_times_ns`). It is *inconclusive* where it was not run, could not be measured, may be
+late, or no step has a feasible point. It is *borderline* where nothing of that holds and a time is
+within its uncertainty of a limit (`estimate_uncertainty`).
 
 The fastest of all may exist only as this benchmark's own Python code; it is named, not recommended.
 """
