@@ -23,6 +23,15 @@ def test_the_tutorials_have_something_to_follow() -> None:
     )
 
 
+def test_a_plant_of_ones_own_takes_one_short_file() -> None:
+    blocks = blocks_of(DOCS / "tutorials" / "own-plant.md")
+    scripts = [block.body for block in blocks if "LinearMPC.from_continuous" in block.body]
+    assert len(scripts) == 2
+    for script in scripts:
+        assert len(script.splitlines()) < 80
+        assert all(call in script for call in ("run_closed_loop", "run_campaign", "add_runs"))
+
+
 @pytest.fixture(scope="module")
 def commands(tmp_path_factory: pytest.TempPathFactory) -> PageCommands:
     """All pages have one, so that what several of them run is run once."""
