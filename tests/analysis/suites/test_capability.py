@@ -161,7 +161,7 @@ def test_of_equal_winds_the_starboard_direction_is_named(records: Any) -> None:
     rows = [("intact", 9.0, 0.0), ("board A", 3.00004, 70.0), ("board A", 3.00001, 290.0)]
     edges = pd.DataFrame(rows, columns=["case", "wind_mps", "from_deg"])
     said = describe_worst_loss(records.view(), CapabilityResult("osv", 8, edges, ()))
-    assert "at least 3.00 m/s of wind, from 70°" in said
+    assert "3.00 m/s of wind in its weakest direction, from 70°" in said
 
 
 def test_a_plot_says_that_it_has_more_directions_than_controllers_plan_with(records: Any) -> None:
