@@ -53,6 +53,7 @@ def _study(points: list[dict[str, Any]], results: Any, seas: int = 8, **columns:
         "exact_left_s": np.nan,
         "r_max_m": 0.5,
         "is_baseline_law": False,
+        "has_no_optimum": False,
     }
     runs = [
         SimpleNamespace(

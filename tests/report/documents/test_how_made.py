@@ -43,7 +43,7 @@ def test_a_long_report_keeps_the_paragraph(records: Any, monkeypatch: Any) -> No
 
 
 def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> None:
-    """Of four rows one is the same run under another name, and one a consequence analysis."""
+    """One of four rows is the same run under another name, and one a consequence analysis."""
     columns = {"route": "native", "policy": "warm", "replay_s": 1.25}
     for settings in ("default", "high"):
         records.replay("quadprog", settings=settings, setup=False, **columns)
