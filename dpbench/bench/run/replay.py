@@ -78,6 +78,8 @@ class ReplayRun:
     Parameters
     ----------
     warmup_steps : length of round 0; preroll : steps solved before each round without a record.
+    lead : QPs just before the first one of the sequence; each round solves them without a record
+        in place of the preroll, so that its first step has the warm start that it has in the loop.
     limit_ns : run time of all rounds together, without waits for the core; of a round that is run
         again the last counts.
     hung : (round, step) in which earlier processes of the replay hung, whose log this is; the last
@@ -96,12 +98,15 @@ class ReplayRun:
         clock: Clock,
         preroll: int = PREROLL,
         hung: Sequence[tuple[int, int]] = (),
+        lead: QPSequence | None = None,
     ) -> None:
         self.sequence, self._solver, self._log, self._clock = sequence, solver, log, clock
         self._warmup_steps = warmup_steps
         self._limit_ns, self._preroll = limit_ns, preroll
         self._spent_ns = np.zeros(len(log.done), dtype=np.int64)
         self._hung = frozenset(k for _, k in hung)
+        # A solver that hung in a step may have hung in one of these, which no record shows.
+        self._lead = lead if not hung else None
         self._goes_on = {r: int(log.done[r]) for r, _ in hung[-1:]}
         self._energy = find_energy_counters()
         log.footprint[:] = np.nan
@@ -113,9 +118,17 @@ class ReplayRun:
         for r in range(len(self._log.done)):
             self.run_round(r)
 
-    def _warm_caches(self, steps: int) -> None:
-        """Solve the first QPs of a round once without recording them, to warm caches."""
+    def _prepare_round(self, steps: int) -> None:
+        """Solve QPs without recording them: those of the lead, else the first ones to warm caches.
+
+        After the lead the solver keeps its data for a warm start; else it is reset.
+        """
         log, solver = self._log, self._solver
+        if self._lead is not None:
+            for k in range(len(self._lead)):
+                if not is_usable(solver.answer(solver.formulate(self._lead.step(k)))):
+                    solver.reset()
+            return
         for k in range(min(self._preroll, steps)):
             if k in self._hung:
                 continue
@@ -138,7 +151,7 @@ class ReplayRun:
         before = read_disturbance_counters()
         log.reference_kernel_ns[r, 0] = time_speed_and_load_tests(clock, log.load_kernel_ns[r, 0])
         run_limit = RunLimit(clock(), limit_ns)
-        self._warm_caches(steps)
+        self._prepare_round(steps)
         updates_before, hung = solver.matrix_updates, self._hung
         energy_before_J, begun_ns = self._energy.read_J(), clock()
         for k in range(begin, steps):

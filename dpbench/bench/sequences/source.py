@@ -9,6 +9,7 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -185,18 +186,24 @@ def hash_sequence_files(path: Path) -> str:
     return total.hexdigest()
 
 
+LEAD_STEPS = 3
+"""QPs that are solved before those of a window or stretch, as far as the loop has them."""
+
+
 @dataclass(frozen=True, eq=False)
 class ReplayInput:
     """The QPs of a replay, the time between them [s], and their certified optima if known.
 
     station : of QPs along a reference loop, its station keeping, see
     `compute_station_metrics`.
+    lead : the QPs of the loop just before the first one, which give the first a warm start.
     """
 
     sequence: QPSequence
     sample_s: float
     optima: list[Optimum] | None
     station: dict[str, float] = field(default_factory=dict)
+    lead: QPSequence | None = None
 
 
 _latest: dict[tuple[str, Path], ReplayInput] = {}
@@ -257,10 +264,12 @@ class _LoopFile:
             first = find_hardest_window(
                 exact.optima, first, cell.steps_needed_in_file - first, steps
             )
-        sequence = rebuild_sequence(scenario, exact, units=cell.units, first=first, count=steps)
+        rebuild = partial(rebuild_sequence, scenario, exact, units=cell.units)
+        sequence, before = rebuild(first=first, count=steps), min(first, LEAD_STEPS)
+        lead = rebuild(first=first - before, count=before) if before else None
         optima = exact.optima[first : first + steps]
         station = compute_station_metrics(scenario, exact, cell.steps_needed_in_file)
-        return ReplayInput(sequence, scenario.sample_s, optima, station)
+        return ReplayInput(sequence, scenario.sample_s, optima, station, lead)
 
     def refuse_damaged_file(self, path: Path) -> None:
         """Raise ResultsError where a loop's file, read whole, is damaged or has too few steps."""

@@ -5,6 +5,7 @@ small JSON verdict, and never prints.
 """
 
 import gc
+import math
 import os
 import time
 import warnings
@@ -39,6 +40,7 @@ from dpbench.bench.run.footprint import (
     process_peak_bytes,
     reset_peak_memory,
 )
+from dpbench.bench.run.formulation import formulate_sequence
 from dpbench.bench.run.replay import PREROLL, ReplayRun
 from dpbench.bench.run.timed_solver import (
     MOST_HANGS,
@@ -47,7 +49,12 @@ from dpbench.bench.run.timed_solver import (
     list_failure_descriptions,
     raise_at_step_limit,
 )
-from dpbench.bench.sequences.source import choose_source_file, is_readable, read_replay
+from dpbench.bench.sequences.source import (
+    ReplayInput,
+    choose_source_file,
+    is_readable,
+    read_replay,
+)
 from dpbench.bench.workers.orphans import has_children
 from dpbench.bench.workers.plant_watch import PlantWatch
 from dpbench.bench.workers.shared_status import (
@@ -58,7 +65,6 @@ from dpbench.bench.workers.shared_status import (
     set_step,
 )
 from dpbench.errors import CertificateError, InputError
-from dpbench.qp.program import QPSequence
 from dpbench.scenario.plants.contract import PlantError
 from dpbench.scenario.scenario import build_or_reuse_scenario
 from dpbench.solvers.calibration import CALIBRATION
@@ -255,10 +261,10 @@ def _replay_untimed(
     cell: Cell, workspace: Workspace, raw: Path, source: Path, hung: Sequence[Hang]
 ) -> Outcome:
     """Replay a sequence to check answers alone, without timing; return the outcome."""
-    sequence = choose_source_file(cell).load_replay_input(source).sequence
+    given = choose_source_file(cell).load_replay_input(source)
     # Without a time to take, cold caches do no harm, and a step that hangs should be recorded.
     configuration, timed_solver, log = _prepare_replay(
-        cell, workspace, raw, sequence, preroll=0, hung=hung
+        cell, workspace, raw, given, preroll=0, hung=hung
     )
     begin = hung[-1][0] if hung else 0
     with raise_at_step_limit(STEP_SHARE * cell.limit_s, clock):
@@ -329,9 +335,9 @@ def _serve_replay(
     if workspace is None:
         return False
     memory.record_memory_after_setup()
-    sequence = choose_source_file(cell).load_replay_input(order.source).sequence
+    given = choose_source_file(cell).load_replay_input(order.source)
     configuration, timed_solver, log = _prepare_replay(
-        cell, workspace, folder / f"{name}.raw", sequence, memory=memory, hung=order.hung
+        cell, workspace, folder / f"{name}.raw", given, memory=memory, hung=order.hung
     )
     # Pinned only now, so that several workers can import their libraries side by side.
     pin_to_core(core)
@@ -361,7 +367,7 @@ def _prepare_replay(
     cell: Cell,
     workspace: Workspace,
     raw: Path,
-    sequence: QPSequence,
+    given: ReplayInput,
     *,
     preroll: int = PREROLL,
     memory: MemoryWatch | None = None,
@@ -369,8 +375,9 @@ def _prepare_replay(
 ) -> tuple[ReplayRun, TimedSolver, RawLog]:
     """Set up a replay; return it ready for its rounds, with its timed solver and raw log."""
     steps, timed_solver, log = build_sequence_solver_and_log(
-        sequence, workspace, cell.formulation, cell.rounds, _make_log_opener(raw, hung)
+        given.sequence, workspace, cell.formulation, cell.rounds, _make_log_opener(raw, hung)
     )
+    lead = None if given.lead is None else formulate_sequence(cell.formulation, given.lead)[0]
     if memory is not None:
         memory.record_memory_after_loading(log)
     set_phase(Phase.SOLVER)
@@ -383,6 +390,7 @@ def _prepare_replay(
         clock=clock,
         preroll=preroll,
         hung=hung,
+        lead=lead,
     )
     return configuration, timed_solver, log
 
@@ -404,7 +412,8 @@ def answer_sequences(text: str, folder: Path, name: str, orders: Connection) -> 
         sequence, limit_s = order
         limited = replace(cell, limit_s=limit_s, warmup_steps=min(cell.warmup_steps, len(sequence)))
         workspace = _open_workspace(cell, settled=True)
-        configuration, _, _ = _prepare_replay(limited, workspace, folder / f"{name}.raw", sequence)
+        given = ReplayInput(sequence, math.nan, None)
+        configuration, _, _ = _prepare_replay(limited, workspace, folder / f"{name}.raw", given)
         complete = all(configuration.run_round(r) for r in range(cell.rounds + 1))
         set_phase(Phase.HARNESS)
         orders.send(complete)
