@@ -36,7 +36,7 @@ def name_core_and_precision(target: str, *, single: bool) -> str:
 
 NOTE = (
     "Median, p99 and maximum: instructions per step. Iterations and active limits are those of the "
-    "worst step. Code includes the constants, and static data the heap. Error: largest error of "
+    "worst step. Code includes constants; static includes the heap. Error: largest error of "
     "the first move, in maximum increments. On this machine: the same steps through the native "
     "interface at default settings, with a warm start where supported."
 )

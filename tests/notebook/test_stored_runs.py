@@ -50,7 +50,7 @@ def test_loops_of_an_own_plant_join_the_replays_of_its_qps(tmp_path: Path) -> No
     assert "ships, weather" not in page and "The ship's computer" not in page
     # The page's script shows such a loop without the strip of a ship's forces.
     charts = _draw_empty_step_charts(Report.from_results(results).data)
-    assert "force / limit" not in json.dumps(charts["strips_without_forces"].to_dict())
+    assert "moment / limit" not in json.dumps(charts["strips_without_forces"].to_dict())
     short = run_closed_loop(mpc, "daqp", plant=Cart, steps=5)
     with pytest.raises(InputError, match="closed loop cart of 5 steps; allowed: 12 steps"):
         add_runs(out, [short])

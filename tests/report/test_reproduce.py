@@ -57,7 +57,7 @@ def test_claims_that_fail_are_named_and_the_rest_is_counted(records: Any, tmp_pa
     assert found.complete and len(found.lines) <= 10
     claims = pd.read_csv(tmp_path / "claims.csv")
     others = claims[claims["state"] != "reproduced"]
-    named = [line for line in found.lines if line.startswith(("not reproduced:", "not measured:"))]
+    named = [line for line in found.lines if line.startswith(("not reproduced:", "not simulated:"))]
     (more,) = (line for line in found.lines if line.startswith("and "))
     assert len(others) == len(named) + int(more.split()[1])
     text = (tmp_path / "claims.md").read_text(encoding="utf-8")

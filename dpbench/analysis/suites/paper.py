@@ -125,7 +125,7 @@ def _serialise_scenario(scenario: Scenario) -> str:
     return json.dumps(documents, sort_keys=True)
 
 
-State = Literal["reproduced", "not reproduced", "contradicted", "not measured"]
+State = Literal["reproduced", "not reproduced", "contradicted", "not simulated"]
 
 STEADY_M = 0.05
 """A steady radial error below this counts as nearly stationary."""
@@ -171,10 +171,10 @@ def assess_paper_claim(records: Records, scenario: str, by: str) -> ClaimFinding
     runs = [run for run in (pair.constrained, pair.clipped)[:laws] if run is not None]
     if len(runs) < laws:
         missing = "one law" if pair.constrained is None else "no clipped law"
-        return ClaimFinding("no loop" if laws == 1 else missing, "not measured", {})
+        return ClaimFinding("no loop" if laws == 1 else missing, "not simulated", {})
     done = min(run.steps_done for run in runs)
     if done < pair.whole:
-        return ClaimFinding("short", "not measured", {"done": done, "whole": pair.whole})
+        return ClaimFinding("short", "not simulated", {"done": done, "whole": pair.whole})
     values: dict[str, Any] = dict(zip(("run", "law"), runs, strict=False))
     if by == "circle":
         values["entered_s"] = find_circle_entry_s(records, runs[0])

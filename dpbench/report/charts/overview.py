@@ -113,7 +113,7 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         chart = placed.facet(column=alt.Column("settings:N", **own), spacing=max(14, room))
     chart.usermeta = {"tall": tall}
     states = "pass, borderline, inconclusive, late, fail or not run"
-    about = f"Verdict on each solver in each scenario at each settings level: {states}."
+    about = f"Verdict on each solver in each scenario for each settings name: {states}."
     return style.set_style(chart, "Verdicts by scenario and replay", about)
 
 
@@ -217,7 +217,7 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
             height=360,
         ),
         "Accuracy against time",
-        "Largest error of the first move against step time, with one point per settings level.",
+        "Largest error of the first move against step time, one point per solver and settings.",
     )
 
 

@@ -102,7 +102,7 @@ def draw_step_strips(
             own = forces[forces["force"] == force]
             line: dict[str, Any] = {"color": colour, "drawstyle": "steps-post", "linewidth": 1.0}
             rows[3].plot(own["k"], own["share"], label=force, **line)
-        rows[3].set(ylabel="force / limit", ylim=(-1.05, 1.05))
+        rows[3].set(ylabel="force or\nmoment / limit", ylim=(-1.05, 1.05))
         _add_legend(figure, rows[3])
     rows[-1].set(xlabel=STEP)
     return figure

@@ -108,7 +108,7 @@ def _draw_force_shares(forces: alt.Chart) -> Any:
     """Return a chart of the forces of a loop over time, as shares of their limits."""
     scale, axis = alt.Scale(domain=[-1.05, 1.05], clamp=True), alt.Axis(values=[-1, 0, 1])
     return forces.mark_line(strokeWidth=1.3, interpolate="step-after").encode(
-        y=alt.Y("share:Q", title="force / limit", scale=scale, axis=axis),
+        y=alt.Y("share:Q", title=["force or", "moment / limit"], scale=scale, axis=axis),
         color=style.colour("force", FORCES, style.PALETTE[:3]),
     )
 

@@ -276,6 +276,7 @@ LABELS = {
     "r_max_m": "radial error, largest [m]",
     "settle_s": "settling time [s]",
     "dev_position_max_m": "deviation, largest [m]",
+    "closed_loop_cost": "closed-loop cost",
     "exact_cost": "cost of reference loop",
     "longest_miss_streak": "longest run of misses",
     "latency_p50_ns": "median latency",

@@ -59,7 +59,8 @@ MATRIX = (
     "slow."
 )
 FURTHER = (
-    "Borderline: a time is above or below its limit by less than the timing rounds differ. "
+    "Borderline: a time is above or below its limit by less than the rounds differ from "
+    "each other. "
     "Inconclusive: part of the run was not judged, or a time exceeds its limit, perhaps only "
     "because of waits for the processor core. The verdict on a closed loop includes the timing of "
     "its window of hardest steps."

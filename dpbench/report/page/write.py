@@ -298,7 +298,7 @@ def make_page_html(
         made=describe_how_results_were_made(data.records, results.suite, results.machine),
         experiments=experiments,
         terms=Terms([*WORDS, *glossary()["Solvers and configurations"]]),
-        footer=f"{describe_version(results.suite)}, run {started}; numpy {numpy}.",
+        footer=f"{describe_version(results.suite)}, run {started}; NumPy {numpy}.",
         block=block,
     )
 

@@ -28,10 +28,14 @@ from dpbench.report.page.section import Figure, Topic
 from dpbench.report.words import fill_template, read_words
 
 DRAWN = (
-    ("path", draw_path, "Fig. 4: path of the ship and the 1 m circle."),
-    ("errors", draw_pose_errors, "Fig. 5: position and heading errors."),
-    ("forces", draw_forces, "Fig. 6: forces and their limits."),
-    ("increments", draw_increments, "Fig. 7: force increments and their rate limits."),
+    ("path", draw_path, "Simulation of Fig. 4 of the paper: path of the ship and the 1 m circle."),
+    ("errors", draw_pose_errors, "Simulation of Fig. 5 of the paper: position and heading errors."),
+    ("forces", draw_forces, "Simulation of Fig. 6 of the paper: forces and their limits."),
+    (
+        "increments",
+        draw_increments,
+        "Simulation of Fig. 7 of the paper: force increments and their rate limits.",
+    ),
 )
 """Figures 4 to 7: name, function, caption."""
 STILL_OFFSET = f"sway offset held, {STILL} [m]"
@@ -42,10 +46,10 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
     """Return the report's part on the paper's figures and claims; None without its runs."""
     laws, scenario = read_laws_in_paper_scenario(records), records.build_scenario(PAPER)
     judged = judge_claims(records)
-    measured = [claim for claim in judged if claim.state != "not measured"]
+    measured = [claim for claim in judged if claim.state != "not simulated"]
     if scenario is None or not laws or not measured:
         return None
-    others = {"Not reproduced": "not reproduced", "Contradicted by the measurement": "contradicted"}
+    others = {"Not reproduced": "not reproduced", "Contradicted by the simulation": "contradicted"}
     wording = [describe_count_reproduced(judged)]
     for word, state in others.items():
         names = [strip_markdown(claim.claim) for claim in measured if claim.state == state]
@@ -61,7 +65,7 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
         ),
         tables=(
             Table(
-                ("claim", "paper states", "measured here", "state"),
+                ("claim", "paper states", "simulated here", "state"),
                 tuple((one.claim, one.stated_in_paper, one.found, one.state) for one in judged),
                 "Claims of the paper",
                 _WORDS["notes"]["claims"],
@@ -80,13 +84,13 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
 
 
 def describe_count_reproduced(judged: "Sequence[Claim]") -> str:
-    """Return a sentence: how many claims of the paper are reproduced, how many not measured."""
+    """Return a sentence: how many claims of the paper are reproduced, how many not simulated."""
     states = [claim.state for claim in judged]
-    held, missing = states.count("reproduced"), states.count("not measured")
+    held, missing = states.count("reproduced"), states.count("not simulated")
     why = "as no complete runs of both control laws were made"
     if any(claim.found == _WORDS["found"]["no clipped law"] for claim in judged):
         why += " (add `--solver unconstrained_clipped` to run the clipped law)"
-    open_ones = f", and {missing} not measured, {why}" if missing else ""
+    open_ones = f", and {missing} not simulated, {why}" if missing else ""
     return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced{open_ones}"
 
 
@@ -136,7 +140,7 @@ _WORDS = read_words(__file__)
 
 @dataclass(frozen=True)
 class Claim:
-    """Claim of the paper: text, the paper's own words, what was measured, if it is reproduced."""
+    """Claim of the paper: text, the paper's own words, what was simulated, if it is reproduced."""
 
     claim: str
     stated_in_paper: str

@@ -60,7 +60,7 @@ CAUSES = [
     ({"error": math.inf}, {}, "it leaves steps without an answer in `paper`"),
     ({"failed": 3}, {}, "3 of 120 steps fail in `paper`"),
     ({}, {"median_us": 4000.0}, "its p99 is"),
-    ({}, {"median_us": 4000.0, "steps": 300}, "its p95 is already"),
+    ({}, {"median_us": 4000.0, "steps": 300}, "exceeds the p99 limit"),
     (
         {},
         {"failed": 2},

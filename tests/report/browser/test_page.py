@@ -73,7 +73,8 @@ def test_a_row_of_the_ladder_is_chosen_by_a_click(selected: Any) -> None:
     assert page.inner_text("#one-title").startswith("clarabel (")
     assert re.match(
         r"clarabel \(.*\): overall verdict (pass|late|fail|inconclusive), p50 .* and p99 .* in .*, "
-        r"longest step of all replays .*, largest single timing .* in .*; shown: ",
+        r"longest step of all replays and windows .*, largest single timing .* in .*; "
+        r"steps shown below: ",
         page.inner_text("#chosen"),
     )
     assert page.input_value("#choose-other") == str(page.evaluate("facts.answer.first"))

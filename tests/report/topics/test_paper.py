@@ -63,8 +63,8 @@ def test_contradicting_rows_are_believed(
     _pair(records, **{column: value})
     assert _states(records)[claim] == "contradicted"
     topic = build_paper_topic(records.view())
-    assert topic is not None and "Contradicted by the measurement: the claim" in topic.lines[0]
-    assert f"“{claim}”" in topic.lines[0].split("Contradicted by the measurement: ")[1]
+    assert topic is not None and "Contradicted by the simulation: the claim" in topic.lines[0]
+    assert f"“{claim}”" in topic.lines[0].split("Contradicted by the simulation: ")[1]
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_held_is_to_enter_and_to_stay(records: Any, outside: Any, says: str) -> 
 
 def test_without_the_paper_nothing_is_claimed(records: Any) -> None:
     records.loop("daqp", "calm")
-    assert set(_states(records).values()) == {"not measured"}
+    assert set(_states(records).values()) == {"not simulated"}
     assert list_choices(records.view()) == []
 
 
@@ -119,15 +119,15 @@ def test_claims_that_were_not_measured_are_counted(records: Any) -> None:
     """Without the clipped law no claim that compares the two is measured."""
     records.loop("daqp", steps=WHOLE)
     states = list(_states(records).values())
-    reproduced, missing = states.count("reproduced"), states.count("not measured")
+    reproduced, missing = states.count("reproduced"), states.count("not simulated")
     assert reproduced > 0
     assert missing > 0
     topic = build_paper_topic(records.view())
     assert topic is not None
     assert topic.lines[0].startswith(f"{reproduced} of {len(states)} claims")
-    assert f"{missing} not measured" in topic.lines[0]
+    assert f"{missing} not simulated" in topic.lines[0]
     assert "add `--solver unconstrained_clipped` to run the clipped law" in topic.lines[0]
-    unmeasured = {row[2] for row in topic.tables[0].rows if row[3] == "not measured"}
+    unmeasured = {row[2] for row in topic.tables[0].rows if row[3] == "not simulated"}
     assert any("`--solver unconstrained_clipped` adds it" in found for found in unmeasured)
 
 
@@ -135,13 +135,14 @@ def test_the_words_of_the_paper_are_beside_the_results(records: Any) -> None:
     """The paper has no measured value, and the limit of 5 cm is not its own."""
     records.loop("daqp", steps=WHOLE)
     table = build_paper_topic(records.view()).tables[0]
-    assert table.heads == ("claim", "paper states", "measured here", "state")
+    assert table.heads == ("claim", "paper states", "simulated here", "state")
     stated = {row[0]: row[1] for row in table.rows}
     assert all(stated.values())
     five_cm = stated["The ship is nearly stationary in the circle (steady error below 5 cm)"]
     assert "no number" in five_cm and "5 cm is set by dpbench" in five_cm
     assert (
-        "nothing in the text" in stated["The constrained law has a smaller heading error (Fig. 5)"]
+        "not stated in the text"
+        in stated["The constrained law has a smaller heading error (Fig. 5)"]
     )
     assert "depends on the assumed D, Q and R" in table.note
 
@@ -161,7 +162,7 @@ def test_a_claim_takes_the_whole_scenario(records: Any) -> None:
     records.loop("daqp", steps=60)
     records.loop("unconstrained_clipped", steps=60, formulation="none", error=1.0)
     found = [claim for claim in judge_claims(records.view()) if "paper_tight" not in claim.claim]
-    assert {claim.state for claim in found} == {"not measured"}
+    assert {claim.state for claim in found} == {"not simulated"}
     assert {claim.found for claim in found} == {"60 of 1\u202f000 steps"}
 
 
@@ -186,7 +187,7 @@ def test_a_namesake_is_not_the_paper(records: Any, part: str) -> None:
 
     results = _called_paper(records, change)
     view = Records(results)
-    assert {claim.state for claim in judge_claims(view)} == {"not measured"}
+    assert {claim.state for claim in judge_claims(view)} == {"not simulated"}
     assert list_choices(view) == []
     assert build_paper_topic(view) is None
 

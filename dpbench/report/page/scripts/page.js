@@ -14,14 +14,14 @@ function drawChosen() {
   const c = state.c, timed = facts.experiments[C().timed_experiment_index[c]]?.label, longest = facts.experiments[C().longest_at[c]]?.label;
   const typical = [["p50", "p50"], ["p99", "replay_p99"]].filter(([, column]) => C()[column][c] !== null)
     .map(([name, column]) => `${name} ${time(C()[column][c])}`).join(" and ");
-  const largest = [["longest step of all replays", "max", C().max_wait[c]],
+  const largest = [["longest step of all replays and windows", "max", C().max_wait[c]],
     ["largest single timing", "longest", longest && `${C().longest_wait[c]} in \`${longest}\``]]
     .filter(([, column]) => C()[column][c] !== null)
     .map(([name, column, where]) => `, ${name} ${time(C()[column][c])}${where ?? ""}`);
   const usual = typical && `, ${typical}${timed ? ` in \`${timed}\`` : ""}`;
   const verdict = C().verdict[c] === "not judged" ? "" : `, overall verdict ${C().verdict[c]}`;
   const about = `${verdict}${usual}${beside()}${largest.join("")}`.slice(2);
-  const shown = `shown: \`${facts.experiments[state.p].label}\`${state.k === null ? "" : `, step ${state.k}`}`;
+  const shown = `steps shown below: \`${facts.experiments[state.p].label}\`${state.k === null ? "" : `, step ${state.k}`}`;
   $("chosen").replaceChildren(...coded(`${marked(c)}${about && `: ${about}`}; ${shown}`));
 }
 

@@ -127,7 +127,7 @@ async function drawTwo() {
       const cells = [state.c, second].map((c) => `${time(C()[column][c])} in ${C()[`${column}_in`][c]}`);
       return `| ${column} | ${cells.join(" | ")} |`;
     }).join("\n")
-    + `\n| longest step time in all replays | ${time(C().max[state.c])} | ${time(C().max[second])} |`
+    + `\n| longest step of all replays and windows | ${time(C().max[state.c])} | ${time(C().max[second])} |`
     + `\n| largest error | ${figure(C().error[state.c])} | ${figure(C().error[second])} |\n`
     + `| verdict | ${C().verdict[state.c]} | ${C().verdict[second]} |\n\n${text.split(" Below")[0]}\n`;
 }
