@@ -142,8 +142,8 @@ def _suite(solvers: tuple[str, ...] = ("daqp",), **tables: object) -> suite.Suit
         ("paper", ""),
         ("thruster_loss", ""),
         ("thruster_loss_hard", ""),
-        ("thruster_loss_soft", "layers"),
-        ("watch_circle", "layers"),
+        ("thruster_loss_soft", "soft limits"),
+        ("watch_circle", "soft limits"),
         ("turn", "linearised again"),
     ],
 )
