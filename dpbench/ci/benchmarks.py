@@ -38,6 +38,7 @@ class Benchmark:
     solver : the benchmark's own name where no solver was noted.
     is_verified : whether every answer was verified; True where none was checked.
     complaints : what disturbed the machine meanwhile.
+    machine : its state meanwhile; None if unknown.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Benchmark:
     solver: str
     is_verified: bool = True
     complaints: tuple[str, ...] = ()
+    machine: MachineState | None = None
 
     @classmethod
     def from_json_entry(cls, entry: Mapping[str, Any]) -> "Benchmark":
@@ -69,6 +71,7 @@ class Benchmark:
             solver,
             extra.get("true_share", 1.0) == 1.0,
             tuple(read_complaints(extra)),
+            MachineState.from_stored_state(extra[KEY]) if KEY in extra else None,
         )
 
 

@@ -4,9 +4,9 @@ A run of each is one block; several runs by turns are pairs of blocks, whose sca
 between runs. A time is a benchmark's minimum, in units of the reference kernel where both runs have
 timed that beside the benchmark. It is worse where the ratio of the two revisions, without the
 factor that the benchmarks of other solvers share, is beyond the margin by more than the ratios
-scatter. While the machine was disturbed no time has a verdict. Exact measures
-(`extra_info["exact"]`: iterations, instructions, error, rows, peak bytes) are worse where they
-grow.
+scatter. While the machine was disturbed no time has a verdict but that of a gross slowdown. Exact
+measures (`extra_info["exact"]`: iterations, instructions, error, rows, peak bytes) are worse where
+they grow.
 """
 
 from collections import Counter
@@ -27,6 +27,7 @@ from dpbench.analysis.compare.evidence import (
 from dpbench.analysis.statistics import Interval
 from dpbench.ci import MARGIN
 from dpbench.ci.benchmarks import WRONG_ANSWERS, Benchmark, BenchmarkRun
+from dpbench.ci.gross_slowdown import is_grossly_slower
 from dpbench.report.formats import (
     Table,
     escape_markdown_paragraph,
@@ -37,10 +38,11 @@ from dpbench.report.formats import (
 )
 
 NOT_TIMED, SLOWER, WORSE, GONE = "failed, not timed", "slower", "worse", "gone"
+GROSSLY_SLOWER = "slower, on a disturbed machine"
 DISTURBED, NO_KERNEL, NOT_VERIFIED = "disturbed", "no reference kernel", "faster, not verified"
 FASTER, NO_CHANGE, NEW, NO_BASELINE = "faster", "no change shown", "new", "no baseline"
 NOT_RUN = "not run"
-REGRESSIONS = (WRONG_ANSWERS, NOT_TIMED, SLOWER, WORSE, GONE)
+REGRESSIONS = (WRONG_ANSWERS, NOT_TIMED, SLOWER, GROSSLY_SLOWER, WORSE, GONE)
 """Verdicts that are a regression, the gravest first."""
 ORDER = (
     *REGRESSIONS,
@@ -334,18 +336,21 @@ def _judge_benchmark(
         disturbed_ratio = time.ratio.value
         verdict = not_judged = DISTURBED
         remarks += complaints
-        # A single pair shows nothing of the noise that load makes.
-        ratio = Interval(time.ratio.value, 0.0, np.inf) if len(both) == 1 else time.ratio
-        # Nor do several without one quiet run.
-        if all(one.complaints for pair in both for one in pair):
+        if is_grossly_slower(both, time.ratio):
+            verdict, not_judged, disturbed_ratio = GROSSLY_SLOWER, "", np.nan
+        elif all(one.complaints for pair in both for one in pair):
+            # Without one quiet run pairs show nothing of the noise that load makes.
             ratio = None
+        elif len(both) == 1:
+            # Nor does a single pair.
+            ratio = Interval(time.ratio.value, 0.0, np.inf)
     elif not np.isfinite(time.ratio.high):
         verdict = not_judged = NO_KERNEL
     elif time.verdict == "slower":
         verdict = SLOWER
     elif time.verdict == "faster":
         verdict = FASTER if all(head.is_verified for _, head in both) else NOT_VERIFIED
-    if exact and verdict != SLOWER:
+    if exact and verdict not in (SLOWER, GROSSLY_SLOWER):
         verdict = WORSE
     common = {name for was, now in both for name in was.exact.keys() & now.exact.keys()}
     kinds = [MEASURES[one][0] if one in MEASURES else one for one in sorted(common, reverse=True)]

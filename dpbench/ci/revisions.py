@@ -50,8 +50,9 @@ Arguments after -- are those of pytest.
 
 disturbed:
   Other programs, the host or throttling slowed the machine during a benchmark, so its time is
-  not judged. Iterations, errors and failed tests are still judged. A disturbed pair of
-  runs is repeated; two in a row end the measurement.
+  not judged, unless at least two pairs of runs show a slowdown beyond 1.5 that load does not
+  explain. Iterations, errors and failed tests are still judged. A disturbed pair of runs is
+  repeated; two in a row end the measurement.
 
 exit codes:
   0     no regression shown, or a base without benchmarks

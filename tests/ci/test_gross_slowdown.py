@@ -1,0 +1,74 @@
+"""Slowdowns so large that load cannot explain them, and load that explains them."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dpbench.ci.benchmarks import BenchmarkRun
+from dpbench.ci.comparison import RunComparison, compare_runs
+from tests.ci.test_comparison import QUIET, entry, run_of
+
+LOUD = QUIET | {"involuntary_switches": 120.0, "processor_s": 0.9}
+
+
+def compare(*heads: tuple[float, dict[str, Any]], base: Any = LOUD) -> RunComparison:
+    """Compare pairs of a base of 1 ms with heads of other times and states of the machine."""
+    pairs: list[tuple[BenchmarkRun, BenchmarkRun]] = [
+        (run_of(entry(machine=base)), run_of(entry(seconds=1e-3 * ms, machine=machine)))
+        for ms, machine in heads
+    ]
+    return compare_runs(pairs)
+
+
+def test_a_gross_slowdown_fails_on_a_disturbed_machine() -> None:
+    """The verdict has a name of its own, an interval, the complaints and exit code 1."""
+    found = compare((2.6, LOUD), (2.7, QUIET))
+    (row,) = found.rows
+    assert (row.verdict, row.not_judged) == ("slower, on a disturbed machine", "")
+    assert found.headline == "slower, on a disturbed machine: 1 benchmark"
+    assert row.ratio is not None and row.ratio.low > 1.5
+    assert "3 of 4 runs disturbed" in row.remarks[0]
+    assert found.exit_code(75) == found.exit_code(0) == 1
+
+
+@pytest.mark.parametrize(
+    "machine",
+    [
+        {"processor_s": 0.5},
+        {"processor_s": 1.9},
+        {"steal_s": 0.1},
+        {"throttle_events": 1.0},
+        {"kernel_after_ns": 4.6e4},
+        {"kernel_before_ns": float("nan")},
+    ],
+    ids=["preempted", "threads", "stolen", "throttled", "slower processor", "no kernel"],
+)
+def test_load_that_may_explain_a_slowdown_leaves_it_without_verdict(
+    machine: dict[str, float],
+) -> None:
+    """One such pair among three is enough."""
+    found = compare((2.6, LOUD), (2.6, LOUD | machine), (2.6, LOUD))
+    assert (found.verdict, found.worse) == ("disturbed", False)
+    assert compare((2.6, LOUD), (2.6, LOUD), (2.6, LOUD)).worse
+
+
+def test_a_single_pair_or_one_that_differs_shows_nothing() -> None:
+    """Load that hits one run of the head alone is a single pair."""
+    assert not compare((9.0, LOUD)).worse
+    assert not compare((2.6, LOUD), (1.1, LOUD), (2.6, LOUD)).worse
+    # Each pair is beyond 1.5, their interval is not.
+    assert not compare((1.7, QUIET), (9.0, QUIET | {"steal_s": 0.009}), (1.7, LOUD)).worse
+
+
+@pytest.mark.slow
+def test_unchanged_code_is_not_slower_however_little_of_the_processor_the_head_has() -> None:
+    """The base alone on the machine, the head with a tenth to all of it, in its shortest pass."""
+    rng = np.random.default_rng(3)
+    for _ in range(500):
+        shares = rng.uniform(0.1, 1.0, rng.integers(2, 6))
+        heads = [
+            (float(rng.uniform(0.9, 1.15) / share), LOUD | {"processor_s": share})
+            for share in shares
+        ]
+        assert not compare(*heads, base=QUIET).worse
