@@ -48,6 +48,7 @@ from dpbench.report.formats import (
     significant,
     strip_markdown,
 )
+from dpbench.report.late_times_text import describe_late_times, group_late_times
 from dpbench.report.words import read_words
 from dpbench.solvers.contract import DEFAULT
 
@@ -400,9 +401,14 @@ def _describe_spread(compared: PairedComparison) -> str:
 def describe_findings(findings: Sequence[Finding]) -> str:
     """Return the reasons for a verdict as clauses joined by semicolons.
 
-    The machine's state comes first where it may be the reason of one of them.
+    The machine's state comes first where it may be the reason of one of them. Times above one
+    limit are one clause.
     """
-    return "; ".join([*_describe_machine_state(findings), *map(describe_finding, findings)])
+    clauses = [
+        describe_finding(alike[0]) if len(alike) == 1 else describe_late_times(alike)
+        for alike in group_late_times(findings)
+    ]
+    return "; ".join([*_describe_machine_state(findings), *clauses])
 
 
 def _describe_machine_state(findings: Sequence[Finding]) -> list[str]:
@@ -464,7 +470,8 @@ def describe_finding(finding: Finding) -> str:
     if not finding.runs:
         return _WORDS[finding.kind].format(**words)
     first, *others = finding.runs
-    also = _name_experiments(others)
+    window_of = first.scenario if first.steps_searched_for_hardest else ""
+    also = _name_experiments(others, window_of)
     kind: str = finding.kind
     if kind == "failed" and finding.steps:
         kind = "failed steps"
@@ -487,6 +494,10 @@ def describe_finding(finding: Finding) -> str:
         outcome=first.outcome,
         planned=format_count(first.steps_planned),
         done=plural(_count_steps(first, finding), "step"),
+        of_steps=f"the {format_count(_count_steps(first, finding))} hardest steps of `{window_of}`"
+        if window_of
+        else plural(_count_steps(first, finding), "step"),
+        in_where="" if window_of else f" in {name_experiment(first)}",
         counted=plural(finding.value, "step"),
         error=format_error(finding.value),
         time=format_time(finding.value),
@@ -559,8 +570,11 @@ def name_experiment(row: RunRecord) -> str:
     return f"`{row.scenario}`"
 
 
-def _name_experiments(rows: Sequence[RunRecord]) -> str:
-    """Return the names of scenarios and replays of some runs as one text."""
+def _name_experiments(rows: Sequence[RunRecord], window_of: str = "") -> str:
+    """Return the names of scenarios and replays of some runs as one text.
+
+    window_of : scenario of a window that the text follows; its closed loop is not named again.
+    """
     loops, windows, replays = list[str](), list[str](), list[str]()
     for row in rows:
         if row.steps_searched_for_hardest:
@@ -568,7 +582,7 @@ def _name_experiments(rows: Sequence[RunRecord]) -> str:
         elif row.mode == "replay":
             replays.append(describe_range_of_steps(row.sequence))
         else:
-            loops.append(f"`{row.scenario}`")
+            loops.append("its closed loop" if row.scenario == window_of else f"`{row.scenario}`")
     # A scenario may have several windows.
     loops, windows, replays = (list(dict.fromkeys(names)) for names in (loops, windows, replays))
     if replays:

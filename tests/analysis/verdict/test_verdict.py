@@ -1,5 +1,6 @@
 """The verdict against hand-made rows."""
 
+import json
 import math
 import re
 from dataclasses import replace
@@ -96,6 +97,54 @@ def test_an_inaccurate_answer_is_named_with_the_most_iterations(
     finding = Finding("failed", tuple(records.view().runs), 8.0, 2, status="INACCURATE")
     ended = f"as the solver reports an inaccurate answer{after}"
     assert describe_finding(finding).endswith(ended)
+
+
+def _window(records: Any, scenario: str, **columns: Any) -> None:
+    """A replay of the hardest 15 steps of a scenario."""
+    source = {"kind": "hardest", "name": f"{scenario} hardest 15", "of": 450}
+    cell = json.dumps({"source": source})
+    records.replay(
+        "daqp", f"{scenario} hardest 15", scenario=scenario, steps=15, cell=cell, **columns
+    )
+
+
+def test_failed_hardest_steps_are_counted_among_them(records: Any) -> None:
+    _window(records, "turn")
+    records.loop("daqp", "turn")
+    records.loop("daqp", "waves")
+    window, *loops = sorted(records.view().runs, key=lambda run: run.mode != "replay")
+    finding = Finding("failed", (window, *loops), 9.0, 3, status="MAX_ITERATIONS")
+    assert describe_finding(finding) == (
+        "3 of the 15 hardest steps of `turn` fail, as the solver reaches its iteration limit "
+        "(some also in its closed loop and `waves`)"
+    )
+
+
+def test_times_above_one_limit_are_one_clause(records: Any) -> None:
+    for scenario in ("turn", "rough"):
+        _window(records, scenario)
+    records.replay("daqp", "paper")
+    records.replay("daqp", "rough[900:1400]")
+    of_sequence = {run.sequence: run for run in records.view().runs}
+
+    def late(kind: Any, sequence: str, ns: float) -> Finding:
+        return Finding(kind, (of_sequence[sequence],), ns, limit=3e6)
+
+    found = [
+        late("p95 late", "paper", 6.06e6),
+        late("p95 late", "rough[900:1400]", 6.95e6),
+        late("window late", "turn hardest 15", 5.24e6),
+        late("window late", "rough hardest 15", 6.83e6),
+    ]
+    assert describe_findings(found) == (
+        "its p95 is above the p99 limit of 3.00 ms in the replays of `paper` (6.06 ms) and steps "
+        "900 to 1399 of `rough` (6.95 ms); its p99 is above the limit of 3.00 ms in the hardest "
+        "steps of `turn` (5.24 ms) and `rough` (6.83 ms)"
+    )
+    assert describe_findings([late("p99 late", "paper", 4e6), *found[3:]]) == (
+        "its p99 is above the limit of 3.00 ms in the replay of `paper` (4.00 ms) and the hardest "
+        "steps of `rough` (6.83 ms)"
+    )
 
 
 @pytest.mark.parametrize(
