@@ -171,6 +171,12 @@ def describe_main_reason(verdict: Verdict) -> str:
     return _describe_first([replace(f, runs=f.runs[:1]) for f in of_kind])
 
 
+def describe_lateness(verdict: Verdict) -> str:
+    """Return the first reason why a configuration is late, in its worst run; "" for none."""
+    late = [replace(f, runs=f.runs[:1]) for f in verdict.causes if f.kind in LATE]
+    return describe_findings(late[:1])
+
+
 def describe_kinds_of_reasons(verdict: Verdict) -> str:
     """Return the first cause of each kind why a configuration does not pass, or the first doubt.
 

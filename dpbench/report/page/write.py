@@ -49,6 +49,7 @@ from dpbench.report.page.terms import GlossaryEntry, Terms, describe_experiments
 from dpbench.report.page.vendored import list_vendored_scripts, read_script
 from dpbench.report.verdict_text import (
     describe_hardest_wait,
+    describe_lateness,
     describe_longest_wait,
     describe_p99_interval,
     name_experiment,
@@ -109,6 +110,7 @@ def _describe_configuration(
         **make_configuration_columns(c),
         "verdict": "not judged" if v is None else v.state,
         "why": "" if v is None else recommendation.why(v).replace("**", ""),
+        "late": "" if v is None else describe_lateness(v),
         **{name: convert_to_json_number(times.get(name)) for name in ("p50", "p99", "max")},
         "replay_p99": None if v is None else convert_to_json_number(v.replay_p99_ns),
         "p50_in": "" if v is None else f"the replay of `{v.timed_on}`",

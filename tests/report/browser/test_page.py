@@ -11,9 +11,11 @@ import pytest
 from dpbench.analysis.times.paired_times import (
     compare_paired_times,
 )
+from dpbench.analysis.verdict.requirements import LATE
 from dpbench.bench.record.cell import Configuration
 from dpbench.report.formats import format_rounded_down
 from dpbench.report.page.recommendation import format_python_call
+from dpbench.report.verdict_text import describe_lateness
 from dpbench.report.write import write_report
 from dpbench.scenario.scenario import load_scenario
 from tests.conftest import MadeRecords
@@ -327,12 +329,21 @@ def _check_speed_margins(page: Any, facts: Any, slow: int) -> None:
     assert met == {row["solver"] for row in keep}
     measured = r"largest single timing \[ms\]: [\d.e-]+, as measured"
     assert slow == 1 or all(re.search(measured, label) for label in labels)
+    verdicts = {verdict.configuration: verdict for verdict in facts.verdicts.all_verdicts}
     for c, bound in bounds.items():
         page.evaluate(f"select({{ c: {c} }})")
         output = page.inner_text("#slow-kept")
+        verdict = verdicts[facts.configurations[c]]
+        if any(cause.kind in LATE for cause in verdict.causes):
+            assert f" is late on this machine ({describe_lateness(verdict)}).".replace("`", "") in (
+                output.replace("`", "")
+            )
+            continue
         assert (" is in time up to × " in output) == (bound >= slow)
         late = " is late beyond × " if bound >= 1 else " is late on this machine (speed margin × "
         assert (late in output) == (bound < slow)
+        other = f" (overall verdict: {verdict.state})"
+        assert (other in output) == (bound >= 1 and verdict.state != "pass")
 
 
 def test_reload_and_back_restore(opened: Any) -> None:

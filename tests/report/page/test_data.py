@@ -13,7 +13,7 @@ from dpbench.report.page.data import PageData, convert_to_json_number, select_ti
 from dpbench.report.page.live import _explain_further_verdicts, _explain_verdict_grid
 from dpbench.report.page.terms import describe_experiments
 from dpbench.report.report import Report
-from dpbench.report.verdict_text import shorten_findings
+from dpbench.report.verdict_text import describe_lateness, shorten_findings
 from dpbench.scenario.scenario import build_scenario_from_documents
 from tests.report.conftest import HEIGHTS, LOOSE, OFFSETS, SEAS, of_seas
 
@@ -36,6 +36,22 @@ def test_a_cell_holds_the_figures_of_its_run(records: Any) -> None:
     assert len(by_time) == len(by_error) == 5 and by_iterations == []
     assert by_error[0][:2] == [49, 1e-6], "the largest error is planted in the last step"
     assert "t" not in scs and (scs["outcome"], scs["why"]) == ("crashed", "signal 11")
+
+
+@pytest.mark.parametrize(("median_ns", "is_late"), [(5.0e6, True), (1e5, False)])
+def test_a_slow_loop_is_late_although_its_replays_are_in_time(
+    records: Any, median_ns: float, is_late: bool
+) -> None:
+    """Its replays allow a computer that is slower; the text names the loop, as the verdict does."""
+    records.loop("daqp", "rough", steps=200, raw_p50_ns=median_ns)
+    records.replay("daqp", "rough[900:1400]", median_us=50.0)
+    facts = _facts(records)
+    (verdict,) = facts.verdicts.all_verdicts
+    margin = facts.get_speed_margin(verdict.configuration)
+    assert margin is not None and margin.allowed_slowness_factor > 1.0
+    assert (verdict.state == "late") == is_late
+    reason = "its median timing in the closed loop `rough` is 5.00 ms, above the limit of 3.00 ms"
+    assert describe_lateness(verdict) == (reason if is_late else "")
 
 
 def test_the_track_is_a_distance_from_the_loop_closest_to_the_exact_one(records: Any) -> None:
