@@ -29,6 +29,16 @@ from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 from dpbench.solvers.calibration import CALIBRATION
 
 FAILURE_COLUMNS = ("run_id", "k", "certificate", "status", "fallback", "unconverged")
+INACCURACY_COLUMNS = ("k", "error_move")
+
+
+def count_inaccurate_steps(steps: pd.DataFrame, limit: float) -> int:
+    """Return how many steps of one run have an error of the first move above a limit.
+
+    A step counts if it is inaccurate in any round, warm-up and disturbed rounds included, as in
+    `error_move_max`. steps : the run's step rows with `INACCURACY_COLUMNS`.
+    """
+    return int(steps["k"][steps["error_move"] > limit].nunique())
 
 
 class Records:
@@ -129,12 +139,8 @@ class Records:
         return found
 
     def count_inaccurate_steps(self, run: RunRecord, limit: float) -> int:
-        """Return how many steps of a run have an error of the first move above a limit, any round.
-
-        0 where the folder has no steps.
-        """
-        steps = self.read_step_table(run, ("k", "error_move"))
-        return int(steps["k"][steps["error_move"] > limit].nunique())
+        """Return `count_inaccurate_steps` of a run; 0 where the folder has no steps."""
+        return count_inaccurate_steps(self.read_step_table(run, INACCURACY_COLUMNS), limit)
 
     def select_runs(self, **wanted: object) -> list[RunRecord]:
         """Return the runs of this folder whose columns equal given values, or one of a tuple."""

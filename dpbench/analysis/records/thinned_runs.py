@@ -53,7 +53,8 @@ class ThinnedRun:
     steps : those that are kept; extra : (K,) which of them for being hard alone.
     last : the last step of the run, kept or not; is_whole : whether all are kept.
     hard : the hardest of all by each measure, the hardest first.
-    track : None without a ship.
+    track : None without a ship. inaccurate : steps of the run, kept or not, whose error is above
+    the limit; see `count_inaccurate_steps`.
     """
 
     steps: RunSteps
@@ -62,9 +63,12 @@ class ThinnedRun:
     is_whole: bool
     hard: dict[Measure, list[HardRow]]
     track: Track | None
+    inaccurate: int = 0
 
     @classmethod
-    def from_run(cls, run: RunSteps, most: int, track: Track | None = None) -> "ThinnedRun":
+    def from_run(
+        cls, run: RunSteps, most: int, track: Track | None = None, inaccurate: int = 0
+    ) -> "ThinnedRun":
         """Return a run thinned to about `most` steps: every n-th one and the hardest."""
         chosen, extra = choose_kept_indices_and_hard_flags(run, most)
         hard = {
@@ -74,7 +78,8 @@ class ThinnedRun:
             for measure in MEASURES
         }
         is_whole = len(chosen) == len(run.k)
-        return cls(run.select_steps(chosen), extra, int(run.k[-1]), is_whole, hard, track)
+        kept, last = run.select_steps(chosen), int(run.k[-1])
+        return cls(kept, extra, last, is_whole, hard, track, inaccurate)
 
 
 def thin_track(steps: pd.DataFrame, limits: Floats, most: int) -> Track:

@@ -9,7 +9,11 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.records import (
+    INACCURACY_COLUMNS,
+    Records,
+    count_inaccurate_steps,
+)
 from dpbench.analysis.records.run_record import RunRecord, build_run_records
 from dpbench.analysis.records.run_steps import MEASURES
 from dpbench.analysis.records.thinned_runs import FORCES, TRACK, ThinnedRun, Track, thin_track
@@ -156,7 +160,8 @@ class PageData(RunMatrix):
         runs = {run.run_id: run for run in self.runs.values()}
         room = Room.from_run_lengths([run.steps_done for run in runs.values() if run.has_steps])
         kept: dict[str, ThinnedRun] = {}
-        read = self.records.yield_merged_and_raw_steps(list(runs.values()), (*TRACK, *FORCES))
+        columns = (*TRACK, *FORCES, *INACCURACY_COLUMNS)
+        read = self.records.yield_merged_and_raw_steps(list(runs.values()), columns)
         for run_id, steps, rows in read:
             run = runs[run_id]
             scenario, track = (
@@ -166,7 +171,8 @@ class PageData(RunMatrix):
             if scenario is not None:
                 limits = np.maximum(scenario.vessel.tau_max, -scenario.vessel.tau_min)
                 track = thin_track(rows, limits, room.points)
-            kept[run_id] = ThinnedRun.from_run(steps, room.steps, track)
+            inaccurate = count_inaccurate_steps(rows, self.requirements.error_move)
+            kept[run_id] = ThinnedRun.from_run(steps, room.steps, track, inaccurate)
         return kept
 
     @property
@@ -184,6 +190,7 @@ class PageData(RunMatrix):
             run = self.runs[c, p]
             entry, kept = self._describe_run(c, p, run), self.thinned_runs.get(run.run_id)
             if kept is not None:
+                entry["inaccurate"] = kept.inaccurate
                 hardest = [
                     [
                         [k, convert_to_json_number(value), status, int(claimed), int(true), active]

@@ -35,7 +35,28 @@ def test_a_cell_holds_the_figures_of_its_run(records: Any) -> None:
     by_time, by_iterations, by_error = daqp["hard"]
     assert len(by_time) == len(by_error) == 5 and by_iterations == []
     assert by_error[0][:2] == [49, 1e-6], "the largest error is planted in the last step"
+    assert (daqp["inaccurate"], scs.get("inaccurate")) == (0, None)
     assert "t" not in scs and (scs["outcome"], scs["why"]) == ("crashed", "signal 11")
+
+
+def test_the_page_and_the_verdict_count_the_same_inaccurate_steps(
+    records: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One planted in the last step of a loop, all rounds of a replay; no matter what is drawn."""
+    monkeypatch.setattr(page_data.Room, "from_run_lengths", lambda _: page_data.Room(5, 5))
+    records.loop("daqp", steps=50, error=0.5)
+    records.replay("daqp", error=0.5)
+    facts = _facts(records)
+    limit = REQUIREMENTS.error_move
+    counts = []
+    for cell in facts.cells():
+        run = facts.runs[cell["c"], cell["p"]]
+        steps = facts.records.read_step_table(run)
+        counts.append(cell["inaccurate"])
+        assert cell["inaccurate"] == len(set(steps["k"][steps["error_move"] > limit])) > 0
+    (verdict,) = facts.verdicts.all_verdicts
+    (cause,) = verdict.causes
+    assert cause.steps in counts
 
 
 @pytest.mark.parametrize(("median_ns", "is_late"), [(5.0e6, True), (1e5, False)])

@@ -62,18 +62,13 @@ function notKept() {
     + `filters=[("run_id", "==", "${runs.id[i]}")]).`;
 }
 
-// On how many steps the first move is farther off than the requirements allow.
-function over(run) {
-  return run.t == null ? "–" : array(run.e).filter((e) => e > facts.requirements.error_move).length;
-}
-
-// How many steps are inaccurate, failed, or falsely reported as solved; "" where none is.
+// How many steps are inaccurate, failed, or falsely reported as solved, in any round; "" where none is.
 function wrongOf(run) {
   // Of a replay the failures are those of all rounds.
   const once = run.answers === run.steps, were = (count) => (count === 1 ? "was" : "were");
-  const found = [[over(run), "step", (count) => `${were(count)} inaccurate`], [run.failed, once ? "step" : "answer", () => "failed"],
+  const found = [[run.inaccurate ?? 0, "step", (count) => `${were(count)} inaccurate`], [run.failed, once ? "step" : "answer", () => "failed"],
     [run.untrue, once ? "step" : "answer", (count) => `${were(count)} falsely reported as solved${once ? "" : ` (of ${run.answers})`}`]]
-    .filter(([count]) => count !== 0 && count !== "–")
+    .filter(([count]) => count !== 0)
     .map(([count, word, what], i) => `${i ? figure(count) : many(count, word)} ${what(count)}`);
   return found.length < 2 ? found.join("") : `${found.slice(0, -1).join(", ")} and ${found.at(-1)}`;
 }
