@@ -88,6 +88,8 @@ MEASURES = {
 ALPHA = 0.05
 NOISE = Prior(sd=0.05, df=6.0)
 """Noise of one benchmark in its few rounds, between two runs of the same code."""
+LAYOUT_SD = 0.02
+"""Part of NOISE that pairs of runs do not average: memory layout and paths of the two trees."""
 SLACK = {"peak_bytes": (1.1, 128.0), "error_move_max": (1.1, 1e-9)}
 """Factor and number by which an exact measure may grow: when SciPy frees memory is not exact, and
 an error below 1e-9 of the maximum increment is rounding."""
@@ -439,10 +441,17 @@ def _assess_ratios_together(
     logs, own = np.array([one for one, _ in estimates]), np.array([one for _, one in estimates])
     groups = ["plain" if np.isnan(kernel) else "kernel" for kernel in kernels]
     solvers = [both[0][1].solver for both in measured.values()]
+    prior = _make_prior_of_mean(min(map(len, measured.values())))
     evidence = remove_factor_shared_by_group(
-        logs, own, groups, NOISE, 0.0 * kernels, subjects=solvers
+        logs, own, groups, prior, 0.0 * kernels, subjects=solvers
     )
     return dict(zip(measured, assess_time_ratios(evidence, margin, ALPHA), strict=True))
+
+
+def _make_prior_of_mean(pairs: int) -> Prior:
+    """Return the assumed noise of a mean log ratio over so many pairs of runs."""
+    variance = LAYOUT_SD**2 + (NOISE.sd**2 - LAYOUT_SD**2) / pairs
+    return Prior(float(np.sqrt(variance)), NOISE.df)
 
 
 def _estimate_mean_log_ratio(both: Sequence[tuple[Benchmark, Benchmark]]) -> tuple[float, float]:
