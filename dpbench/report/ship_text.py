@@ -65,7 +65,7 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
         return ShipSummary(state=NOT_RUN)
     lost = [ship for ship in known if ship.has_left_station]
     warning = " ".join(_warn_of_lost(lost))
-    details = [*_describe_after_losses(known), *_describe_rest(ships)]
+    details = [*_describe_after_losses(known), *_describe_unsettled(known), *_describe_rest(ships)]
     caution, limits = _describe_small_margins(known), _describe_limits(known)
     return ShipSummary(
         warning, _describe_kept(known), *(" ".join(lines) for lines in (details, caution, limits))
@@ -150,11 +150,31 @@ def describe_ship(ship: ShipResult) -> str:
     if ship.state == "not run":
         return f"`{ship.name}`: not run"
     left = f" (at {significant(run.exact_left_s)} s)" if ship.has_left_station else ""
+    since = ""
+    if ship.has_transfer and not ship.has_left_station:
+        left, since = f" {_describe_arrival([ship])}", " after it"
     return (
-        f"`{ship.name}`: {ship.state}{left}; largest offset "
+        f"`{ship.name}`: {ship.state}{left}; largest offset{since} "
         f"{significant(run.exact_offset_max_m)} m at {_format_time_of_offset(run)}, last "
         f"{significant(run.exact_offset_end_m)} m; limits active in "
         f"{format_share(run.exact_active_share)} of {plural(run.exact_steps, 'step')}"
+    )
+
+
+def _describe_arrival(moved: Sequence[ShipResult]) -> str:
+    """Return as text from when on ships are on station after a transfer, and how far off before.
+
+    The last time and the largest offset of all; without numbers where they are unknown.
+    """
+    known = [ship.run for ship in moved if not math.isnan(ship.run.exact_transfer_s)]
+    if not known:
+        return "after a transfer"
+    last_s = max(run.exact_transfer_s for run in known)
+    off_m = max(run.exact_transfer_offset_max_m for run in known)
+    latest = " at the latest" if len(moved) > 1 else ""
+    return (
+        f"from {significant(last_s)} s on{latest}, after a transfer (up to {significant(off_m)} m "
+        "off on the way)"
     )
 
 
@@ -224,9 +244,13 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         there = f" at {_locate_ship(farthest)}" if run.study else f" in `{farthest.name}`"
     from_deg = find_weather_direction(ship.run for ship in known)
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
+    moved = [ship for ship in kept if ship.has_transfer]
+    arrival = f"In {_name_ships(moved)}, it is on station {_describe_arrival(moved)}. "
+    transfers = arrival if moved else ""
+    largest = "Outside transfers, the largest" if moved else "The largest"
     return (
         f"With exactly solved QPs, the controller holds the ship on station "
-        f"({_format_station_limits(farthest)}){weather} {where}. The largest offset is "
+        f"({_format_station_limits(farthest)}){weather} {where}. {transfers}{largest} offset is "
         f"{significant(run.exact_offset_max_m)} m{there} at "
         f"{_format_time_of_offset(run)}; the offset at the end is "
         f"{significant(run.exact_offset_end_m)} m."
@@ -270,13 +294,35 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
             f"{significant(run.exact_heading_end_deg)}°",
         )
         ending = f"At the end the offset is {last[0]} and the heading error {last[1]}"
-        if ship.is_unsettled_after_loss and last == largest:
+        if ship.is_unsettled and last == largest:
             ending = "Both are reached at the end of the run"
         yield (
             f"After the loss of {what} in `{ship.name}`, the largest offset is {largest[0]} and "
             f"the largest heading error {largest[1]}. {ending}"
-            f"{unsettled if ship.is_unsettled_after_loss else ''}."
+            f"{unsettled if ship.is_unsettled else ''}."
         )
+
+
+def _describe_unsettled(known: Sequence[ShipResult]) -> list[str]:
+    """Return a line on ships outside of studies whose small offset grows until the run ends.
+
+    Those after a loss, and those that a caution names, are left out.
+    """
+    growing = [
+        ship
+        for ship in known
+        if ship.state == "on station"
+        and ship.is_unsettled
+        and not (ship.run.study or _has_loss(ship) or ship.is_moving_away)
+    ]
+    if not growing:
+        return []
+    far_m = max(ship.run.exact_offset_end_m for ship in growing)
+    far = f"{'up to ' * (len(growing) > 1)}{significant(far_m)} m"
+    return [
+        f"At the end of {_name_ships(growing)}, the offset still grows ({far}): the ship has not "
+        "settled."
+    ]
 
 
 def _has_loss(ship: ShipResult) -> bool:

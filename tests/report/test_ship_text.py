@@ -18,6 +18,7 @@ from dpbench.report.ship_text import (
     LOST as NOT_HELD,
     NOT_RUN,
     ShipSummary,
+    describe_ship,
     describe_unmet,
     summarise_ships,
 )
@@ -451,3 +452,86 @@ def test_a_point_is_named_by_its_first_values_where_they_are_short(records: Any)
 def test_a_ship_that_begins_farthest_off_is_said_to(records: Any) -> None:
     records.loop("daqp", "calm", exact_offset_max_s=0.0)
     assert " at 0 s (the start); the offset at the end " in _summary(records).text
+
+
+TURN = {
+    "exact_offset_max_m": 0.831,
+    "exact_offset_max_s": 104.0,
+    "exact_transfer_offset_max_m": 17.0,
+    "exact_transfer_s": 73.8,
+    "exact_offset_rise_m": -0.01,
+}
+
+
+def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
+    """The offset on the way is stated beside the largest of the rest, and until when it lasts."""
+    records.loop("daqp", "paper")
+    records.loop("daqp", "turn", **TURN)
+    text = _summary(records).text
+    assert text.startswith(
+        "With exactly solved QPs, the controller holds the ship on station (5 m, 5°) in 2 of 2 "
+        "scenarios. In `turn`, it is on station from 73.8 s on, after a transfer (up to 17.0 m off "
+        "on the way). Outside transfers, the largest offset is 1.77 m in `paper` at 0.300 s; the "
+        "offset at the end is 0.0400 m."
+    )
+    farther = {"exact_transfer_offset_max_m": 25.0, "exact_transfer_s": 40.2}
+    records.loop("daqp", "move", **TURN | farther)
+    assert (
+        "In `turn` and `move`, it is on station from 73.8 s on at the latest, after a transfer (up "
+        "to 25.0 m off on the way). Outside"
+    ) in _summary(records).text
+
+
+def test_a_transfer_of_an_earlier_release_is_named_without_numbers(records: Any) -> None:
+    """Its scenario file asks for a turn of 90°; that of `paper` for none."""
+    for name in ("paper", "turn"):
+        cell = json.dumps({"scenario": load_scenario(name).files})
+        records.loop("daqp", name, cell=cell)
+    assert (
+        "In `turn`, it is on station after a transfer. Outside transfers, the largest offset is"
+    ) in _summary(records).text
+
+
+def test_the_line_of_a_ship_after_a_transfer_states_both_offsets(records: Any) -> None:
+    records.loop("daqp", "turn", **TURN)
+    (ship,) = find_ship_results(records.view())
+    assert describe_ship(ship).startswith(
+        "`turn`: on station from 73.8 s on, after a transfer (up to 17.0 m off on the way); "
+        "largest offset after it 0.831 m at 104 s, last 0.0400 m; "
+    )
+
+
+GROWING = {"exact_offset_max_m": 0.446, "exact_offset_max_s": 36.0, "exact_offset_end_m": 0.446}
+
+
+def test_a_small_offset_that_grows_until_the_end_has_not_settled(records: Any) -> None:
+    """As after a loss; an offset from 0.5 m on is in the caution, and in it alone."""
+    records.loop("daqp", "paper")
+    records.loop("daqp", "thrusters", exact_offset_rise_m=0.3, **GROWING)
+    said = "At the end of `thrusters`, the offset still grows (0.446 m): the ship has not settled."
+    assert said in _summary(records).text and _summary(records).caution == ""
+    records.loop("daqp", "waves", exact_offset_rise_m=0.1, **GROWING | {"exact_offset_end_m": 0.45})
+    assert "At the end of `thrusters` and `waves`, the offset still grows (up to 0.450 m)" in (
+        _summary(records).text
+    )
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"exact_offset_rise_m": -0.1},
+        {"exact_offset_max_m": 0.7, "exact_offset_end_m": 0.7},
+        {"exact_left_s": 3.0},
+    ],
+    ids=["comes back", "caution", "left"],
+)
+def test_a_ship_that_settles_or_is_named_elsewhere_is_not_named(
+    records: Any, columns: dict[str, float]
+) -> None:
+    records.loop("daqp", "thrusters", **GROWING | columns)
+    assert "still grows" not in _summary(records).text
+
+
+def test_realisations_of_a_study_are_not_named_for_their_last_wave(records: Any) -> None:
+    records.sea("daqp", 0, 1, {"N_p": 20.0}, **GROWING | {"exact_offset_max_s": 12.0})
+    assert "still grows" not in _summary(records).text

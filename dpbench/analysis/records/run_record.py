@@ -149,11 +149,14 @@ class RunRecord:
     exact_offset_max_m: float
     exact_offset_max_s: float
     exact_offset_end_m: float
+    exact_offset_rise_m: float
     exact_heading_max_deg: float
     exact_heading_end_deg: float
     exact_loss_offset_max_m: float
     exact_loss_heading_max_deg: float
     exact_left_s: float
+    exact_transfer_offset_max_m: float
+    exact_transfer_s: float
     exact_active_share: float
     dev_position_max_m: float
 

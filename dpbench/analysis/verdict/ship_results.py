@@ -13,7 +13,7 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
-from dpbench.bench.run.exact_loop import HEADING_DEG
+from dpbench.bench.run.exact_loop import HEADING_DEG, RADIUS_M
 from dpbench.scenario.stability import find_unstable_radius
 
 ShipState = Literal["on station", "leaves", "leaves and returns", "not there", "not run"]
@@ -25,6 +25,8 @@ END_SHARE = 0.9
 and it ends at least at this share of it."""
 NOTICED_SHARE = 0.1
 """Share of the station below which an offset is no sign of moving away."""
+SETTLED_SHARE = 0.02
+"""Share of the station below which an offset that grows counts as settled."""
 
 
 @dataclass(frozen=True)
@@ -65,26 +67,41 @@ class ShipResult:
         return max(offset, self.run.exact_heading_max_deg / HEADING_DEG)
 
     @property
-    def is_moving_away(self) -> bool:
-        """True if the run ends at or near the ship's largest offset."""
-        run = self.run
-        end_s = run.exact_steps * run.sample_s
-        is_late = run.exact_offset_max_s >= END_SHARE * end_s
-        has_stayed = run.exact_offset_end_m >= END_SHARE * run.exact_offset_max_m
-        is_noticed = run.exact_offset_max_m >= NOTICED_SHARE * run.station_radius_m
-        return is_late and has_stayed and is_noticed
+    def has_transfer(self) -> bool:
+        """True if the ship moves to a setpoint beyond the limits of its station, and arrives."""
+        if math.isnan(self.run.exact_offset_rise_m):
+            # Folders of earlier releases have no columns on transfers.
+            return _is_sent_to_another_position(self.run) and self.state == "on station"
+        return not math.isnan(self.run.exact_transfer_s)
 
     @property
-    def is_unsettled_after_loss(self) -> bool:
-        """True if the largest offset after a loss is that at the end of the run, however small."""
+    def is_moving_away(self) -> bool:
+        """True if the run ends at or near the ship's largest offset, and that is no small one."""
+        largest_m = self.run.exact_offset_max_m
+        is_noticed = largest_m >= NOTICED_SHARE * self.run.station_radius_m
+        return is_noticed and self._is_growing_to(largest_m)
+
+    @property
+    def is_unsettled(self) -> bool:
+        """True if the offset grows until the end of the run, after a loss to its largest since."""
+        after_loss_m = self.run.exact_loss_offset_max_m
+        largest_m = self.run.exact_offset_max_m if math.isnan(after_loss_m) else after_loss_m
+        is_noticed = largest_m >= SETTLED_SHARE * self.run.station_radius_m
+        return is_noticed and self._is_growing_to(largest_m)
+
+    def _is_growing_to(self, largest_m: float) -> bool:
+        """Return whether a run ends near its largest offset, which lies late, and moving outward.
+
+        largest_m : of the whole run, or since a loss.
+        """
         run = self.run
-        if not run.exact_loss_offset_max_m > 0.0:
-            return False
+        # The time of the largest offset is known only where none before a loss is larger.
+        was_larger = run.exact_offset_max_m > largest_m
         end_s = run.exact_steps * run.sample_s
-        # The time of the largest offset is known only where none before the loss is larger.
-        was_larger = run.exact_offset_max_m > run.exact_loss_offset_max_m
         is_late = was_larger or run.exact_offset_max_s >= END_SHARE * end_s
-        return is_late and run.exact_offset_end_m >= END_SHARE * run.exact_loss_offset_max_m
+        # Folders of earlier releases have no trend.
+        is_outward = not run.exact_offset_rise_m <= 0.0
+        return is_late and is_outward and run.exact_offset_end_m >= END_SHARE * largest_m
 
     @property
     def is_inside_at_end(self) -> bool:
@@ -92,6 +109,15 @@ class ShipResult:
         run = self.run
         is_near = run.exact_offset_end_m <= run.station_radius_m
         return is_near and run.exact_heading_end_deg <= HEADING_DEG
+
+
+def _is_sent_to_another_position(run: RunRecord) -> bool:
+    """Return whether a run's scenario starts beyond the limits of the station at its setpoint."""
+    scenario = (run.scenario_documents or {}).get("scenario", {})
+    start, reference = (scenario.get(key) or {} for key in ("start", "reference"))
+    pose = ("north_m", "east_m", "heading_deg")
+    north_m, east_m, turn_deg = (reference.get(key, 0.0) - start.get(key, 0.0) for key in pose)
+    return math.hypot(north_m, east_m) > RADIUS_M or abs(turn_deg) > HEADING_DEG
 
 
 def find_ship_results(records: Records) -> list[ShipResult]:
@@ -143,6 +169,7 @@ SHIP_COLUMNS = (
     *("exact_steps", "station_radius_m", "exact_left_s", "exact_offset_max_m"),
     *("exact_offset_max_s", "exact_offset_end_m", "exact_heading_max_deg"),
     *("exact_heading_end_deg", "exact_loss_offset_max_m", "exact_loss_heading_max_deg"),
+    *("exact_offset_rise_m", "exact_transfer_offset_max_m", "exact_transfer_s"),
     "exact_active_share",
 )
 

@@ -50,6 +50,8 @@ ARRIVAL_S = 30.0
 """Time within the limits, at full size, after which a transfer has ended."""
 DRIFT = 1.0
 """Growth of a distance, in multiples of the limits, that is no part of a transfer."""
+RISE_S = 10.0
+"""Time at the end of a loop, at full size, over which the change of the offset is its trend."""
 
 
 StepReport = Callable[[int, int], None]
@@ -392,7 +394,7 @@ def compute_station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) ->
 
     The ship is on station within `RADIUS_M` and `HEADING_DEG` of its setpoint, lengths and times
     scaled for a model ship. Offsets count from its arrival on, or all if it never arrives; after a
-    loss of thrusters or limits those from the arrival on.
+    loss of thrusters or limits those from the arrival on. Those before are of a transfer.
     """
     K = min(steps, len(exact.tau))
     offset, heading, distance, arrived, radius_m = _measure_offsets_and_arrivals(
@@ -402,17 +404,21 @@ def compute_station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) ->
     counted = arrived if arrived.any() else ~arrived
     largest = int(np.argmax(np.where(counted, offset, -1.0)))
     after_loss = arrived & (np.arange(K + 1) >= _first_loss_sample(scenario))
+    rise = round(RISE_S * _read_scale(scenario).time_and_speed_factor / scenario.sample_s)
     return {
         "exact_steps": float(K),
         "station_radius_m": radius_m,
         "exact_offset_max_m": float(offset[largest]),
         "exact_offset_max_s": largest * scenario.sample_s,
         "exact_offset_end_m": float(offset[-1]),
+        "exact_offset_rise_m": float(offset[-1] - offset[max(0, K - max(1, rise))]),
         "exact_heading_max_deg": float(heading[counted].max()),
         "exact_heading_end_deg": float(heading[-1]),
         "exact_loss_offset_max_m": _largest(offset[after_loss]),
         "exact_loss_heading_max_deg": _largest(heading[after_loss]),
         "exact_left_s": float(np.argmax(left)) * scenario.sample_s if left.any() else np.nan,
+        "exact_transfer_offset_max_m": _largest(offset[~arrived]),
+        "exact_transfer_s": _find_transfer_end(distance, arrived) * scenario.sample_s,
         "exact_active_share": float(exact.active[:K].mean()),
     }
 
@@ -420,6 +426,16 @@ def compute_station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) ->
 def _largest(values: Vector) -> float:
     """Return the largest of some values; NaN without any."""
     return float(values.max()) if len(values) else np.nan
+
+
+def _find_transfer_end(distance: Vector, arrived: Flags) -> float:
+    """Return the sample from which a ship is within its limits after its last transfer.
+
+    distance, arrived : (K,), as of `mask_arrived_samples`. NaN if no transfer ends.
+    """
+    if arrived.all() or not arrived[-1]:
+        return np.nan
+    return float(np.flatnonzero(~arrived & ~(distance <= 1.0))[-1] + 1)
 
 
 def _first_loss_sample(scenario: Scenario) -> float:
@@ -438,11 +454,16 @@ def compute_largest_offset_share(scenario: Scenario, state: Matrix) -> float:
     return float(distance[arrived if arrived.any() else ~arrived].max())
 
 
+def _read_scale(scenario: Scenario) -> Froude:
+    """Return the scale of a scenario's ship."""
+    return Froude(float(scenario.files["vessel"]["model_scale"]))
+
+
 def _measure_offsets_and_arrivals(
     scenario: Scenario, state: Matrix
 ) -> tuple[Vector, Vector, Vector, Flags, float]:
     """Return a ship's offset [m], heading error [°], distance [limits], arrivals, radius [m]."""
-    scale = Froude(float(scenario.files["vessel"]["model_scale"]))
+    scale = _read_scale(scenario)
     wanted = scenario.build_reference_table(len(state))
     north, east, turn = (state[:, POSE] - wanted).T
     offset, heading = np.hypot(north, east), np.degrees(np.abs(turn))

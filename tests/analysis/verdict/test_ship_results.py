@@ -48,7 +48,9 @@ def test_the_state_of_a_ship(records: Any, columns: dict[str, float], state: str
         (0.5, 9.0, 0.225, 0.25, False, True),
         (0.5, 9.0, 0.224, 0.25, False, False),
         (0.5, 30.0, 0.5, 0.0, True, False),
-        (0.5, 30.0, 0.5, math.nan, True, False),
+        (0.5, 30.0, 0.5, math.nan, True, True),
+        (0.1, 30.0, 0.1, math.nan, False, True),
+        (0.099, 30.0, 0.099, math.nan, False, False),
     ],
 )
 def test_a_ship_that_moves_when_its_run_ends(
@@ -62,7 +64,7 @@ def test_a_ship_that_moves_when_its_run_ends(
 ) -> None:
     """Its largest offset is at 27 s or later of 30 s, of which nine tenths are left at the end.
 
-    It moves away from 0.5 m on, of 5 m; after a loss of thrusters any offset counts.
+    It moves away from 0.5 m on, of 5 m, and has not settled from 0.1 m on, after a loss or not.
     """
     columns = {
         "exact_steps": 100,
@@ -73,7 +75,21 @@ def test_a_ship_that_moves_when_its_run_ends(
     }
     records.loop("daqp", "rough", **EDGE | columns)
     (ship,) = find_ship_results(records.view())
-    assert (ship.is_moving_away, ship.is_unsettled_after_loss) == (moves, is_unsettled)
+    assert (ship.is_moving_away, ship.is_unsettled) == (moves, is_unsettled)
+
+
+@pytest.mark.parametrize(
+    ("rise_m", "is_growing"), [(0.03, True), (math.nan, True), (0.0, False), (-0.03, False)]
+)
+def test_a_ship_that_comes_back_at_the_end_is_settling(
+    records: Any, rise_m: float, is_growing: bool
+) -> None:
+    """The largest offset is at 29.7 s of 30 s; without a trend the ship counts as moving out."""
+    end = {"exact_offset_max_m": 0.6, "exact_offset_max_s": 29.7, "exact_offset_end_m": 0.59}
+    columns = {"exact_steps": 100, "exact_offset_rise_m": rise_m} | end
+    records.loop("daqp", "rough", **EDGE | columns)
+    (ship,) = find_ship_results(records.view())
+    assert (ship.is_moving_away, ship.is_unsettled) == (is_growing, is_growing)
 
 
 @pytest.mark.parametrize(("horizon", "radius"), [(20, 1.0091), (60, math.nan), (None, math.nan)])

@@ -48,6 +48,51 @@ def test_a_transfer_is_no_departure_and_its_overshoot_neither() -> None:
     found = compute_station_metrics(move, solve_loop_exactly(move), move.steps)
     assert np.isnan(found["exact_left_s"])
     assert found["exact_offset_max_m"] < 1.0 and found["exact_offset_end_m"] < 0.1
+    assert found["exact_transfer_offset_max_m"] == pytest.approx(25.0, abs=0.5)
+    assert found["exact_transfer_s"] > 30.0
+
+
+def test_the_turn_of_the_report_is_a_transfer() -> None:
+    """Its state, sample by sample: outside 5 m and 5° until 73.5 s, up to 17.0 m off."""
+    turn = load_scenario("turn").truncate(450)
+    exact = solve_loop_exactly(turn)
+    found = compute_station_metrics(turn, exact, turn.steps)
+    offset = np.hypot(exact.state[:, 3], exact.state[:, 4])
+    heading = np.degrees(np.abs(exact.state[:, 5] - np.pi / 2.0))
+    last_outside = np.flatnonzero((offset > 5.0) | (heading > 5.0)).max()
+    assert found["exact_transfer_s"] == pytest.approx((last_outside + 1) * turn.sample_s)
+    assert found["exact_transfer_offset_max_m"] == offset.max() == pytest.approx(17.0, abs=0.05)
+
+
+def test_a_transfer_ends_at_the_last_sample_outside() -> None:
+    """8 m, 4 m and 6 m off: from the fourth sample on within 5 m, for the 100 samples of 30 s."""
+    calm = load_scenario("calm")
+    east = [8.0, 4.0, 6.0, *[1.0] * 110]
+    found = compute_station_metrics(calm, loop_along(calm, east), len(east) - 1)
+    assert found["exact_transfer_s"] == pytest.approx(3 * calm.sample_s)
+    assert found["exact_transfer_offset_max_m"] == 8.0 and found["exact_offset_max_m"] == 1.0
+    at_rest = compute_station_metrics(calm, loop_along(calm, [4.0, 2.0, 1.0]), 2)
+    assert np.isnan(at_rest["exact_transfer_s"])
+    assert np.isnan(at_rest["exact_transfer_offset_max_m"])
+    under_way = compute_station_metrics(calm, loop_along(calm, [9.0, 8.0, 1.0]), 2)
+    assert np.isnan(under_way["exact_transfer_s"])
+    assert under_way["exact_transfer_offset_max_m"] == 9.0
+
+
+@pytest.mark.parametrize(
+    ("name", "samples"), [("calm", 33), ("squall@cybership2", None)], ids=["full", "model"]
+)
+def test_the_trend_is_over_the_last_10_s_at_full_scale(name: str, samples: int | None) -> None:
+    """10 s are 33 samples of 0.3 s; of a model ship, whose times are shorter, as many."""
+    scenario = load_scenario(name)
+    scale = 1.0 / np.sqrt(float(scenario.files["vessel"]["model_scale"]))
+    last = samples or round(10.0 * scale / scenario.sample_s)
+    unit = 0.01 if samples is None else 1.0
+    east = unit * np.array([3.0, *[0.5] * (60 - last), 1.0, *[2.0] * (last - 1), 2.5])
+    found = compute_station_metrics(scenario, loop_along(scenario, east), len(east) - 1)
+    assert found["exact_offset_rise_m"] == pytest.approx(1.5 * unit)
+    short = compute_station_metrics(scenario, loop_along(scenario, unit * east[:2] / unit), 1)
+    assert short["exact_offset_rise_m"] == pytest.approx(unit * (0.5 - 3.0))
 
 
 def test_a_squall_that_carries_the_ship_off_for_a_while_is_a_departure() -> None:
