@@ -54,22 +54,16 @@ def describe_how_results_were_made(
     """Return a paragraph for a paper: suite, runs, steps, versions, machine, Python."""
     runs = [run for run in (*records.runs, *records.study) if run.solver not in CALIBRATION]
     of_solver = group_by_key(runs, lambda run: run.solver)
-    solvers = [
-        (solver, " ".join(dict.fromkeys(run.solver_version for run in own)))
-        for solver, own in of_solver.items()
+    solvers, laws = [
+        ", ".join(
+            f"`{solver}` {' '.join(dict.fromkeys(run.solver_version for run in own))}"
+            for solver, own in of_solver.items()
+            if own[0].is_baseline_law == is_law
+        )
+        for is_law in (False, True)
     ]
     steps = sum(int(run.steps_done) for run in runs)
-    refused = sum(run.outcome == "refused" for run in runs)
-    notes = [f"including {plural(refused, 'refused run')}"] if refused else []
-    twice = len(runs) - len({run.measurement_key for run in runs})
-    notes += [f"{twice} listed again under another name of equal settings"] if twice else []
-    apart = {
-        "of consequence analyses": len(records.consequence),
-        "at the edge of capability plots": len(records.at_edge),
-    }
-    notes += [f"excluding {plural(count, 'run')} {what}" for what, count in apart.items() if count]
-    notes += ["excluding calibration runs"] if records.calibration else []
-    note = f" ({', '.join(notes)})" if notes else ""
+    note = _describe_counted_runs(runs, records)
     numpy = machine.get("versions", {}).get("numpy", "")
     computer = (
         f"{machine.get('cpu_model', 'an unnamed CPU')}, {plural(machine.get('cores', 0), 'core')}, "
@@ -79,10 +73,29 @@ def describe_how_results_were_made(
     return (
         f"The suite `{suite.get('name', '')}` was run with {describe_version(suite)}: "
         f"{plural(len(runs), 'run')} with {plural(steps, 'step')}{note}, "
-        f"{describe_commands(runs, suite.get('started_utc', ''))}. "
-        f"Solvers: {', '.join(f'`{name}` {version}' for name, version in solvers)}. "
+        f"{describe_commands(runs, suite.get('started_utc', '')).removeprefix('run ')}. "
+        f"Solvers: {solvers}. {f'Baseline law: {laws}. ' if laws else ''}"
         f"Machine: {computer}; {software}."
     )
+
+
+def _describe_counted_runs(runs: Sequence[RunRecord], records: Records) -> str:
+    """Return in brackets which runs a count includes and leaves out; "" for nothing to name."""
+    refused = sum(run.outcome == "refused" for run in runs)
+    twice = len(runs) - len({run.measurement_key for run in runs})
+    verb = "is" if twice == 1 else "are"
+    equal = f"{twice} that {verb} listed twice because two settings names are equal"
+    included = [plural(refused, "refused run")] * bool(refused) + [equal] * bool(twice)
+    apart = {
+        "of consequence analyses": len(records.consequence),
+        "at the edge of capability plots": len(records.at_edge),
+    }
+    excluded = [f"{plural(count, 'run')} {what}" for what, count in apart.items() if count]
+    if calibration := len(records.calibration):
+        excluded.append(plural(calibration, "calibration run"))
+    notes = [f"including {join_with_and(included)}"] * bool(included)
+    notes += [f"excluding {join_with_and(excluded)}"] * bool(excluded)
+    return f" ({'; '.join(notes)})" if notes else ""
 
 
 def describe_machine_states(runs: Sequence[RunRecord]) -> str:

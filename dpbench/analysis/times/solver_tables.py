@@ -219,6 +219,7 @@ def tabulate_tolerance_levels(matrix: RunMatrix) -> pd.DataFrame:
             "error": point.error_move,
             "p50_us": point.p50_ns / 1e3,
             "p99_us": point.p99_ns / 1e3,
+            "timed_on": "; ".join(point.timed_on),
             "verdict": states.get(judged, "not judged"),
         }
         rows.append(make_configuration_columns(point.configuration) | columns)
@@ -340,7 +341,7 @@ class LevelPoint:
     """Step times and error of a solver at one tolerance setting, over all QP sequences.
 
     p50_ns, p99_ns : algorithmic step time, each the worst over the sequences that support a p99;
-        where none does, p50 over all and p99 NaN.
+        where none does, p50 over all and p99 NaN. timed_on : the sequences of p50_ns.
     error_move : the largest error of the first move, NaN where no optimum is certified.
     """
 
@@ -349,6 +350,7 @@ class LevelPoint:
     p99_ns: float
     error_move: float
     failed: int
+    timed_on: tuple[str, ...]
 
 
 def build_level_points(
@@ -376,14 +378,23 @@ def _build_level_point(
     records: Records, configuration: Configuration, runs: Sequence[RunRecord]
 ) -> LevelPoint | None:
     """Return one configuration's worst step times and error over QP sequences; or None."""
-    timed = [times.algo_ns for times in map(records.get_step_times, runs) if times is not None]
+    timed = {
+        run.sequence: times.algo_ns
+        for run in runs
+        if (times := records.get_step_times(run)) is not None
+    }
     if len(timed) < len(runs):
         return None
-    whole = [algo for algo in timed if has_enough_samples_for_percentile(len(algo), 99)]
+    whole = {
+        sequence: algo
+        for sequence, algo in timed.items()
+        if has_enough_samples_for_percentile(len(algo), 99)
+    }
     return LevelPoint(
         configuration,
-        p50_ns=max(float(np.median(algo)) for algo in whole or timed),
-        p99_ns=max((percentile_or_nan(algo, 99) for algo in whole), default=math.nan),
+        p50_ns=max(float(np.median(algo)) for algo in (whole or timed).values()),
+        p99_ns=max((percentile_or_nan(algo, 99) for algo in whole.values()), default=math.nan),
         error_move=float(np.fmax.reduce([run.error_move_max for run in runs])),
         failed=int(np.nansum([run.failed_steps for run in runs])),
+        timed_on=tuple(whole or timed),
     )

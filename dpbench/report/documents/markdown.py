@@ -90,6 +90,7 @@ CALL_MODES = (
     "starts from its last solution. Speed margin: factor by which the computer may be slower until "
     "the worst p99 or the longest step reaches its limit."
 )
+TERMS = " Terms: `docs/glossary.md` of dpbench."
 SINGLE_TIMINGS = " The p99 of single timings includes interference from other work."
 
 
@@ -101,7 +102,7 @@ def make_report_markdown(report: Report) -> str:
     if data.verdicts.of or not lead:
         wording = [recommendation.sentence, *(note for _, note in recommendation.notes)]
     after = [*_yield_verdicts_by_scenario(data, recommendation)]
-    after += [recommendation.requirements, recommendation.machine]
+    after += [recommendation.machine]
     after += yield_disturbance_sentences(data.studies)
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     if data.counts.sequences:
@@ -109,7 +110,7 @@ def make_report_markdown(report: Report) -> str:
     parts = [
         f"# dpbench: {escape_markdown(str(report.results.suite.get('name', 'results')))}",
         *make_ship_lines(recommendation.ship),
-        *map(escape_markdown_paragraph, [*lead, *wording]),
+        *map(escape_markdown_paragraph, [*lead, *wording, recommendation.requirements]),
         make_solver_table(data, listed := _list_verdicts(data.verdicts)),
         _explain_columns(listed),
         _unlisted_text(data.verdicts, len(listed)),
@@ -205,7 +206,7 @@ def _explain_columns(listed: Sequence[Verdict]) -> str:
     few = " A p99 of step times needs at least 1000 steps; a dash marks a shorter replay."
     has_raw_p99 = any(not math.isnan(verdict.raw_p99_ns) for verdict in listed)
     notes = CALL_MODES + SINGLE_TIMINGS * has_raw_p99
-    return notes + (few if any(are_known) and not all(are_known) else "")
+    return notes + (few if any(are_known) and not all(are_known) else "") + TERMS
 
 
 def _unlisted_text(verdicts: Verdicts, listed: int) -> str:

@@ -13,13 +13,19 @@ from dpbench.analysis.times.solver_tables import (
     tabulate_experiment_verdicts,
     tabulate_tolerance_levels,
 )
+from dpbench.analysis.verdict.verdict import list_main_verdicts
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts.embedded import draw_instructions
 from dpbench.report.charts.overview import draw_accuracy, draw_deadline_chart, draw_verdict_tiles
 from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS, draw_step_pairs, draw_step_strips
 from dpbench.report.charts.study import draw_point_errors, draw_point_seas, draw_study_points
 from dpbench.report.embedded_text import make_calculator_rows, name_sequence_and_core
-from dpbench.report.formats import explain_range_of_steps, plural
+from dpbench.report.formats import (
+    describe_range_of_steps,
+    explain_range_of_steps,
+    join_with_and,
+    plural,
+)
 from dpbench.report.page.data import PageData, make_table_of_runs, select_tiles
 from dpbench.report.page.section import Section
 from dpbench.report.verdict_text import shorten_findings
@@ -37,6 +43,20 @@ def _draw_deadline_charts(data: PageData) -> Charts:
             timed, data.requirements.deadline_ms, data.requirements.p99_ms
         )
     }
+
+
+def _explain_step_times(data: PageData) -> str:
+    """Return a text on the chart of step times: what its marks are, and the replay of the p50."""
+    timed_on = dict.fromkeys(v.timed_on for v in list_main_verdicts(data.verdicts) if v.timed_on)
+    replay = " or ".join(describe_range_of_steps(name) for name in timed_on)
+    which = " (column `timed_on` of `tables/ladder.csv`)" * (len(timed_on) > 1)
+    return (
+        "Step time of each solver in the replays and windows of hardest steps. Marker: p50 in the "
+        f"replay of {replay}{which}; bar: up to the worst p99; line: up to the longest step; "
+        "dashed line: up to the largest single timing, closed loops included. Grey: time of a "
+        "reference call that only copies its data, or the p50 of a solver whose binding is "
+        "faster. Below 5 µs, differences reflect the bindings, not the methods."
+    )
 
 
 def _draw_verdict_grids(data: PageData) -> Charts:
@@ -80,12 +100,27 @@ def _explain_verdict_grid(data: PageData) -> str:
         of = f"{failing} of {plural(requested['solver'].nunique(), 'solver')}"
         verb = "fails" if requested["solver"].nunique() == 1 else "fail"
         wording += [f"{of} {verb} in SI units (N, N·m): scale the QP."] if failing else []
+    if elsewhere := _list_experiments_of_other_modes(tiles):
+        wording.append(
+            f"In {join_with_and(elsewhere)}, some cells show another call mode than the first "
+            "figure, in which the solver was run there; see the tooltip."
+        )
     if there != drawn:
         most = (
             f"The figure shows the {drawn} of {there} scenarios and replays with the fewest passes"
         )
         wording.append(f"{most}; `tables/experiments.csv` contains all.")
     return " ".join(wording)
+
+
+def _list_experiments_of_other_modes(tiles: pd.DataFrame) -> list[str]:
+    """Return as code the scenarios where a solver is shown in another call mode than elsewhere."""
+    if tiles.empty:
+        return []
+    ran = tiles[tiles["verdict"].ne("not run")]
+    usual = ran.groupby(["solver", "settings"])["call_mode"].transform(lambda m: m.mode().iloc[0])
+    others = ran.loc[ran["call_mode"] != usual, "experiment"]
+    return [f"`{name}`" for name in dict.fromkeys(others)]
 
 
 def _list_unscaled_experiments(data: PageData) -> list[str]:
@@ -142,6 +177,25 @@ def _draw_accuracy(data: PageData) -> Charts:
     return {} if points.empty else {"accuracy": draw_accuracy(points, data.requirements.error_move)}
 
 
+def _explain_accuracy(data: PageData) -> str:
+    """Return a text on the chart of error over time: which replays its errors and times are of."""
+    points = tabulate_tolerance_levels(data)
+    if points.empty:
+        return ""
+    timed_on = dict.fromkeys(name for names in points["timed_on"] for name in names.split("; "))
+    names = join_with_and([describe_range_of_steps(name) for name in timed_on])
+    replays, error = data.records.sequences, "Largest error"
+    if [*timed_on] != replays:
+        error = f"Largest error in the {len(replays)} replays"
+    time = f"step time in the replay of {names}"
+    if len(timed_on) > 1:
+        time = f"largest such step time in the replays of {names}"
+    return (
+        f"{error} and {time} of each solver, in the call mode of the first figure. "
+        "Fill: verdict over all scenarios and replays. Dashed line: largest error allowed."
+    )
+
+
 def _draw_empty_study_charts(data: PageData) -> Charts:
     """Return the charts of a study by name, without data, which the page's script fills in."""
     if not (data.studies and data.runs):
@@ -175,7 +229,14 @@ def _pack_counts(data: PageData, _: Results) -> dict[str, Any]:
 
 
 SECTIONS = (
-    Section("answer", "Summary", _draw_deadline_charts, ("ladder",), always=True),
+    Section(
+        "answer",
+        "Summary",
+        _draw_deadline_charts,
+        ("ladder",),
+        text=_explain_step_times,
+        always=True,
+    ),
     Section(
         "matrix",
         "Scenarios",
@@ -186,7 +247,7 @@ SECTIONS = (
     ),
     Section("one", "One solver", _draw_empty_step_charts, live=True),
     Section("two", "Two solvers", _draw_empty_pair_chart, data=_pack_half_widths, live=True),
-    Section("accuracy", "Accuracy", _draw_accuracy, ("accuracy",)),
+    Section("accuracy", "Accuracy", _draw_accuracy, ("accuracy",), text=_explain_accuracy),
     Section(
         "study",
         "Study",

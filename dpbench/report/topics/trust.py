@@ -17,7 +17,7 @@ from dpbench.analysis.times.machine import (
     sum_disturbances,
 )
 from dpbench.bench.judge.calibration import compute_excess_over_wait_ns, is_within_tolerance
-from dpbench.bench.record.disturbance import MAX_DISTURBED_SHARE
+from dpbench.bench.record.disturbance import MAX_DISTURBED_SHARE, Disturbance
 from dpbench.report.charts.lines import draw_dots
 from dpbench.report.commands_text import describe_machine_states
 from dpbench.report.formats import (
@@ -107,21 +107,35 @@ def _describe_machine_load(records: Records, timed: Sequence[RunRecord]) -> str:
         )
     if timed[0].mode != "replay":
         return f"Other work did not disturb these closed loops.{_describe_hidden(records.machine)}"
-    rounds, remaining = plural(disturbance.rounds, "round"), disturbance.disturbed
-    share = format_share(remaining / disturbance.rounds) if disturbance.rounds else MISSING
     worse = len(find_disturbed_replays(records))
     exceed = "exceeds" if worse == 1 else "exceed"
+    windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     alone = (
-        f" Alone, {format_count(worse)} of {plural(len(timed), 'timed replay')} {exceed} the "
-        "limits of a quiet machine, so small differences of step time are not ranked there."
+        f" Taken individually, {format_count(worse)} of {plural(len(timed), 'timed replay')}"
+        f"{windows} {exceed} the limits of a quiet machine, so small differences of step time are "
+        "not ranked there."
     )
     return (
-        f"The machine was quiet during the replays and windows taken together: {rounds}, "
-        f"{format_count(disturbance.rerun)} of them repeated as disturbed. After that, "
-        f"{format_count(remaining) if remaining else 'none'} remained disturbed ({share}, limit "
-        f"{100 * MAX_DISTURBED_SHARE:g} %).{alone if worse else ''} Closed loops are not included."
-        f"{_describe_hidden(records.machine)}"
+        f"The machine was quiet during the replays{windows} taken together: "
+        f"{_describe_disturbed_rounds(disturbance)}.{alone if worse else ''} Closed loops are not "
+        f"included.{_describe_hidden(records.machine)}"
     )
+
+
+def _describe_disturbed_rounds(disturbance: Disturbance) -> str:
+    """Return how many rounds were repeated as other work disturbed them, and remained disturbed."""
+    remaining, rounds = disturbance.disturbed, plural(disturbance.rounds, "round")
+    limit = f"limit {100 * MAX_DISTURBED_SHARE:g} %"
+    share = format_share(remaining / disturbance.rounds) if disturbance.rounds else MISSING
+    is_repeated = disturbance.rerun > 0
+    if not remaining and not is_repeated:
+        return f"{rounds}, none of them disturbed ({limit})"
+    left = f"{format_count(remaining) if remaining else 'none'} remained disturbed"
+    left = f"{left} ({share}, {limit})"
+    if not is_repeated:
+        return f"{rounds}, of which {left}"
+    repeated = f"{format_count(disturbance.rerun)} of them repeated"
+    return f"{rounds}, {repeated} because other work disturbed them; {left}"
 
 
 def _describe_hidden(machine: Mapping[str, Any]) -> str:

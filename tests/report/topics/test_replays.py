@@ -119,8 +119,11 @@ def test_what_the_machine_hides_is_said(records: Any) -> None:
     records.replay("daqp", replay_s=9.0, rerun_rounds=2, involuntary_switches=0, steal_s=0.0)
     topic = build_trust_topic(records.view())
     (quiet,) = (line for line in topic.lines if line.startswith("The machine was quiet"))
-    assert "together: 3 rounds, 2 of them repeated as disturbed. After that, none" in quiet
-    assert "remained disturbed (0 %, limit 5 %). Closed loops are not included." in quiet
+    assert "during the replays taken together: 3 rounds, 2 of them repeated because other" in quiet
+    assert (
+        "work disturbed them; none remained disturbed (0 %, limit 5 %). Closed loops are not "
+        "included." in quiet
+    )
     assert quiet.endswith("The machine reports neither its frequency governor nor throttling.")
 
 
