@@ -60,7 +60,7 @@ from dpbench.report.verdict_text import (
     name_experiment,
 )
 
-MOST_BYTES = 8000
+MOST_BYTES = 9000
 """Largest size of the report [B]: one or two screens."""
 MOST_ROWS = 24
 """Configurations up to which the report lists all of them, not only the best of each solver."""

@@ -1,6 +1,6 @@
 """The sections that follow the selection, each registered once in `SECTIONS`."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from math import inf
 from typing import Any
 
@@ -120,7 +120,7 @@ def _list_experiments_of_other_modes(tiles: pd.DataFrame) -> list[str]:
     ran = tiles[tiles["verdict"].ne("not run")]
     usual = ran.groupby(["solver", "settings"])["call_mode"].transform(lambda m: m.mode().iloc[0])
     others = ran.loc[ran["call_mode"] != usual, "experiment"]
-    return [f"`{name}`" for name in dict.fromkeys(others)]
+    return _mark_names(others)
 
 
 def _list_unscaled_experiments(data: PageData) -> list[str]:
@@ -182,18 +182,33 @@ def _explain_accuracy(data: PageData) -> str:
     points = tabulate_tolerance_levels(data)
     if points.empty:
         return ""
-    timed_on = dict.fromkeys(name for names in points["timed_on"] for name in names.split("; "))
-    names = join_with_and([describe_range_of_steps(name) for name in timed_on])
-    replays, error = data.records.sequences, "Largest error"
-    if [*timed_on] != replays:
-        error = f"Largest error in the {len(replays)} replays"
-    time = f"step time in the replay of {names}"
-    if len(timed_on) > 1:
-        time = f"largest such step time in the replays of {names}"
+    usual, *others = points["timed_on"].value_counts().index
+    exceptions = [
+        f"for {join_with_and(_mark_names(points['solver'][points['timed_on'] == names]))}, "
+        f"{_name_timed_replays(names)}"
+        for names in others
+    ]
+    except_for = f" ({'; '.join(exceptions)})" if exceptions else ""
+    replays = len(data.records.sequences)
+    where = f" in {'both' if replays == 2 else f'all {replays}'} replays" if replays > 1 else ""
     return (
-        f"{error} and {time} of each solver, in the call mode of the first figure. "
-        "Fill: verdict over all scenarios and replays. Dashed line: largest error allowed."
+        f"Largest error of each solver{where}, and step time {_name_timed_replays(usual)}"
+        f"{except_for}, in the call mode of the first figure. Fill: verdict over all scenarios "
+        "and replays. Dashed line: largest error allowed."
     )
+
+
+def _mark_names(names: Iterable[str]) -> list[str]:
+    """Return names as code, each once."""
+    return [f"`{name}`" for name in dict.fromkeys(names)]
+
+
+def _name_timed_replays(names: str) -> str:
+    """Return a text on the replays of a step time, the largest of several, as of `timed_on`."""
+    replays = [describe_range_of_steps(name) for name in names.split("; ")]
+    if len(replays) == 1:
+        return f"in the replay of {replays[0]}"
+    return f"the largest in the replays of {join_with_and(replays)}"
 
 
 def _draw_empty_study_charts(data: PageData) -> Charts:

@@ -82,7 +82,7 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
 
 
 def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) -> None:
-    """At most 8 kB; a row a solver with verdict, times, error and failed steps of its verdict."""
+    """At most 9 kB; a row a solver with verdict, times, error and failed steps of its verdict."""
     assert len(written.markdown.encode()) <= MOST_BYTES
     rows = [line.strip("| ").split(" | ") for line in written.markdown.splitlines() if "|" in line]
     head, _, *body = rows

@@ -54,9 +54,9 @@ def test_counts_replace_the_speed_margin(judged: MadeRecords) -> None:
 def test_the_p99_of_each_counted_sequence_is_named(judged: MadeRecords) -> None:
     """Not that of another core."""
     counted = [
-        make_counts("daqp", [4000] * 200),
-        make_counts("daqp", [1000] * 200, "rough[900:1100]"),
-        make_counts("daqp", [900] * 200, "rough[900:1100]", target="a53"),
+        make_counts("quadprog", [4000] * 200),
+        make_counts("quadprog", [1000] * 200, "rough[900:1100]"),
+        make_counts("quadprog", [900] * 200, "rough[900:1100]", target="a53"),
     ]
     found = notes(Report.from_results(judged.results(), counted=pd.concat(counted)))
     assert (
