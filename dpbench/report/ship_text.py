@@ -245,7 +245,7 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     from_deg = find_weather_direction(ship.run for ship in known)
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     moved = [ship for ship in kept if ship.has_transfer]
-    arrival = f"In {_name_ships(moved)}, it is on station {_describe_arrival(moved)}. "
+    arrival = f"In {_name_ships(moved)}, the ship is on station {_describe_arrival(moved)}. "
     transfers = arrival if moved else ""
     largest = "Outside transfers, the largest" if moved else "The largest"
     return (

@@ -470,15 +470,15 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     text = _summary(records).text
     assert text.startswith(
         "With exactly solved QPs, the controller holds the ship on station (5 m, 5°) in 2 of 2 "
-        "scenarios. In `turn`, it is on station from 73.8 s on, after a transfer (up to 17.0 m off "
-        "on the way). Outside transfers, the largest offset is 1.77 m in `paper` at 0.300 s; the "
-        "offset at the end is 0.0400 m."
+        "scenarios. In `turn`, the ship is on station from 73.8 s on, after a transfer (up to 17.0 "
+        "m off on the way). Outside transfers, the largest offset is 1.77 m in `paper` at 0.300 s; "
+        "the offset at the end is 0.0400 m."
     )
     farther = {"exact_transfer_offset_max_m": 25.0, "exact_transfer_s": 40.2}
     records.loop("daqp", "move", **TURN | farther)
     assert (
-        "In `turn` and `move`, it is on station from 73.8 s on at the latest, after a transfer (up "
-        "to 25.0 m off on the way). Outside"
+        "In `turn` and `move`, the ship is on station from 73.8 s on at the latest, after a transfer "
+        "(up to 25.0 m off on the way). Outside"
     ) in _summary(records).text
 
 
@@ -488,7 +488,8 @@ def test_a_transfer_of_an_earlier_release_is_named_without_numbers(records: Any)
         cell = json.dumps({"scenario": load_scenario(name).files})
         records.loop("daqp", name, cell=cell)
     assert (
-        "In `turn`, it is on station after a transfer. Outside transfers, the largest offset is"
+        "In `turn`, the ship is on station after a transfer. Outside transfers, the largest "
+        "offset is"
     ) in _summary(records).text
 
 
