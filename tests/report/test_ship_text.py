@@ -477,8 +477,8 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     farther = {"exact_transfer_offset_max_m": 25.0, "exact_transfer_s": 40.2}
     records.loop("daqp", "move", **TURN | farther)
     assert (
-        "In `turn` and `move`, the ship is on station from 73.8 s on at the latest, after a transfer "
-        "(up to 25.0 m off on the way). Outside"
+        "In `turn` and `move`, the ship is on station from 73.8 s on at the latest, after a "
+        "transfer (up to 25.0 m off on the way). Outside"
     ) in _summary(records).text
 
 
