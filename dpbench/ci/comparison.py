@@ -167,7 +167,7 @@ class RunComparison:
         """Return 1 for a regression, else `disturbed` where load took a verdict, else 0."""
         if self.worse:
             return 1
-        return disturbed if any(row.verdict == DISTURBED for row in self.rows) else 0
+        return disturbed if self.outcome == DISTURBED else 0
 
     def describe_scope(self, base: str, head: str) -> str:
         """State in one line how many benchmarks the named base and head have in common."""
@@ -194,8 +194,20 @@ class RunComparison:
             [*times, f"{' and '.join(kinds) or 'failures'}: no regression against {base}"]
         )
 
-    def describe_exit(self, disturbed: int, option: str = "--disturbed-exit") -> list[str]:
-        """Return lines on the largest ratio that load left without a verdict, and the exit code.
+    @property
+    def outcome(self) -> str:
+        """Word for the exit code: the regression, or why there is none."""
+        if self.worse or self.verdict == NO_BASELINE:
+            return self.verdict
+        is_disturbed = any(row.verdict == DISTURBED for row in self.rows)
+        return DISTURBED if is_disturbed else "no regression"
+
+    def describe_exit(self, disturbed: int) -> str:
+        """Return the last line: the exit code and its reason."""
+        return f"exit code {self.exit_code(disturbed)} ({self.outcome})"
+
+    def describe_unjudged(self, disturbed: int, option: str = "--disturbed-exit") -> list[str]:
+        """Return lines on unused allowances and the largest ratio that load left without a verdict.
 
         option : the one that selects the exit code.
         """
@@ -205,14 +217,10 @@ class RunComparison:
             return lines
         worst = max(unjudged, key=lambda row: row.disturbed_ratio)
         ratio = significant(worst.disturbed_ratio)
-        lines.append(
-            f"not judged: the machine was disturbed; largest ratio × {ratio} ({worst.name})"
-        )
-        if self.worse:
-            return lines
-        code = self.exit_code(disturbed)
-        passes = f"exit code 0: disturbed times pass; {option} CODE selects another exit code"
-        return [*lines, f"exit code {code} (disturbed)" if code else passes]
+        lines.append(f"largest ratio not judged: × {ratio} ({worst.name})")
+        if not self.exit_code(disturbed):
+            lines.append(f"disturbed times pass; {option} CODE selects another exit code")
+        return lines
 
     @property
     def headline(self) -> str:
@@ -260,9 +268,9 @@ def describe_end(
     disturbed_exit: int = 0,
     option: str = "--disturbed-exit",
 ) -> list[str]:
-    """Return lines on what was compared, whether a regression is shown, and a selected exit."""
+    """Return lines on what was compared, whether a regression is shown, and what is not judged."""
     lines = [found.describe_scope(base, head), found.describe_verdict(base)]
-    return lines + found.describe_exit(disturbed_exit, option)
+    return lines + found.describe_unjudged(disturbed_exit, option)
 
 
 def compare_runs(

@@ -70,6 +70,7 @@ class SessionComparison:
         except InputError as error:
             raise pytest.UsageError(f"--dpbench-compare: {error}") from error
         self._config, self._notes, self._text = config, notes, StringIO()
+        self._last_line = ""
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
@@ -92,11 +93,19 @@ class SessionComparison:
         found.print(Console(file=self._text, width=120), lines)
         if passed:
             session.exitstatus = found.exit_code(selected)
+        why = "" if passed or found.worse else ": pytest did not pass"
+        self._last_line = f"dpbench: {found.outcome} (exit code {int(session.exitstatus)}{why})"
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Print the comparison with the stored run below pytest's table of benchmarks."""
         terminalreporter.section("dpbench comparison")
         terminalreporter.write_line(self._text.getvalue().rstrip())
+
+    def pytest_unconfigure(self, config: pytest.Config) -> None:
+        """Print the outcome and the exit code below pytest's last line."""
+        reporter = config.pluginmanager.getplugin("terminalreporter")
+        if reporter is not None and self._last_line:
+            reporter.write_line(self._last_line)
 
 
 def measure_suspects_again(
@@ -189,6 +198,7 @@ def main(argv: list[str] | None = None) -> int:
             console.print(f"{why}: stored {baseline}, nothing compared", soft_wrap=True)
             if warning := describe_disturbed_baseline(now.disturbed, len(now.benchmarks)):
                 console.print(warning, soft_wrap=True)
+            console.print("exit code 0 (baseline stored)")
             return 0
         was = load_run(baseline)
         if was.disturbed:
@@ -204,7 +214,8 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     found = compare_runs([(was, now)], allow_gone=arguments.allow_gone, allow=arguments.allow)
     selected: int = arguments.disturbed_exit
-    found.print(console, describe_end(found, str(baseline), str(arguments.json), selected))
+    lines = describe_end(found, str(baseline), str(arguments.json), selected)
+    found.print(console, [*lines, found.describe_exit(selected)])
     return found.exit_code(selected)
 
 

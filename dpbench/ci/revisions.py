@@ -283,7 +283,8 @@ def compare_trees(
     end = describe_early_end(pairs, count)
     end = ADVICE if end == STOPPED else end
     lines += [line for line in (end, base.reason and f"base: {base.reason}") if line]
-    return found, lines + found.describe_exit(disturbed_exit)
+    lines += found.describe_unjudged(disturbed_exit)
+    return found, [*lines, found.describe_exit(disturbed_exit)]
 
 
 def _name_tree(side: str, tree: Path) -> str:

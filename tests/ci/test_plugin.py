@@ -82,6 +82,12 @@ def test_a_session_compared_with_a_stored_one(
     result.assert_outcomes(passed=1)
     assert result.ret == code
     result.stdout.fnmatch_lines(["*dpbench comparison*", "*test_it.py::test_replay*", text])
+    assert result.outlines[-1] in (
+        ["dpbench: worse (exit code 1)"]
+        if code
+        # Other load may disturb this session.
+        else ["dpbench: no regression (exit code 0)", "dpbench: disturbed (exit code 0)"]
+    )
     (entry,) = json.loads((pytester.path / "now.json").read_text(encoding="utf-8"))["benchmarks"]
     info = entry["extra_info"]
     assert info["reference_ns"] > 0 and info["true_share"] == 1.0
@@ -120,7 +126,11 @@ def test_a_comparison_of_nothing_fails(pytester: pytest.Pytester) -> None:
     base = write_baseline(pytester.path, "gone", 1.0)
     result = run(pytester, f"--dpbench-compare={base}")
     assert result.ret == 1
-    result.stdout.fnmatch_lines(["gone *"])
+    result.stdout.fnmatch_lines(["gone *", "*1 passed*", "dpbench: gone (exit code 1)"])
+    pytester.makepyfile("def test_nothing(): assert False")
+    result = run(pytester, f"--dpbench-compare={base}", "--dpbench-allow-gone")
+    assert result.outlines[-1] == "dpbench: no regression (exit code 1: pytest did not pass)"
+    pytester.makepyfile("def test_nothing(): pass")
     assert run(pytester, f"--dpbench-compare={base}", "--dpbench-allow-gone").ret == 0
     result = run(pytester, "--dpbench-compare=none.json")
     assert result.ret == pytest.ExitCode.USAGE_ERROR

@@ -76,12 +76,13 @@ def test_turns_alternate_and_one_disturbed_pair_is_repeated(
     assert main([*map(str, trees), "--pairs", "3"]) == 0
     found = capsys.readouterr()
     assert found.err.splitlines()[-1] == f"pair 1 of 3 disturbed: {STOPPED}"
-    scope, verdict, advice, ratio, passes = found.out.splitlines()[-5:]
+    scope, verdict, advice, ratio, passes, last = found.out.splitlines()[-6:]
     assert scope.endswith("; 2 pairs of runs, 2 of them disturbed")
     assert verdict.startswith("times not judged (machine disturbed) in 1 of 1 benchmark; ")
     assert advice == ADVICE
-    assert ratio == "not judged: the machine was disturbed; largest ratio × 1.00 (t)"
-    assert passes.startswith("exit code 0: disturbed times pass; --disturbed-exit CODE")
+    assert ratio == "largest ratio not judged: × 1.00 (t)"
+    assert passes.startswith("disturbed times pass; --disturbed-exit CODE")
+    assert last == "exit code 0 (disturbed)"
     stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
     assert main([*map(str, trees), "--pairs", "3", "--disturbed-exit", "75"]) == 75
     assert capsys.readouterr().out.splitlines()[-3:] == [ADVICE, ratio, "exit code 75 (disturbed)"]
@@ -116,6 +117,8 @@ def test_exit_codes_and_first_lines(
     end = "stopped after 1 pair of runs, as the head has wrong answers"
     assert [end in stream for stream in found] == [text == "wrong answers"] * 2
     if code < 2:
+        word = text if code or text == "no baseline" else "no regression"
+        assert found.out.splitlines()[-1] == f"exit code {code} ({word})"
         assert markdown.read_text(encoding="utf-8").startswith(f"**dpbench: {text}")
 
 
