@@ -1,7 +1,8 @@
 """Continuous integration of a solver: replays under pytest-benchmark, compared with a baseline."""
 
 import argparse
-from typing import Any
+import re
+from typing import Any, NamedTuple
 
 MARGIN = 0.15
 """Largest slowdown of a benchmark that is no verdict, as a share of its time."""
@@ -14,23 +15,32 @@ def parse_exit_code(text: str) -> int:
     return int(text)
 
 
-def parse_allowance(text: str) -> tuple[str, str]:
-    """Read a measure and a solver, such as `iterations:osqp`; ArgumentTypeError for other text."""
-    measure, _, solver = text.partition(":")
-    if not (measure and solver):
+class Allowance(NamedTuple):
+    """Measure of a solver that may increase, and by which share at most."""
+
+    measure: str
+    solver: str
+    largest: float = float("inf")
+
+
+def parse_allowance(text: str) -> Allowance:
+    """Read an allowance, such as `iterations:osqp=10%`; ArgumentTypeError for other text."""
+    found = re.fullmatch(r"([^:]+):([^=]+)(?:=(\d+(?:\.\d+)?) ?%)?", text)
+    if found is None:
         raise argparse.ArgumentTypeError(
-            f"found {text}; allowed: MEASURE:SOLVER, such as iterations:osqp"
+            f"found {text}; allowed: MEASURE:SOLVER[=PERCENT], such as iterations:osqp=10%"
         )
-    return measure, solver
+    measure, solver, percent = found.groups()
+    return Allowance(measure, solver, float(percent) / 100.0 if percent else float("inf"))
 
 
 ALLOW: dict[str, Any] = {
-    "metavar": "MEASURE:SOLVER",
+    "metavar": "MEASURE:SOLVER[=PERCENT]",
     "type": parse_allowance,
     "action": "append",
     "default": [],
-    "help": "accept an increase of a measure of a solver, such as iterations:osqp or errors:osqp; "
-    "repeatable",
+    "help": "accept an increase of a measure of a solver, such as iterations:osqp, or up to a "
+    "limit, as iterations:osqp=10%%; repeatable",
 }
 """Option that gate, revisions and pytest have in common."""
 DISTURBED_EXIT: dict[str, Any] = {

@@ -25,7 +25,7 @@ from dpbench.analysis.compare.evidence import (
     remove_factor_shared_by_group,
 )
 from dpbench.analysis.statistics import Interval
-from dpbench.ci import MARGIN
+from dpbench.ci import MARGIN, Allowance
 from dpbench.ci.benchmarks import WRONG_ANSWERS, Benchmark, BenchmarkRun
 from dpbench.ci.gross_slowdown import is_grossly_slower
 from dpbench.report.formats import (
@@ -97,8 +97,7 @@ FEWEST_PAIRS = 3
 """Undisturbed pairs of runs that suffice, where there are as many pairs."""
 
 Pairs = Sequence[tuple[BenchmarkRun, BenchmarkRun]]
-Allowed = Collection[tuple[str, str]]
-"""Measures that may grow, each with its solver: (iterations, osqp)."""
+Allowed = Collection[Allowance]
 
 
 @dataclass(frozen=True)
@@ -312,20 +311,23 @@ def compare_runs(
                 )
             )
     rows.sort(key=lambda row: ORDER.index(row.verdict))
-    unused = tuple(":".join(one) for one in allow if not _is_measured(one, pairs))
+    unused = tuple(":".join(one[:2]) for one in allow if not _is_measured(one, pairs))
     return RunComparison(rows, len(times), (len(was), len(now)), allow_gone, unused)
 
 
-def _is_measured(allowed: tuple[str, str], pairs: Pairs) -> bool:
+def _is_measured(allowed: Allowance, pairs: Pairs) -> bool:
     """Return whether a benchmark of the base has a measure that may grow, of its solver."""
     measured = (one for base, _ in pairs for one in base.benchmarks.values())
-    return any(_is_allowed(name, one, [allowed]) for one in measured for name in one.exact)
+    return any(_is_allowed(name, one, one, [allowed]) for one in measured for name in one.exact)
 
 
-def _is_allowed(measure: str, benchmark: Benchmark, allow: Allowed) -> bool:
-    """Return whether a measure of a benchmark may grow, named by its kind or its own name."""
-    kind = MEASURES.get(measure, (measure,))[0]
-    return any((name, benchmark.solver) in allow for name in (measure, kind))
+def _is_allowed(measure: str, was: Benchmark, now: Benchmark, allow: Allowed) -> bool:
+    """Return whether a measure of a benchmark may grow so far, by its kind or its own name."""
+    names = (measure, MEASURES.get(measure, (measure,))[0])
+    limits = [one.largest for one in allow if one.measure in names and one.solver == was.solver]
+    # 1.13 times 100 is less than 113 in floating point.
+    bounds = [(1.0 + limit) * (1.0 + 1e-9) * was.exact[measure] for limit in limits]
+    return any(now.exact[measure] <= bound for bound in bounds)
 
 
 def _judge_benchmark(
@@ -373,7 +375,7 @@ def find_exact_changes(was: Benchmark, now: Benchmark, allow: Allowed = ()) -> l
     allow : measures that may grow, which are left out.
     """
     grown = _yield_grown_measures(was, now)
-    changes = [line for name, line in grown if not _is_allowed(name, was, allow)]
+    changes = [line for name, line in grown if not _is_allowed(name, was, now, allow)]
     missing = sorted(was.exact.keys() - now.exact.keys())
     words_of = [MEASURES.get(name, ("", name, ""))[1] for name in missing]
     return changes + [f"{words}: no longer measured" for words in words_of]
@@ -382,7 +384,7 @@ def find_exact_changes(was: Benchmark, now: Benchmark, allow: Allowed = ()) -> l
 def find_allowed_changes(was: Benchmark, now: Benchmark, allow: Allowed) -> list[str]:
     """Return lines on the exact measures of one benchmark that grew and may."""
     grown = _yield_grown_measures(was, now)
-    return [f"{line} (allowed)" for name, line in grown if _is_allowed(name, was, allow)]
+    return [f"{line} (allowed)" for name, line in grown if _is_allowed(name, was, now, allow)]
 
 
 def _yield_grown_measures(was: Benchmark, now: Benchmark) -> Iterator[tuple[str, str]]:

@@ -1,7 +1,7 @@
 """Compare measurements of pytest-benchmark with the stored ones of the same machine.
 
     python -m dpbench.ci.gate bench.json BASELINE [--renew] [--retries 3] [--allow-gone]
-        [--disturbed-exit CODE] [--allow MEASURE:SOLVER]
+        [--disturbed-exit CODE] [--allow MEASURE:SOLVER[=PERCENT]]
 
 BASELINE is a JSON file, or a folder that keeps one for each machine. What looks worse or was
 disturbed is measured again: noise only ever makes a minimum larger. The baseline is not, and so

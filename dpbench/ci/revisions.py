@@ -1,6 +1,7 @@
 """Compare two revisions of a solver by its benchmarks, measured by turns.
 
-    python -m dpbench.ci.revisions BASE HEAD [--pairs 5] [--markdown FILE] [-- PYTEST ARGUMENTS]
+    python -m dpbench.ci.revisions BASE HEAD [--pairs 5] [--attempts N] [--markdown FILE]
+        [-- PYTEST ARGUMENTS]
 
 BASE and HEAD are working trees. pytest runs in each by turns, with `.venv/bin/python` of the tree
 where there is one. Pairs of runs that other load disturbed are repeated, each once at most; two
@@ -52,7 +53,7 @@ disturbed:
   Other programs, the host or throttling slowed the machine during a benchmark, so its time is
   not judged, unless at least two pairs of runs show a slowdown beyond 1.5 that load does not
   explain. Iterations, errors and failed tests are still judged. A disturbed pair of runs is
-  repeated; two in a row end the measurement.
+  repeated; two in a row end the measurement, unless --attempts is set.
 
 exit codes:
   0     no regression shown, or a base without benchmarks
@@ -180,9 +181,12 @@ def _has_source(name: str, *folders: Path) -> bool:
 
 
 def measure_by_turns(
-    trees: tuple[Path, Path], count: int, arguments: Sequence[str]
+    trees: tuple[Path, Path], count: int, arguments: Sequence[str], attempts: int | None = None
 ) -> list[tuple[Measured, Measured]]:
     """Measure two trees by turns until so many pairs are undisturbed; return all pairs.
+
+    attempts : largest number of pairs; by default twice `count`, and two disturbed pairs in a row
+        are the last ones.
 
     One pair is enough where the base has no benchmark or the head has one that fails.
     SituationError where a tree is not measured with its own files, before the first run where the
@@ -195,11 +199,12 @@ def measure_by_turns(
     require_imports_of_own_files(trees, (collected[0], collected[1]))
     pairs: list[tuple[Measured, Measured]] = []
     spent_s: list[float] = []
-    while len(pairs) < 2 * count and (done := _count_undisturbed_pairs(pairs)) < count:
+    limit = max(count, attempts or 2 * count)
+    while len(pairs) < limit and (done := _count_undisturbed_pairs(pairs)) < count:
         # Neither is always the second.
         turns = (0, 1) if len(pairs) % 2 == 0 else (1, 0)
-        pair = f"pair {1 + done} of {count}"
-        attempt = f" (attempt {1 + len(pairs)} of at most {2 * count})"
+        pair = f"pair {1 + len(pairs)}"
+        of_all = f"{pair} of at most {limit} ({done} of {count} undisturbed)"
         measured: dict[int, Measured] = {}
         for turn in turns:
             start_s = time.monotonic()
@@ -207,13 +212,13 @@ def measure_by_turns(
             spent_s.append(time.monotonic() - start_s)
             left_s = sum(spent_s) / len(spent_s) * (2 * (count - done) - len(measured))
             seconds = f"{spent_s[-1]:.0f} s, about {format_duration(left_s)} left"
-            print(f"{pair}{attempt}, {('base', 'head')[turn]}: {seconds}", file=sys.stderr)
+            print(f"{of_all}, {('base', 'head')[turn]}: {seconds}", file=sys.stderr)
         pairs.append((measured[0], measured[1]))
         base, head = pairs[-1]
         require_imports_of_own_files(trees, (base.run, head.run))
-        end = describe_early_end(pairs, count)
+        end = describe_early_end(pairs, count, attempts)
         if not (base.is_quiet and head.is_quiet):
-            again = end or ("no repeat left" if len(pairs) == 2 * count else "repeated")
+            again = end or ("no repeat left" if len(pairs) == limit else "repeated")
             print(f"{pair} disturbed: {again}", file=sys.stderr)
         elif end:
             print(end, file=sys.stderr)
@@ -222,8 +227,13 @@ def measure_by_turns(
     return pairs
 
 
-def describe_early_end(pairs: Sequence[tuple[Measured, Measured]], count: int) -> str:
-    """Return why no pair follows though fewer than `count` are undisturbed; "" if one may."""
+def describe_early_end(
+    pairs: Sequence[tuple[Measured, Measured]], count: int, attempts: int | None = None
+) -> str:
+    """Return why no pair follows though fewer than `count` are undisturbed; "" if one may.
+
+    attempts : None if two disturbed pairs in a row end the measurement.
+    """
     if _count_undisturbed_pairs(pairs) >= count:
         return ""
     base, head = pairs[-1]
@@ -240,7 +250,8 @@ def describe_early_end(pairs: Sequence[tuple[Measured, Measured]], count: int) -
         why = "the base has no benchmark with a time"
     if why:
         return f"stopped after {plural(len(pairs), 'pair')} of runs, as {why}"
-    return STOPPED if len(pairs) > 1 and not _count_undisturbed_pairs(pairs[-2:]) else ""
+    is_hopeless = attempts is None and len(pairs) > 1 and not _count_undisturbed_pairs(pairs[-2:])
+    return STOPPED if is_hopeless else ""
 
 
 def _count_undisturbed_pairs(pairs: Sequence[tuple[Measured, Measured]]) -> int:
@@ -257,12 +268,13 @@ def compare_trees(
     allow_gone: bool,
     allow: Allowed = (),
     disturbed_exit: int,
+    attempts: int | None = None,
 ) -> tuple[RunComparison, list[str]]:
     """Compare two working trees; return the comparison and lines on how it was measured.
 
     InputError where the head has no benchmark and the base has none either.
     """
-    pairs = measure_by_turns(trees, count, arguments)
+    pairs = measure_by_turns(trees, count, arguments, attempts)
     disturbed = len(pairs) - _count_undisturbed_pairs(pairs)
     found = compare_runs(
         [(base.run, head.run) for base, head in pairs],
@@ -280,7 +292,7 @@ def compare_trees(
     names = [_name_tree(*side) for side in zip(("base", "head"), trees, strict=True)]
     runs = f"{plural(len(pairs), 'pair')} of runs, {disturbed} of them disturbed"
     lines = [f"{found.describe_scope(*names)}; {runs}", found.describe_verdict(names[0])]
-    end = describe_early_end(pairs, count)
+    end = describe_early_end(pairs, count, attempts)
     end = ADVICE if end == STOPPED else end
     lines += [line for line in (end, base.reason and f"base: {base.reason}") if line]
     lines += found.describe_unjudged(disturbed_exit)
@@ -305,7 +317,13 @@ def _build_parser() -> argparse.ArgumentParser:
     parser.add_argument("base", type=Path, metavar="BASE", help="working tree to compare with")
     parser.add_argument("head", type=Path, metavar="HEAD", help="working tree of the change")
     parser.add_argument(
-        "--pairs", type=int, default=5, metavar="N", help="runs of each revision (default: 5)"
+        "--pairs", type=int, default=5, metavar="N", help="undisturbed pairs of runs (default: 5)"
+    )
+    parser.add_argument(
+        "--attempts",
+        type=int,
+        metavar="N",
+        help="measure up to N pairs, even after two disturbed in a row (default: twice --pairs)",
     )
     parser.add_argument(
         "--margin",
@@ -344,6 +362,7 @@ def main(argv: list[str] | None = None) -> int:
             allow_gone=arguments.allow_gone,
             allow=arguments.allow,
             disturbed_exit=arguments.disturbed_exit,
+            attempts=arguments.attempts,
         )
     except InputError as error:
         print(f"revisions: {error}", file=sys.stderr)

@@ -188,8 +188,10 @@ def test_an_increase_is_allowed_by_an_option(
     assert gate.main(arguments) == 1
     assert gate.main([*arguments, "--allow", "iterations:mine"]) == 0
     assert "iterations 100 → 101 (allowed)" in capsys.readouterr().out
+    assert gate.main([*arguments, "--allow", "iterations:mine=1%"]) == 0
+    assert gate.main([*arguments, "--allow", "iterations:mine=0.5%"]) == 1
     with pytest.raises(SystemExit):
-        gate.main([*arguments, "--allow", "iterations"])
+        gate.main([*arguments, "--allow", "iterations:mine=ten"])
 
 
 def test_a_benchmark_that_the_session_left_out_is_not_gone(write: Write, tmp_path: Path) -> None:

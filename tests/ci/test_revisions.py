@@ -69,13 +69,13 @@ def test_turns_alternate_and_one_disturbed_pair_is_repeated(
     assert len(measure_by_turns(trees, 3, [])) == 4
     assert order[:4] == ["base", "head", "head", "base"]
     lines = capsys.readouterr().err.splitlines()
-    assert lines[2] == "pair 1 of 3 disturbed: repeated"
-    assert lines[3].startswith("pair 1 of 3 (attempt 2 of at most 6), head: 0 s, about ")
+    assert lines[2] == "pair 1 disturbed: repeated"
+    assert lines[3].startswith("pair 2 of at most 6 (0 of 3 undisturbed), head: 0 s, about ")
     assert len(lines) == 9
     stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
     assert main([*map(str, trees), "--pairs", "3"]) == 0
     found = capsys.readouterr()
-    assert found.err.splitlines()[-1] == f"pair 1 of 3 disturbed: {STOPPED}"
+    assert found.err.splitlines()[-1] == f"pair 2 disturbed: {STOPPED}"
     scope, verdict, advice, ratio, passes, last = found.out.splitlines()[-6:]
     assert scope.endswith("; 2 pairs of runs, 2 of them disturbed")
     assert verdict.startswith("times not judged (machine disturbed) in 1 of 1 benchmark; ")
@@ -86,6 +86,24 @@ def test_turns_alternate_and_one_disturbed_pair_is_repeated(
     stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
     assert main([*map(str, trees), "--pairs", "3", "--disturbed-exit", "75"]) == 75
     assert capsys.readouterr().out.splitlines()[-3:] == [ADVICE, ratio, "exit code 75 (disturbed)"]
+
+
+def test_attempts_go_on_after_disturbed_pairs(
+    monkeypatch: pytest.MonkeyPatch,
+    trees: tuple[Path, Path],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Until enough pairs are undisturbed, or for so many pairs."""
+    times = {"base": 1.0, "head": 1.0}
+    stub_runs(monkeypatch, seconds=times, loud=8)
+    assert len(measure_by_turns(trees, 2, [], attempts=9)) == 6
+    stub_runs(monkeypatch, seconds=times, loud=99)
+    assert len(measure_by_turns(trees, 2, [], attempts=5)) == 5
+    assert capsys.readouterr().err.splitlines()[-1] == "pair 5 disturbed: no repeat left"
+    stub_runs(monkeypatch, seconds=times, loud=99)
+    assert main([*map(str, trees), "--pairs", "3", "--attempts", "1"]) == 0
+    found = capsys.readouterr()
+    assert "; 3 pairs of runs, 3 of them disturbed" in found.out and STOPPED not in found.out
 
 
 @pytest.mark.parametrize(
