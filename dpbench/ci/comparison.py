@@ -11,7 +11,7 @@ they grow.
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from rich.console import Console
@@ -32,6 +32,7 @@ from dpbench.report.formats import (
     Table,
     escape_markdown_paragraph,
     format_count,
+    join_with_and,
     make_markdown_table,
     plural,
     significant,
@@ -107,6 +108,7 @@ class Row:
     not_judged : DISTURBED or NO_KERNEL where the times have no verdict, "" otherwise.
     disturbed_ratio : ratio of the times that load left without a verdict, NaN for others.
     measures : kinds of the exact measures that both revisions have.
+    allowed : number of exact measures that grew and may.
     """
 
     name: str
@@ -116,6 +118,7 @@ class Row:
     not_judged: str = ""
     measures: tuple[str, ...] = ()
     disturbed_ratio: float = np.nan
+    allowed: int = 0
 
     @property
     def cells(self) -> dict[str, str]:
@@ -184,14 +187,17 @@ class RunComparison:
             for one, reason in NOT_JUDGED.items()
             if counts[one]
         ]
+        increases = sum(row.allowed for row in self.rows)
+        allowed = [f"{plural(increases, 'increase')} allowed"] if increases else []
         if self.worse:
-            return "; ".join([f"a regression against {base}", *times])
+            return "; ".join([f"a regression against {base}", *times, *allowed])
         if not times:
-            return f"no regression shown against {base}"
-        kinds = dict.fromkeys(kind for row in self.rows for kind in row.measures)
-        return "; ".join(
-            [*times, f"{' and '.join(kinds) or 'failures'}: no regression against {base}"]
-        )
+            return "; ".join([f"no regression shown against {base}", *allowed])
+        order = [kind for kind, _, _ in MEASURES.values()]
+        kinds = {kind for row in self.rows for kind in row.measures}
+        known = [kind for kind in order if kind in kinds] + sorted(kinds.difference(order))
+        exact = f"{join_with_and(known or ['failures'])}: no regression against {base}"
+        return "; ".join([*times, exact, *allowed])
 
     @property
     def outcome(self) -> str:
@@ -365,8 +371,9 @@ def _judge_benchmark(
     if exact and verdict not in (SLOWER, GROSSLY_SLOWER):
         verdict = WORSE
     common = {name for was, now in both for name in was.exact.keys() & now.exact.keys()}
-    kinds = [MEASURES[one][0] if one in MEASURES else one for one in sorted(common, reverse=True)]
-    return Row(name, verdict, ratio, tuple(remarks), not_judged, tuple(kinds), disturbed_ratio)
+    kinds = tuple(MEASURES.get(one, (one,))[0] for one in common)
+    row = Row(name, verdict, ratio, tuple(remarks), not_judged, kinds, disturbed_ratio)
+    return replace(row, allowed=len(allowed))
 
 
 def find_exact_changes(was: Benchmark, now: Benchmark, allow: Allowed = ()) -> list[str]:

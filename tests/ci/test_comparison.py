@@ -166,6 +166,21 @@ def test_an_increase_may_be_allowed_for_a_solver(allow: Any, verdict: str) -> No
     is_used = any(one[:2] == ("iterations", "osqp") for one in allow)
     unused = [f"allowed, but measured in no benchmark: {':'.join(one[:2])}" for one in allow]
     assert lines[2:] == ([] if is_used else unused)
+    shown = "no regression shown against base; 1 increase allowed"
+    assert lines[1] == (shown if allowed else "a regression against base")
+
+
+def test_exact_measures_have_one_order_in_the_verdict() -> None:
+    """Whichever benchmark is first, and those without a kind of their own last."""
+    loud = QUIET | {"involuntary_switches": 120.0}
+    exact: list[dict[str, float]] = [{"rows": 3}, {"error_move_max": 1e-6}, {"iterations": 10}]
+    run = run_of(*(entry(f"t{i}", machine=loud, exact=one) for i, one in enumerate(exact)))
+    more = run_of(*(entry(f"t{i}", machine=loud, exact=one) for i, one in enumerate(exact)))
+    more.benchmarks["t2"] = replace(more.benchmarks["t2"], exact={"iterations": 11})
+    allow = [Allowance("iterations", "t2")]
+    line = compare_runs([(run, more)], allow=allow).describe_verdict("b")
+    exact_line = "iterations, errors and rows: no regression against b"
+    assert line.endswith(f"; {exact_line}; 1 increase allowed")
 
 
 def test_other_growth_is_no_part_of_an_allowance() -> None:
