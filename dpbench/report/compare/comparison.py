@@ -31,12 +31,11 @@ from dpbench.analysis.compare.times import (
 )
 from dpbench.analysis.compare.verdicts import VerdictChange, find_verdict_changes
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances
 from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.bench.record.result_folder import load_results
 from dpbench.display import make_html_table
 from dpbench.errors import InputError
-from dpbench.report.commands_text import describe_machine_states
+from dpbench.report.compare.folders import describe_code_difference, describe_folder
 from dpbench.report.compare.further_tables import (
     make_settings_table,
     make_verdicts_table,
@@ -388,7 +387,8 @@ def compare(
     verdicts = find_verdict_changes(*views, pairs)
     warnings = [summarise_ships(find_ship_results(view)).warning for view in views]
     lines = [f"{name}: {text}" for name, text in zip("AB", warnings, strict=True) if text]
-    lines += [f"A: {a}{_describe_machine(views[0])}", f"B: {b}{_describe_machine(views[1])}"]
+    lines += [f"A: {describe_folder(str(a), views[0])}", f"B: {describe_folder(str(b), views[1])}"]
+    lines += filter(None, [describe_code_difference(*views)])
     lines += [f"another machine: they differ in {join_with_and(differ)}"] if differ else []
     lines += [*wording, *_make_summary_lines(compared, shared, figures, pairs, verdicts)]
     changed = make_changes_table(figures, margin)
@@ -427,14 +427,6 @@ def _compare_times(
         f"whose B/A is {join_with_and(took)}"
     )
     return compare_times_to_reference(timings, margin, alpha, rows), [], wording
-
-
-def _describe_machine(view: Records) -> str:
-    """Return a text on a folder's processor and how far other load disturbed its runs."""
-    wording = f", {view.machine.get('cpu_model', 'an unnamed CPU')}"
-    timed = select_timed_replays(view)
-    is_known = sum_disturbances(timed).seconds > 0
-    return f"{wording}, {describe_machine_states(timed)}" if is_known else wording
 
 
 def describe_changed_options(pairs: Pairs) -> list[str]:

@@ -442,6 +442,37 @@ def test_a_folder_without_steps_is_compared_by_its_medians(make: Make, tmp_path:
     assert "Both runs" in page
 
 
+@pytest.mark.parametrize(
+    ("a", "b", "made"),
+    [
+        (("1.2", "a", True), ("1.2", "a", True), ""),
+        (("1.2", "a", True), ("1.2", "b", True), "made by different commits of dpbench"),
+        (("1.2", "", True), ("1.3", "b", True), "made by different versions of dpbench"),
+        (("1.2", "", True), ("1.2", "b", True), ""),
+        (("1.2", "a", False), ("1.2", "a", False), "made by dpbench with changes that no commit"),
+    ],
+)
+def test_versions_and_commits_of_both_folders_are_named(
+    make: Make, a: tuple[str, str, bool], b: tuple[str, str, bool], made: str
+) -> None:
+    """A comparison of two solvers by different code of dpbench may show a difference of dpbench."""
+    folders = []
+    for name, (version, commit, clean) in (("a", a), ("b", b)):
+        folder = make(name, seed=1, configurations=("daqp",))
+        suite = json.loads((folder / "suite.json").read_text(encoding="utf-8"))
+        suite["harness_version"] = version
+        suite["revisions"] = [{"commit": commit * 40, "clean": clean}] if commit else []
+        (folder / "suite.json").write_text(json.dumps(suite), encoding="utf-8")
+        folders.append(folder)
+    lines = compare(*folders).lines
+    (line,) = (line for line in lines if line.startswith("B: "))
+    assert f"dpbench {b[0]}, commit {b[1] * 12}{'' if b[2] else ' with changes'}, " in line
+    assert [line for line in lines if line.startswith("made by")] == (
+        [line for line in lines if made in line and "may come from dpbench" in line] if made else []
+    )
+    assert any(made in line for line in lines)
+
+
 def test_a_description_of_a_scenario_is_not_its_problem() -> None:
     """Other words for a reader leave the runs comparable; another number does not."""
     vessel = {"title": "Ship", "mass": [1.0]}
