@@ -69,7 +69,8 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     base = (
         alt.Chart()
         .transform_calculate(
-            off="isValid(datum.error) ? format(datum.error, '.2~g') : '–'",
+            off="datum.error === 'inf' ? 'no answer' "
+            ": isValid(datum.error) ? format(datum.error, '.2~g') : '–'",
             fails="isValid(datum.failed) ? datum.failed : '–'",
             because="datum.detail || '–'",
         )
@@ -308,7 +309,7 @@ def _time_axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
     scale = style.log_scale(domainMin=LOWEST_MS, domainMax=highest, clamp=True)
     axis = alt.Axis(
         values=[10.0**e for e in range(-3, 8)],
-        format="~g",
+        format=",~g",
         orient="top",
         labelOverlap="greedy",
         labelSeparation=6,

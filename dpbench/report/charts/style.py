@@ -160,6 +160,10 @@ _WORDS: dict[str, Any] = {
 }
 
 
+_NUMBERS = {"decimal": ".", "thousands": "\u202f", "grouping": [3], "currency": ["", ""]}
+"""Format of numbers: thin spaces between thousands, as in texts."""
+
+
 def set_style(chart: Any, title: str, description: str) -> Any:
     """Set title, description and common style of a chart in place; return the chart."""
     # Altair's own methods would copy all of its parts.
@@ -172,5 +176,6 @@ def set_style(chart: Any, title: str, description: str) -> Any:
         legend=alt.LegendConfig(**_WORDS, symbolType="circle"),
         view=alt.ViewConfig(stroke=None),
         text=alt.MarkConfig(color=INK),
+        locale={"number": _NUMBERS},
     )
     return chart

@@ -320,7 +320,7 @@ WORDS = (
         "p50, p95, p99",
         "move",
     ),
-    *("rate limit", "maximum increment", "certified optimum", "fallback", "failed step"),
+    *("rate limit", "maximum increment", "certified optimum", "fallback", "failed step", "stall"),
     *("interval", "pass", "borderline", "inconclusive", "late", "fail", "not run"),
 )
 """Terms of the glossary on the page, before those on how solvers are run."""

@@ -21,6 +21,7 @@ from dpbench.report.formats import (
     Table,
     format_rounded_down,
     format_rounded_up,
+    join_with_and,
     strip_markdown,
 )
 from dpbench.report.page.citations import PAPER_CITATION
@@ -115,13 +116,21 @@ def _make_stability_table(designs: Designs) -> Table:
         "A controller is stable if all eigenvalues λ of its closed loop without active limits have "
         "|λ| < 1. A name such as 30/5 gives the prediction and control horizons. Each range goes "
         "from the largest initial sway offset from which the ship returned to the smallest from "
-        "which it did not.",
+        f"which it did not. {_name_scenarios_of_controllers(designs)} The weather of `{WEATHER}` "
+        "is moderate and grows over a minute.",
         folded=True,
         labels={
             STILL_OFFSET: f"recoverable sway offset, {STILL} [m]",
             WEATHER_OFFSET: f"recoverable sway offset, weather of scenario {WEATHER} [m]",
         },
     )
+
+
+def _name_scenarios_of_controllers(designs: Designs) -> str:
+    """Return a sentence on the scenarios whose controllers the table analyses."""
+    used = {f"{one.tuning} {one.N_p}/{one.N_c}": one.controller for one in designs.records}
+    named = join_with_and([f"{name} of `{scenario}`" for name, scenario in used.items()])
+    return f"The controllers are {named}."
 
 
 def _format_bracket(bracket: Bracket | None) -> str:

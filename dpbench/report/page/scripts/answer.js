@@ -37,7 +37,7 @@ function kept() {
 const notch = (i) => [1, 2, 5][i % 3] * 10 ** Math.floor(i / 3);
 
 async function drawSlow() {
-  $("slow-said").value = figure(state.slow);
+  $("slow-said").value = plain(state.slow);
   $("slow").value = String(Math.round(3 * Math.log10(state.slow)));
   $("slow").setAttribute("aria-valuetext", `× ${figure(state.slow)}`);
   $("slow-kept").replaceChildren(...coded(kept()));

@@ -48,12 +48,19 @@ function spread(some, places, missing) {
   return all;
 }
 
-function figure(x, digits = 3) {
+// A number as text that an input or an address takes.
+function plain(x, digits = 3) {
   if (x === null || x === undefined) return "–";
   if (x === "inf" || x === Infinity) return "∞";
   return x !== 0 && (Math.abs(x) < 1e-3 || Math.abs(x) >= 1e7)
     ? Number(x).toExponential(Math.max(1, digits - 2)) : String(Number(Number(x).toPrecision(digits)));
 }
+
+// A whole number, or that before the point, with thin spaces between thousands.
+const grouped = (x) => String(x).replace(/^-?\d{4,}(?=\.|$)/, (whole) => whole.replace(/\B(?=(\d{3})+$)/g, "\u202f"));
+
+// A number as text that is read.
+const figure = (x, digits = 3) => grouped(plain(x, digits));
 
 // A text as nodes, what Markdown marks as code as code.
 const coded = (text) => text.split("`").map((part, i) => {
@@ -64,7 +71,7 @@ const coded = (text) => text.split("`").map((part, i) => {
 });
 
 // So many of what has a plural in s.
-const many = (x, word) => `${figure(x)} ${word}${x === 1 ? "" : "s"}`;
+const many = (x, word) => `${Number.isInteger(x) ? grouped(x) : figure(x)} ${word}${x === 1 ? "" : "s"}`;
 
 // As `figure`, but never more than x: what still holds when it is believed.
 function roundedDown(x, digits = 3) {

@@ -4,8 +4,8 @@
 FIGURES.embedded = { picked: () => {} };
 
 async function drawCoreTimes() {
-  $("cpi").value = figure(state.cpi);
-  $("mhz").value = figure(state.mhz);
+  $("cpi").value = plain(state.cpi);
+  $("mhz").value = plain(state.mhz);
   const { deadline_ms } = facts.requirements, cycles = state.cpi === 1 ? "cycle" : "cycles";
   $("core-said").textContent = `Assumed: ${figure(state.cpi)} ${cycles} per instruction at `
     + `${figure(state.mhz)} MHz; ${deadline_ms === null ? "no deadline is known" : `deadline of ${deadline_ms} ms`}.`;

@@ -62,15 +62,31 @@ function notKept() {
     + `filters=[("run_id", "==", "${runs.id[i]}")]).`;
 }
 
-// How many steps are inaccurate, failed, or falsely reported as solved, in any round; "" where none is.
+// How many steps are inaccurate, failed, or reported as solved but not verified, in any round; ""
+// where none is.
 function wrongOf(run) {
   // Of a replay the failures are those of all rounds.
   const once = run.answers === run.steps, were = (count) => (count === 1 ? "was" : "were");
   const found = [[run.inaccurate ?? 0, "step", (count) => `${were(count)} inaccurate`], [run.failed, once ? "step" : "answer", () => "failed"],
-    [run.untrue, once ? "step" : "answer", (count) => `${were(count)} falsely reported as solved${once ? "" : ` (of ${run.answers})`}`]]
+    [run.untrue, once ? "step" : "answer", (count) => `${were(count)} reported as solved but not verified${once ? "" : ` (of ${grouped(run.answers)})`}`]]
     .filter(([count]) => count !== 0)
-    .map(([count, word, what], i) => `${i ? figure(count) : many(count, word)} ${what(count)}`);
+    .map(([count, word, what], i) => `${i ? grouped(count) : many(count, word)} ${what(count)}`);
   return found.length < 2 ? found.join("") : `${found.slice(0, -1).join(", ")} and ${found.at(-1)}`;
+}
+
+// What the referee did not verify of a run that passes; "" for nothing.
+function unverifiedOf(run) {
+  const kind = run.answers === run.steps ? "steps" : "answers";
+  return run.verdict !== "pass" || !run.untrue || run.inaccurate || run.failed ? ""
+    : `the referee did not verify ${grouped(run.untrue)} of the ${kind} reported as solved; the error of the first move stayed within its limit`;
+}
+
+// The largest error of the first move as a sentence.
+function largestErrorOf(run) {
+  const error = figure(run.error);
+  return run.error === "inf" ? "At least one step has no answer, and so no error."
+    : error === "1" ? "The largest error of the first move was equal to the maximum increment."
+      : `The largest error of the first move was ${error} times the maximum increment.`;
 }
 
 // The verdict on the selected configuration in the selected scenario or replay; of a study where it ran.
@@ -85,10 +101,12 @@ function resultOf(run) {
   const solver = `\`${C().solver[state.c]}\``;
   const within = run.settle_s === null || run.settle_s === "inf" ? ""
     : ` From ${run.settle_s === 0 ? "the start" : `${figure(run.settle_s)} s on`}, it stayed within 1 m and 1° of its reference for at least 30 s.`;
+  const unverified = unverifiedOf(run), all = ", and all are accurate";
   return [
-    `${verdictOf(run, solver)}${facts.experiments[state.p].study ? `, ${solver}` : ": it"} ran ${run.steps} of ${run.planned} steps${
-      wrongOf(run) ? `; ${wrongOf(run)}` : ", and all are accurate"}.`,
-    `The largest error of the first move was ${figure(run.error)} times the maximum increment.`,
+    `${verdictOf(run, solver)}${facts.experiments[state.p].study ? `, ${solver}` : ": it"} ran ${grouped(run.steps)} of ${grouped(run.planned)} steps${
+      unverified ? "" : wrongOf(run) ? `; ${wrongOf(run)}` : all}.`,
+    unverified && `${unverified[0].toUpperCase()}${unverified.slice(1)}.`,
+    largestErrorOf(run),
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop.${within}`,
     run.infeasible > 0 ? `${run.infeasible} of the steps have no feasible solution${run.all_true ? ", which the solver reported correctly" : ""}.` : "",
     run.why && run.verdict !== "pass" ? `${run.outcome === "finished" ? "Messages of the solver" : `Outcome \`${run.outcome}\``}: ${run.why}.` : "",
@@ -170,7 +188,9 @@ function drawHard(run) {
   ];
   const row = (name, steps) => {
     const line = document.createElement("p"), head = document.createElement("span");
-    head.textContent = name; head.className = "soft";
+    const [before, after] = name.split("stalls");
+    head.append(...(after === undefined ? [name] : [before, termLink("word-stall", "stalls"), after]));
+    head.className = "soft";
     line.append(head, ...steps.map(({ p, k, said }) => {
       const button = document.createElement("button");
       button.textContent = said;
@@ -211,10 +231,11 @@ function moved(run, k) {
   const at = Math.min(track.x[0].length - 1, Math.round((k - run.first) / track.every));
   const [n, e, psi] = track.x.map((values) => values[at]);
   if (n === null) return "";
-  const force = ["surge", "sway", "yaw"].map((axis, i) => `${axis} ${figure(100 * track.u[i][at], 2)} %`);
+  const signed = (x, digits) => figure(x, digits).replaceAll("-", "−");
+  const force = ["surge", "sway", "yaw"].map((axis, i) => `${axis} ${signed(100 * track.u[i][at], 2)} %`);
   const kept = run.first + at * track.every;
-  return `Ship${kept === k ? "" : ` at step ${kept}, the nearest one stored`}: ${figure(n)} m north, ${figure(e)} m east, heading ${figure((psi * 180) / Math.PI)}°; `
-    + `${force.join(", ")} of the largest force.`;
+  return `Ship${kept === k ? "" : ` at step ${kept}, the nearest one stored`}: ${signed(n)} m north, ${signed(e)} m east, heading ${signed((psi * 180) / Math.PI)}°; `
+    + `${force.join(", ")} of their amplitude limits.`;
 }
 
 // Whether a run has a step k, and the page its numbers.
@@ -231,7 +252,7 @@ function drawStep(run) {
   const exact = run.hard?.[0].find((hard) => hard[0] === k), off = run.hard?.[2].find((hard) => hard[0] === k);
   const error = off ? off[1] : array(run.e)[j];
   $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}, ${array(run.i)[j] == null ? "iterations not reported" : many(array(run.i)[j], "iteration")}, `
-    + `${many(array(run.a)[j], "active limit")}, error of the first move ${figure(error)}${error == null ? "" : " times the maximum increment"}. `
+    + `${many(array(run.a)[j], "active limit")}, ${[Infinity, "inf"].includes(error) ? "no answer" : `error of the first move ${figure(error)}${error == null ? "" : " times the maximum increment"}`}. `
     + `The solver ${said(0) ? "reported “solved”" : `did not report “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}. `
     + `Its answer is ${said(1) ? "correct" : "not correct"}.${flags.length ? ` Flags: ${flags.join(", ")}.` : ""} ${moved(run, k)}`;
   const experiment = facts.experiments[run.p];
@@ -292,6 +313,8 @@ function drawShip(run) {
     });
     shape("polygon", { points: points.join(" "), ...look }, clip);
   };
+  // In a smaller frame the circle is outside.
+  $("ship-circle").hidden = !goal || half < 1;
   if (goal) {
     shape("circle", { cx: X(goal[1]), cy: Y(goal[0]), r: (1 / half) * (width / 2), class: "circle" }, clip);
   }

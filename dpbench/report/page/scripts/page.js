@@ -79,21 +79,24 @@ function listen() {
   listenPage();
 }
 
+// A link to a section or term of the page leaves the selection in the address.
+function leadsTo(link) {
+  link.addEventListener("click", (event) => {
+    event.preventDefault();
+    // The way back leads here again.
+    history.pushState(null, "", location.hash || location.pathname);
+    const id = link.getAttribute("href").slice(1);
+    go(id);
+    if (link.className === "term") glow($(id));
+  });
+}
+
 // The address, the width, links to sections.
 function listenPage() {
   addEventListener("popstate", arrived);
-  for (const link of document.querySelectorAll("[data-section], .term")) {
-    link.addEventListener("click", (event) => {
-      event.preventDefault();
-      // The way back leads here again.
-      history.pushState(null, "", location.hash || location.pathname);
-      const id = link.getAttribute("href").slice(1);
-      go(id);
-      if (link.className === "term") glow($(id));
-    });
-  }
+  for (const link of document.querySelectorAll("[data-section], .term")) leadsTo(link);
   on("sections", "change", go);
-  listenTerms();
+  document.querySelectorAll(".term").forEach(explain);
   onNewLook(redraw);
   // Links within the page stop below the lines that stay, however many there are.
   new ResizeObserver(([bar]) => {
@@ -102,20 +105,27 @@ function listenPage() {
 }
 
 // What a term means, for those who come to it by the keyboard: a mouse has its title.
-function listenTerms() {
+function explain(term) {
   const box = $("tip"), hide = () => { box.hidden = true; };
-  for (const term of document.querySelectorAll(".term")) {
-    term.addEventListener("focus", () => {
-      if (!term.matches(":focus-visible")) return;
-      box.textContent = term.title;
-      box.hidden = false;
-      const place = term.getBoundingClientRect();
-      box.style.left = `${Math.max(8, Math.min(place.left, innerWidth - box.offsetWidth - 8)) + scrollX}px`;
-      box.style.top = `${place.bottom + 6 + scrollY}px`;
-    });
-    term.addEventListener("blur", hide);
-    term.addEventListener("keydown", (event) => { if (event.key === "Escape") hide(); });
-  }
+  term.addEventListener("focus", () => {
+    if (!term.matches(":focus-visible")) return;
+    box.textContent = term.title;
+    box.hidden = false;
+    const place = term.getBoundingClientRect();
+    box.style.left = `${Math.max(8, Math.min(place.left, innerWidth - box.offsetWidth - 8)) + scrollX}px`;
+    box.style.top = `${place.bottom + 6 + scrollY}px`;
+  });
+  term.addEventListener("blur", hide);
+  term.addEventListener("keydown", (event) => { if (event.key === "Escape") hide(); });
+}
+
+// A link of a script to an entry of the glossary.
+function termLink(id, text) {
+  const link = document.createElement("a");
+  Object.assign(link, { className: "term", href: `#${id}`, title: $(id).nextElementSibling.textContent, textContent: text });
+  leadsTo(link);
+  explain(link);
+  return link;
 }
 
 async function start() {

@@ -84,9 +84,9 @@ function select(change) {
     sc: facts.experiments[state.p].label,
   });
   if (state.k !== null) hash.set("k", state.k);
-  if (state.slow !== 1) hash.set("slow", figure(state.slow));
-  if (state.cpi !== 1) hash.set("cpi", figure(state.cpi));
-  if (state.mhz !== 100) hash.set("mhz", figure(state.mhz));
+  if (state.slow !== 1) hash.set("slow", plain(state.slow));
+  if (state.cpi !== 1) hash.set("cpi", plain(state.cpi));
+  if (state.mhz !== 100) hash.set("mhz", plain(state.mhz));
   if (state.b !== null) hash.set("b", key(state.b));
   const text = `#${hash}`;
   if (text !== location.hash) {

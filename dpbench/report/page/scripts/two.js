@@ -90,6 +90,14 @@ function commonSteps(rows) {
   return `${counts.join(" and ")}${counts.length > 1 ? ", of equal weight," : ""}${size}`;
 }
 
+// What the dots of the figure are: those of QPs of one size are one cluster.
+function captionOf(rows, second) {
+  const replays = unique(rows.map((row) => row.sequence)).map((name) =>
+    `\`${name}\` (${rows.find((row) => row.sequence === name).variables} variables)`);
+  return `Each dot is one step, timed by its fastest round, in ${replays.join(" or ")}. Below the dashed line, ${
+    unlike(second, state.c)} is faster.`;
+}
+
 // The packed times hold two digits of a ratio: 1 is written as 1.0.
 const twoDigits = (x) => (x >= 0.995 && x < 9.95 ? x.toFixed(1) : figure(x, 2));
 
@@ -102,8 +110,8 @@ async function drawTwo() {
   if (second === undefined) return;
   options("choose-other", others.map((c) => [c, label(c)]), second);
   const rows = comparedSteps(state.c, second), said = $("two-said");
-  if (!rows.length) { said.textContent = "The two configurations have no replay in common."; $("figure-pairs").hidden = true; return; }
-  $("figure-pairs").hidden = false;
+  if (!rows.length) { said.textContent = "The two configurations have no replay in common."; $("two-figure").hidden = true; return; }
+  $("two-figure").hidden = false;
   const ratio = Math.max(ratioOf(rows), 1 / ratioOf(rows)), reach = reachOf(state.c, second);
   const [slower, faster] = ratioOf(rows) >= 1 ? [second, state.c] : [state.c, second];
   const interval = reach !== null ? `95 % interval ${twoDigits(ratio / reach)} to ${twoDigits(ratio * reach)} within this run`
@@ -114,9 +122,9 @@ async function drawTwo() {
     + `${commonSteps(rows)}.`
     : `${marked(slower)} takes ${twoDigits(ratio)} times as long as ${marked(faster)}: `
     + `geometric mean over ${commonSteps(rows)}; ${interval}.`
-    + `${reach === null ? "" : whyUnranked(rows, ratio / reach)} Below the dashed line `
-    + `${unlike(second, state.c)} is faster.`;
+    + `${reach === null ? "" : whyUnranked(rows, ratio / reach)}`;
   said.replaceChildren(...coded(text));
+  $("two-caption").replaceChildren(...coded(captionOf(rows, second)));
   const view = await figureOf("pairs");
   if (view) {
     view.signal("first", `${label(state.c)} [µs]`).signal("second", `${label(second)} [µs]`);
@@ -129,7 +137,7 @@ async function drawTwo() {
     }).join("\n")
     + `\n| longest step of all replays and windows | ${time(C().max[state.c])} | ${time(C().max[second])} |`
     + `\n| largest error | ${figure(C().error[state.c])} | ${figure(C().error[second])} |\n`
-    + `| verdict | ${C().verdict[state.c]} | ${C().verdict[second]} |\n\n${text.split(" Below")[0]}\n`;
+    + `| verdict | ${C().verdict[state.c]} | ${C().verdict[second]} |\n\n${text}\n`;
 }
 
 FIGURES.pairs = {
