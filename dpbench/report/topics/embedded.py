@@ -89,7 +89,7 @@ def _yield_table_rows(sequence: CountedSequence) -> Iterator[dict[str, str]]:
             "p99": format_count(one.p99),
             "worst": format_count(one.worst),
             "k": str(one.k),
-            "iterations": str(one.iterations) if one.iterations >= 0 else MISSING,
+            "iterations": format_count(one.iterations) if one.iterations >= 0 else MISSING,
             "active": str(one.active) if one.active >= 0 else MISSING,
             "code": format_count(one.code + one.constants),
             "static": format_count(one.static + one.heap),
