@@ -13,6 +13,7 @@ import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.anytime import tabulate_limited_loops
 from dpbench.analysis.suites.capability import (
     build_capability_results,
     build_consequence_analyses,
@@ -201,9 +202,10 @@ def build_tables(
         "study_points": tabulate_study_points(data.studies),
         "study_effects": build_effects_table(data.studies),
         "study_interactions": build_interactions_table(data.studies),
+        "anytime": tabulate_limited_loops(data.records),
     }
-    # Those of a study and of settings are written as numbers above, and counts below.
-    numbers = ("study", "settings", "embedded")
+    # Those of a study, of limits and of settings are written as numbers above, and counts below.
+    numbers = ("study", "settings", "embedded", "anytime")
     for topic in (topic for topic in topics if topic.id not in numbers):
         for i, small in enumerate(topic.tables):
             name = topic.id if i == 0 else f"{topic.id}_{i + 1}"
@@ -220,7 +222,8 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
     """
     written = {name: table for name, table in tables.items() if len(table)}
     contents = {f"{name}.csv": partial(encode_csv, table) for name, table in written.items()}
-    of_runs = {"runs": RUN_MEANINGS, "ships": RUN_MEANINGS | COLUMNS}
+    of_both = RUN_MEANINGS | COLUMNS
+    of_runs = {"runs": RUN_MEANINGS, "ships": of_both, "anytime": of_both}
     known = {name: of_runs.get(name, COLUMNS) for name in written}
     wording = {
         escape_markdown(name): (

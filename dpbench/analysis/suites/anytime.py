@@ -1,13 +1,16 @@
 """Answers stopped early: runs of a configuration by its limit of iterations or time."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import Literal
 
+import pandas as pd
+
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import Mode, RunRecord, group_by_key
-from dpbench.analysis.verdict.requirements import has_survived
+from dpbench.analysis.verdict.requirements import compute_cost_ratio, has_survived
 from dpbench.analysis.verdict.verdict import find_solver_record_or_none
 from dpbench.bench.record.cell import Configuration
 from dpbench.solvers.contract import Options
@@ -49,6 +52,60 @@ class LimitedGroup:
     def limits(self) -> list[float]:
         """All limits of the group in rising order."""
         return sorted({limit for one in self.configurations for limit in one.runs})
+
+
+@dataclass(frozen=True, eq=False)
+class RequiredLimit:
+    """Limit from which on every closed loop of a configuration survives, in all its scenarios.
+
+    limit : a number or [s]; infinite where no limit suffices in one of the scenarios.
+    runs : its runs at this limit, one per scenario; empty for an infinite one.
+    """
+
+    configuration: Configuration
+    limit: float
+    runs: tuple[RunRecord, ...]
+
+
+def find_required_limits(loops: Sequence[LimitedGroup]) -> list[RequiredLimit]:
+    """Return the largest limit that each configuration needs in closed loops, least first.
+
+    Only the configurations count that ran in the most scenarios.
+
+    loops : groups with limits of one kind.
+    """
+    limited = [one for group in loops for one in group.configurations]
+    by_configuration = group_by_key(limited, lambda one: one.configuration)
+    most = max(map(len, by_configuration.values()), default=0)
+    required = []
+    for configuration, own in by_configuration.items():
+        if len(own) == most:
+            limit = max(one.least_sufficient_limit for one in own)
+            runs = tuple(one.runs[limit] for one in own if limit in one.runs)
+            required.append(RequiredLimit(configuration, limit, runs))
+    return sorted(required, key=lambda one: one.limit)
+
+
+def tabulate_limited_loops(records: Records) -> pd.DataFrame:
+    """Return one row per closed loop with a limit, of configurations with two limits or more."""
+    return pd.DataFrame(
+        {
+            "scenario": run.scenario,
+            "configuration": one.configuration.label,
+            "limit_of": group.limit_of,
+            "limit": limit,
+            "cost_ratio": compute_cost_ratio(run),
+            "dev_position_max_m": run.dev_position_max_m,
+            "error_move_max": run.error_move_max,
+            "unconverged": run.unconverged,
+            "steps_done": run.steps_done,
+            "raw_p50_ns": run.raw_p50_ns,
+        }
+        for group in group_limited_runs(records)
+        if group.mode == "closed_loop"
+        for one in group.configurations
+        for limit, run in one.runs.items()
+    )
 
 
 def find_limit(run: RunRecord) -> tuple[LimitOf, float] | None:

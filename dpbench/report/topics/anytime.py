@@ -1,12 +1,19 @@
 """Results of solvers that were stopped after a number of iterations or a time."""
 
 import math
+from collections.abc import Sequence
 
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.suites.anytime import LimitedGroup, LimitOf, group_limited_runs
+from dpbench.analysis.records.run_record import RunRecord, group_by_key
+from dpbench.analysis.suites.anytime import (
+    LimitedGroup,
+    LimitOf,
+    RequiredLimit,
+    find_required_limits,
+    group_limited_runs,
+)
 from dpbench.analysis.verdict.requirements import MARGIN, Requirements, compute_cost_ratio
 from dpbench.analysis.verdict.verdict import find_solver_record_or_none
 from dpbench.report.charts.lines import draw_lines
@@ -30,8 +37,9 @@ def build_anytime_topic(records: Records, requirements: Requirements) -> Topic |
     if not groups:
         return None
     loops = [group for group in groups if group.mode == "closed_loop"]
+    by_kind = group_by_key(loops, lambda group: group.limit_of).values()
     wording = (
-        *(map(_describe_loops, loops) if loops else map(_describe_errors, groups)),
+        *(map(_describe_loops, by_kind) if loops else map(_describe_errors, groups)),
         *(_LIMITS[kind] for kind in dict.fromkeys(group.limit_of for group in groups)),
         *_describe_outer_limits(groups),
     )
@@ -45,18 +53,36 @@ def build_anytime_topic(records: Records, requirements: Requirements) -> Topic |
     )
 
 
-def _describe_loops(group: LimitedGroup) -> str:
-    """Return a sentence on how many configurations a few iterations suffice in a closed loop."""
-    least = {c.configuration.label: c.least_sufficient_limit for c in group.configurations}
-    first = min(least.values())
+def _describe_loops(loops: Sequence[LimitedGroup]) -> str:
+    """Return sentences on the least limit that suffices in all closed loops, and the ship there."""
+    required = find_required_limits(loops)
+    count = len(loops)
+    where = f"In all {count} scenarios" if count > 1 else f"In `{loops[0].problem}`"
+    first = required[0].limit
     if math.isinf(first):
-        return f"In {group.problem} no configuration stays within {_SHARE} at any of the limits."
-    names = [name for name, limit in least.items() if limit == first]
+        return f"{where} no configuration stays within {_SHARE} at any of the limits."
+    best = [one for one in required if one.limit == first]
+    names = [one.configuration.marked_label for one in best]
     named = join_with_and(names) if len(names) <= 4 else plural(len(names), "configuration")
-    never = sum(math.isinf(limit) for limit in least.values())
-    others = f"; {never} of {len(least)} configurations exceed it at all limits" if never else ""
-    limit = f"{_format_limit(group, first)} per step {'is' if first == 1 else 'are'}"
-    return f"In {group.problem} {limit} enough for {named} to stay within {_SHARE}{others}."
+    never = sum(math.isinf(one.limit) for one in required)
+    others = f"; {never} of {len(required)} configurations exceed it at all limits" if never else ""
+    limit = f"a limit of {_format_limit(loops[0], first)} per step"
+    return f"{where} {limit} keeps {named} within {_SHARE}{others}. {_describe_ship_at_limit(best)}"
+
+
+def _describe_ship_at_limit(best: Sequence[RequiredLimit]) -> str:
+    """Return a sentence on unfinished steps and the ship's largest deviation at a limit."""
+    runs = [run for one in best for run in one.runs]
+    unfinished, steps = (sum(run.unconverged for run in runs), sum(run.steps_done for run in runs))
+    known = [run for run in runs if math.isfinite(run.dev_position_max_m)]
+    farthest = max(known, key=lambda run: run.dev_position_max_m, default=None)
+    text = f"At this limit {format_count(unfinished)} of {plural(steps, 'step')} are unfinished"
+    if farthest is None:
+        return f"{text}."
+    return (
+        f"{text}, and the ship is up to {significant(farthest.dev_position_max_m)} m from the "
+        f"reference loop, in `{farthest.problem}`."
+    )
 
 
 def _describe_errors(group: LimitedGroup) -> str:

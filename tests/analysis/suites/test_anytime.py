@@ -8,6 +8,7 @@ from dpbench.analysis.suites.anytime import group_limited_runs
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.own_settings_text import describe_own_settings
+from dpbench.report.report import Report
 from dpbench.report.topics.anytime import build_anytime_topic
 from dpbench.solvers.settings import find_options_of_preset
 
@@ -31,6 +32,7 @@ def fill(records: Any) -> None:
     for solver, costs in COSTS.items():
         for iterations, cost in costs.items():
             figures = {"closed_loop_cost": cost, "exact_cost": 100.0, "unconverged": 7}
+            figures["dev_position_max_m"] = 0.25
             records.loop(solver, steps=120, error=0.5, **figures, **limit(solver, iterations))
     for iterations, error in ((1, 0.5), (5, 0.0)):
         records.replay("piqp", steps=30, error=error, **limit("piqp", iterations))
@@ -66,8 +68,10 @@ def test_the_topic_shows_least_limits_and_the_ship_at_the_smallest(records: Any)
     topic = build_anytime_topic(records.view(), Requirements())
     assert topic is not None
     assert topic.lines[0] == (
-        "In paper 5 iterations per step are enough for piqp (qpsolvers fresh, high) to stay within "
-        "10 % of the cost of the reference loop; 1 of 3 configurations exceed it at all limits."
+        "In `paper` a limit of 5 iterations per step keeps `piqp` (qpsolvers fresh, high) within "
+        "10 % of the cost of the reference loop; 1 of 3 configurations exceed it at all limits. "
+        "At this limit 7 of 120 steps are unfinished, and the ship is up to 0.250 m from the "
+        "reference loop, in `paper`."
     )
     (table,) = topic.tables
     assert [(row[0].split()[0], *row[1:5]) for row in table.rows] == [
@@ -90,6 +94,39 @@ def test_the_topic_shows_least_limits_and_the_ship_at_the_smallest(records: Any)
     assert errors == {(1, 0.5, False), (5, 1e-16, True)}
 
 
+def test_the_limit_is_the_largest_that_a_scenario_needs(records: Any) -> None:
+    """5 iterations suffice in `calm`, and 50 in `paper`; `rough` is farther off there."""
+    loops = {
+        "paper": {5: (130.0, 3.0, 90), 50: (101.0, 0.2, 40)},
+        "calm": {5: (101.0, 0.5, 100), 50: (100.0, 0.1, 30)},
+        "rough": {5: (105.0, 2.0, 100), 50: (109.0, 2.69, 100)},
+    }
+    for scenario, runs in loops.items():
+        for iterations, (cost, off_m, unfinished) in runs.items():
+            figures = {"closed_loop_cost": cost, "exact_cost": 100.0, "unconverged": unfinished}
+            figures["dev_position_max_m"] = off_m
+            records.loop("osqp", scenario, steps=100, **figures, **limit("osqp", iterations))
+    # A configuration that ran in one of the scenarios is not compared.
+    for iterations in (5, 50):
+        figures = {"closed_loop_cost": 100.0, "exact_cost": 100.0}
+        records.loop("piqp", **figures, **limit("piqp", iterations))
+    assert records.ending()["answer"] == (
+        "In all 3 scenarios a limit of 50 iterations per step keeps osqp (qpsolvers fresh, high) "
+        "within 10 % of the cost of the reference loop. At this limit 170 of 300 steps are "
+        "unfinished, and the ship is up to 2.69 m from the reference loop, in rough."
+    )
+    tables = Report.from_results(records.results()).tables
+    assert not [name for name in tables if name.startswith("anytime_")]
+    table = tables["anytime"]
+    own = table[table["configuration"] == "osqp (qpsolvers fresh, high)"]
+    columns = ["scenario", "limit", "cost_ratio", "dev_position_max_m", "unconverged"]
+    assert set(own[columns].itertuples(index=False, name=None)) == {
+        (scenario, iterations, cost / 100.0, off_m, unfinished)
+        for scenario, runs in loops.items()
+        for iterations, (cost, off_m, unfinished) in runs.items()
+    }
+
+
 def test_limits_of_time_are_a_group_of_their_own(records: Any) -> None:
     """The limit of iterations in the preset of clarabel is none that was asked for."""
     preset = find_options_of_preset("high", "clarabel")
@@ -105,7 +142,7 @@ def test_limits_of_time_are_a_group_of_their_own(records: Any) -> None:
     topic = build_anytime_topic(records.view(), Requirements())
     assert topic is not None
     assert topic.lines[0].startswith(
-        "In paper 1.00 ms per step are enough for clarabel (qpsolvers f"
+        "In `paper` a limit of 1.00 ms per step keeps `clarabel` (qpsolvers f"
     )
     table, _ = topic.tables
     assert table.rows[0][1:5] == ("1.00 ms", "3 of 120", table.rows[0][3], "3.00")
@@ -126,10 +163,10 @@ def test_replays_alone_have_their_errors(records: Any) -> None:
 def test_it_is_the_answer_of_a_page_of_limited_runs_alone(records: Any) -> None:
     fill(records)
     assert records.ending()["answer"].startswith(
-        "In paper 5 iterations per step are enough for piqp"
+        "In paper a limit of 5 iterations per step keeps piqp"
     )
     records.loop("daqp")
-    assert not records.ending().get("answer", "").startswith("In paper 5 iterations")
+    assert not records.ending().get("answer", "").startswith("In paper a limit")
 
 
 def test_limits_alone_have_no_best_settings(records: Any) -> None:
