@@ -19,7 +19,14 @@ from scipy import stats
 from dpbench.analysis.statistics import Interval, adjust_p_values_by_holm
 from dpbench.arrays import Floats, Ints
 
-Verdict = Literal["slower", "faster", "equivalent", "no difference shown", "not judged"]
+Verdict = Literal[
+    "slower",
+    "faster",
+    "faster, not all verified",
+    "equivalent",
+    "no difference shown",
+    "not judged",
+]
 
 MIN_OTHERS = 3
 """Least number of other configurations whose median is used: with fewer the reference kernel takes

@@ -226,14 +226,14 @@ def compare_times_to_reference(
 
 
 def _judge_timing(timing: Timing, assessment: Assessment) -> ComparedTimes:
-    """Return a step time ratio with its verdict; no "faster" unless all B's answers are true.
+    """Return a step time ratio with its verdict; "faster" only if all B's answers are true.
 
     "not judged" where nothing tells the machine's factor, so that the interval is unbounded.
     """
     if not math.isfinite(assessment.ratio.high):
         assessment = replace(assessment, verdict="not judged")
     elif assessment.verdict == "faster" and timing.pair.b.true_share != 1.0:
-        assessment = replace(assessment, verdict="no difference shown")
+        assessment = replace(assessment, verdict="faster, not all verified")
     return ComparedTimes(timing, assessment)
 
 

@@ -105,6 +105,7 @@ class RunRecord:
     algo_p95_ns: float
     algo_p99_ns: float
     algo_max_ns: float
+    window_p99_ns: float
     raw_p50_ns: float
     raw_p99_ns: float
     raw_max_ns: float

@@ -35,7 +35,11 @@ from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.bench.record.result_folder import load_results
 from dpbench.display import make_html_table
 from dpbench.errors import InputError
-from dpbench.report.compare.folders import describe_code_difference, describe_folder
+from dpbench.report.compare.folders import (
+    describe_changed_options,
+    describe_code_difference,
+    describe_folder,
+)
 from dpbench.report.compare.further_tables import (
     make_settings_table,
     make_verdicts_table,
@@ -57,7 +61,10 @@ from dpbench.report.formats import (
 )
 from dpbench.report.ship_text import summarise_ships
 
-TIMES = ("slower", "faster", "no difference shown", "equivalent", "not judged")
+TIMES = (
+    *("slower", "faster", "faster, not all verified"),
+    *("no difference shown", "equivalent", "not judged"),
+)
 """Verdicts on a step time: the two claims, then the weaker ones."""
 
 
@@ -120,12 +127,11 @@ def make_times_table(
     )
     percent = f"{100 * margin:g} %"
     note = (
-        "B/A: geometric mean over the steps of the ratio of algorithmic times (minimum over "
-        f"equally many rounds of both runs). Machine: {machine}. B/A less machine: B/A divided by "
+        f"B/A: {_describe_measure(compared)}. Machine: {machine}. B/A less machine: B/A divided by "
         "that. The interval holds for all rows together and includes the noise between two runs. "
-        f"Slower or faster: by more than {percent}, and faster only if every answer of B is "
-        f"verified. Equivalent: within {percent}. Each kind of claim has a family-wise error of "
-        f"{100 * alpha:g} % (Holm)."
+        f"Slower or faster: by more than {percent}. Faster, not all verified: the referee does not "
+        f"verify every answer of B. Equivalent: within {percent}. Each kind of claim has a "
+        f"family-wise error of {100 * alpha:g} % (Holm)."
     )
     cells = [
         {
@@ -143,6 +149,19 @@ def make_times_table(
         for timing, found in ((row.timing, row.assessment) for row in rows)
     ]
     return Table.from_rows(cells, "Step times, replays", note=note, text_columns=2)
+
+
+def _describe_measure(compared: Sequence[ComparedTimes]) -> str:
+    """Return a text on what the ratio B/A of step times is computed from."""
+    if any(len(one.timing.k) for one in compared):
+        return (
+            "geometric mean over the steps of the ratio of algorithmic times (minimum over equally "
+            "many rounds of both runs)"
+        )
+    return (
+        "ratio of the medians over the steps of algorithmic times (minimum over all rounds of each "
+        "run), because a folder has no steps.parquet"
+    )
 
 
 def _format_known_factor(factor: float, found: Assessment) -> str:
@@ -427,17 +446,6 @@ def _compare_times(
         f"whose B/A is {join_with_and(took)}"
     )
     return compare_times_to_reference(timings, margin, alpha, rows), [], wording
-
-
-def describe_changed_options(pairs: Pairs) -> list[str]:
-    """Return lines on options of custom settings that changed under the same name."""
-    changed = [pair for pair in pairs.pairs if pair.changed_options_text]
-    return list(
-        dict.fromkeys(
-            f"options changed: {pair.a.solver} {pair.a.settings}: {pair.changed_options_text}"
-            for pair in changed
-        )
-    )
 
 
 def _make_summary_lines(

@@ -1,5 +1,6 @@
-"""Descriptions of the two folders of a comparison: code, machine and load."""
+"""Descriptions of the two folders of a comparison: code, machine, load and options."""
 
+from dpbench.analysis.compare.pairs import Pairs
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances
 from dpbench.bench.record.machine import describe_version
@@ -34,3 +35,14 @@ def describe_code_difference(a: Records, b: Records) -> str:
     else:
         return ""
     return f"{made}: differences may come from dpbench"
+
+
+def describe_changed_options(pairs: Pairs) -> list[str]:
+    """Return lines on options of custom settings that changed under the same name."""
+    changed = [pair for pair in pairs.pairs if pair.changed_options_text]
+    return list(
+        dict.fromkeys(
+            f"options changed: {pair.a.solver} {pair.a.settings}: {pair.changed_options_text}"
+            for pair in changed
+        )
+    )

@@ -18,10 +18,10 @@ from dpbench.report.charts.style import ROW_STEP
 from dpbench.report.compare.comparison import (
     Comparison,
     describe_change,
-    describe_changed_options,
     describe_shared_factor,
     make_times_table,
 )
+from dpbench.report.compare.folders import describe_changed_options
 from dpbench.report.formats import Table, format_interval, plural, strip_markdown
 from dpbench.report.page.data import convert_rows_to_columns
 from dpbench.report.page.pack import Block
@@ -194,15 +194,18 @@ def _describe_slower(comparison: Comparison) -> str:
     )
 
 
-VERDICTS = ("slower", "faster", "equivalent", "no difference shown", "not judged")
+VERDICTS = (
+    *("slower", "faster", "faster, not all verified"),
+    *("equivalent", "no difference shown", "not judged"),
+)
 _COLOUR = style.colour(
     "verdict",
     VERDICTS,
-    (style.FAIL, style.PASS, style.SOFT, style.NOT_RUN, style.NOT_RUN),
+    (style.FAIL, style.PASS, style.INCONCLUSIVE, style.SOFT, style.NOT_RUN, style.NOT_RUN),
     columns=2,
 )
 _SHAPES = style.names_scale(
-    VERDICTS, ("triangle-right", "triangle-left", "circle", "square", "cross")
+    VERDICTS, ("triangle-right", "triangle-left", "diamond", "circle", "square", "cross")
 )
 _SHAPE = alt.Shape("verdict:N", scale=_SHAPES, title=None)
 _TIPS = [

@@ -130,7 +130,8 @@ def test_a_smaller_time_is_faster_only_with_verified_answers(make: Make) -> None
     for share in (1.0, 0.99):
         found = compare(a, make(f"b{share}", seed=2, slow=slow, true_share=share))
         headlines.append((verdicts(found.times)["scs"], found.headline))
-    assert headlines == [("faster", "faster"), ("no difference shown", "no change shown")]
+    assert headlines == [("faster", "faster"), ("faster, not all verified", "no change shown")]
+    assert "1 faster, not all verified" in found.markdown()
 
 
 @pytest.mark.slow
@@ -438,6 +439,11 @@ def test_a_folder_without_steps_is_compared_by_its_medians(make: Make, tmp_path:
     for one in (found, compare(b, a)):
         assert "failed_steps" not in {figure.measure.column for figure in one.figures}
     assert found.times["raw"].to_numpy() == pytest.approx(1.5)
+    (notes, of_steps) = (
+        " ".join(table.note for table in one.tables) for one in (found, compare(a, a))
+    )
+    assert "ratio of the medians" in notes and "geometric mean over the steps" not in notes
+    assert "geometric mean over the steps" in of_steps and "medians over" not in of_steps
     page = write_comparison(tmp_path / "compare.html", found).read_text(encoding="utf-8")
     assert "Both runs" in page
 
