@@ -1,7 +1,7 @@
 """Counts of solvers' C in words, and as times at a clock and cycles per instruction."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from dpbench.analysis.suites.embedded import APART, CountedSequence, EmbeddedResults
@@ -16,6 +16,8 @@ from dpbench.report.formats import (
     format_time,
     join_with_and,
 )
+from dpbench.solvers.contract import DEFAULT
+from dpbench.solvers.settings import find_options_of_preset
 
 CYCLES = 1.0
 """Cycles per instruction where the reader gives none: an assumption."""
@@ -24,6 +26,8 @@ CAVEAT = (
     "The counts do not include effects of caches, pipeline and bus, and do not bound the "
     "worst-case execution time."
 )
+MOST_SCENARIOS = 6
+"""Number of scenarios without counts that are named."""
 MOST_PAIRS = 2
 """Number of disagreements between desk and counts that are named for a sequence."""
 
@@ -38,7 +42,8 @@ NOTE = (
     "Median, p99 and maximum: instructions per step. Iterations and active limits are those of the "
     "worst step. Code includes constants; static includes the heap. Error: largest error of "
     "the first move, in maximum increments. On this machine: the same steps through the native "
-    "interface at default settings, with a warm start where supported."
+    "interface at default settings, with a warm start where supported; solvers whose C code runs "
+    "at other settings have no rank."
 )
 """Meaning of the columns of the table of counts."""
 
@@ -128,6 +133,7 @@ def list_embedded_cost_sentences(
         f"an assumed {CYCLES:g} cycle per instruction and {CLOCK_MHZ:g} MHz"
         f"{of_deadline * requirements.judges_step_times}.",
         _describe_p99_counts(results, sequence, solver, requirements.error_move),
+        *yield_uncounted_loops_sentences(results),
         CAVEAT,
     ]
 
@@ -148,6 +154,17 @@ def _describe_p99_counts(
     (where, p99), *more = counts
     rest = "".join(f"; over {other}, {count}" for other, count in more)
     return f"Over {where}, its p99 is {p99} instructions per step{rest}."
+
+
+def yield_uncounted_loops_sentences(results: EmbeddedResults) -> Iterator[str]:
+    """Yield a sentence on the scenarios whose QPs were not counted, if there are any."""
+    names = [f"`{name}`" for name in results.uncounted_loops]
+    if results.sequences and names:
+        more = len(names) - MOST_SCENARIOS
+        listed = [*names[:MOST_SCENARIOS], *[f"{more} more scenarios"] * (more > 0)]
+        yield (
+            f"The QPs of {join_with_and(listed)} were not counted and may take more instructions."
+        )
 
 
 def describe_cheapest_solver(sequence: CountedSequence, requirements: Requirements) -> str:
@@ -194,11 +211,40 @@ def yield_ranking_sentences(
             f"In {where}, instruction counts and times on this machine rank solvers differently: "
             f"{join_with_and(named)}{more} ({near})."
         )
+    yield from _yield_unranked_sentences(sequences)
     if alike:
+        ranked = dict.fromkeys(name for s in sequences for name in s.desk_rank_by_solver)
+        is_whole = not _list_unranked_settings(sequences)
+        solvers = "the solvers" if is_whole else join_with_and([f"`{name}`" for name in ranked])
         where = "" if len(alike) == len(sequences) else f" in {join_with_and(alike)}"
         yield (
-            f"Instruction counts and times on this machine rank the solvers alike{where} ({near})."
+            f"Instruction counts and times on this machine rank {solvers} alike{where} ({near})."
         )
+
+
+def _yield_unranked_sentences(sequences: Sequence[CountedSequence]) -> Iterator[str]:
+    """Yield a sentence on each solver whose C code does not run at the settings of the desk."""
+    for name, own in _list_unranked_settings(sequences).items():
+        counted = join_with_and([f"{key} = {value:g}" for key, value in own.items()])
+        default = find_options_of_preset(DEFAULT, name)
+        options = ", ".join(f"{key} = {value}" for key, value in default.items())
+        desk = f"at default settings ({options or 'those of the library'})"
+        yield (
+            f"`{name}` is not ranked: its C code runs with {counted}, but the solver on this "
+            f"machine {desk}."
+        )
+
+
+def _list_unranked_settings(
+    sequences: Sequence[CountedSequence],
+) -> dict[str, Mapping[str, bool | int | float]]:
+    """Return the settings of the C code by solver, of those timed here at other settings."""
+    return {
+        one.solver: one.settings
+        for sequence in sequences
+        for one in sequence.solvers
+        if one.settings and not math.isnan(one.desk_p99_ns)
+    }
 
 
 def yield_uncounted_sentences(missing: Sequence[UncountedSolver]) -> Iterator[str]:

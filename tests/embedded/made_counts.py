@@ -15,6 +15,7 @@ def make_counts(
     *,
     error: float = 1e-9,
     target: str = "m7",
+    settings: str = "{}",
 ) -> pd.DataFrame:
     """Return a row for each step of one solver."""
     steps = len(instructions)
@@ -24,6 +25,6 @@ def make_counts(
         **{"stack_bytes": 400, "iterations": 7, "active": 3, "status": 0},
         **{"error_move": error, "error_plan": error},
         **{"code_bytes": 20_000, "constants_bytes": 500, "static_bytes": 3_000, "heap_bytes": 64},
-        **{"settings": '{"rho": 0.1}', "compiler": "ziglang 0.0.0"},
+        **{"settings": settings, "compiler": "ziglang 0.0.0"},
     }
     return pd.DataFrame(columns)[list(COLUMNS)].astype(COLUMNS)

@@ -4,7 +4,7 @@ Instructions are counted by emulation; the desk's times are those of the same st
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, groupby
 from math import isnan, nan
@@ -15,8 +15,11 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.verdict.verdict import find_solver_record_or_none
 from dpbench.bench.record.result_folder import UncountedSolver
 from dpbench.embedded.table import summarise_counted_runs
+from dpbench.solvers.contract import DEFAULT
+from dpbench.solvers.settings import find_options_of_preset, has_distinct_tolerance_presets
 
 APART = 1.1
 """Ratio of p99 below which two solvers are not ranked, on the desk or by instructions."""
@@ -35,6 +38,8 @@ class CountedSolver:
     compiler : name and version.
     desk_p99_ns : p99 of the same steps on the desk, NaN if they were not timed there.
     desk_error_move : of that replay; NaN without one.
+    settings : of the C code, where the answers depend on them and they are not the defaults that
+        the replay on the desk has; else empty.
     """
 
     solver: str
@@ -53,6 +58,12 @@ class CountedSolver:
     compiler: str
     desk_p99_ns: float
     desk_error_move: float
+    settings: Mapping[str, bool | int | float]
+
+    @property
+    def is_ranked(self) -> bool:
+        """True if the desk was timed with the settings of the C code."""
+        return not isnan(self.desk_p99_ns) and not self.settings
 
 
 @dataclass(frozen=True)
@@ -70,13 +81,13 @@ class CountedSequence:
     ) -> list[tuple[CountedSolver, CountedSolver]]:
         """Return pairs that desk and counts rank otherwise; the first has fewer instructions.
 
-        Only solvers whose errors stay within `error_move` in both are ranked, and only p99 that
-        differ by more than `APART`.
+        Only solvers of equal settings whose errors stay within `error_move` in both are ranked, and
+        only p99 that differ by more than `APART`.
         """
         ranked = [
             one
             for one in self.solvers
-            if max(one.error_move, one.desk_error_move) <= error_move and not isnan(one.desk_p99_ns)
+            if one.is_ranked and max(one.error_move, one.desk_error_move) <= error_move
         ]
         return [
             (few, many)
@@ -86,8 +97,8 @@ class CountedSequence:
 
     @property
     def desk_rank_by_solver(self) -> dict[str, int]:
-        """Place of each solver by its p99 on the desk, from 1, among those timed there."""
-        timed = [one for one in self.solvers if not isnan(one.desk_p99_ns)]
+        """Place of each ranked solver by its p99 on the desk, from 1."""
+        timed = [one for one in self.solvers if one.is_ranked]
         timed.sort(key=lambda one: one.desk_p99_ns)
         return {one.solver: place for place, one in enumerate(timed, 1)}
 
@@ -98,6 +109,8 @@ class EmbeddedResults:
 
     sequences: tuple[CountedSequence, ...]
     not_counted: tuple[UncountedSolver, ...] = ()
+    uncounted_loops: tuple[str, ...] = ()
+    """Scenarios of judged closed loops whose QPs were not counted."""
 
     @classmethod
     def from_counted_steps(cls, records: Records, steps: pd.DataFrame | None) -> "EmbeddedResults":
@@ -117,7 +130,9 @@ class EmbeddedResults:
             ]
             solvers.sort(key=lambda one: (one.p99, one.solver))
             groups.append(CountedSequence(**names, solvers=tuple(solvers)))
-        return cls(tuple(groups), missing)
+        counted = {part["scenario"] for g in groups if (part := _PART.fullmatch(g.sequence))}
+        loops = dict.fromkeys(run.scenario for run in records.select_runs(mode="closed_loop"))
+        return cls(tuple(groups), missing, tuple(name for name in loops if name not in counted))
 
     def find_largest_count_of_solver(
         self, solver: str
@@ -147,8 +162,22 @@ def _summarise_counted_run(records: Records, run: dict[str, Any], compiler: str)
         compiler=compiler,
         desk_p99_ns=nan if desk is None else desk[1],
         desk_error_move=nan if desk is None else desk[0].error_move_max,
+        settings=_find_settings_unlike_default(run["solver"], run["settings"]),
         **{name: run[f"{name}_bytes"] for name in ("code", "constants", "static", "heap", "stack")},
     )
+
+
+def _find_settings_unlike_default(
+    solver: str, settings: Mapping[str, bool | int | float]
+) -> Mapping[str, bool | int | float]:
+    """Return the settings of a counted solver if its answers depend on them; else none.
+
+    A solver without distinct tolerance presets gives the exact answer at all settings.
+    """
+    if find_solver_record_or_none(solver) is None or not has_distinct_tolerance_presets(solver):
+        return {}
+    default = find_options_of_preset(DEFAULT, solver)
+    return {} if all(default.get(key) == value for key, value in settings.items()) else settings
 
 
 def _find_desk_replay_and_p99(

@@ -13,6 +13,7 @@ from dpbench.report.embedded_text import (
     describe_cheapest_solver,
     name_core_and_precision,
     yield_ranking_sentences,
+    yield_uncounted_loops_sentences,
     yield_uncounted_sentences,
 )
 from dpbench.report.formats import MISSING, Table, format_count, format_error, format_time
@@ -43,6 +44,7 @@ def build_embedded_topic(results: EmbeddedResults, requirements: Requirements) -
         *(describe_cheapest_solver(sequence, requirements) for sequence in results.sequences),
         *yield_ranking_sentences(results.sequences, requirements),
     ]
+    lines += yield_uncounted_loops_sentences(results)
     lines += yield_uncounted_sentences(results.not_counted)
     note = f"{NOTE} Compiled by {', '.join(compilers)} with -O2. {WORST} {CAVEAT}"
     looks: dict[str, Any] = {"text_columns": 3, "folded": True, "labels": LABELS}

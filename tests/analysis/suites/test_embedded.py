@@ -77,6 +77,22 @@ def test_a_solver_beyond_the_required_error_is_not_ranked(records: MadeRecords) 
     assert len(found.find_pairs_ranked_otherwise(1.0)) == 1
 
 
+def test_c_code_at_other_settings_than_the_desk_is_not_ranked(records: MadeRecords) -> None:
+    """OSQP's answers depend on its tolerance; an active-set method has none that matters."""
+    records.replay("quadprog", median_us=20.0, **NATIVE)
+    records.replay("osqp", median_us=10.0, **NATIVE)
+    tight = make_counts("osqp", [2000] * 200, settings='{"eps_abs": 1e-06, "rho": 0.25}')
+    exact = make_counts("quadprog", [1000] * 200, settings='{"limit": 9}')
+    found = EmbeddedResults.from_counted_steps(records.view(), pd.concat([exact, tight]))
+    (sequence,) = found.sequences
+    assert sequence.find_pairs_ranked_otherwise(1e-2) == []
+    assert sequence.desk_rank_by_solver == {"quadprog": 1}
+    assert [dict(one.settings) for one in sequence.solvers] == [{}, {"eps_abs": 1e-6, "rho": 0.25}]
+    equal = make_counts("osqp", [2000] * 200)
+    found = EmbeddedResults.from_counted_steps(records.view(), pd.concat([exact, equal]))
+    assert len(found.sequences[0].find_pairs_ranked_otherwise(1e-2)) == 1
+
+
 def test_the_largest_step_of_a_solver_is_found_over_all_sequences(records: MadeRecords) -> None:
     peak = np.full(200, 100)
     peak[17] = 5000

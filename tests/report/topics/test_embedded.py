@@ -86,6 +86,20 @@ def test_the_topic_names_the_disagreement(judged: MadeRecords) -> None:
     assert (first["code"], first["static"]) == ("20\u202f500", "3\u202f064")
 
 
+def test_unequal_settings_and_loops_without_counts_are_named(judged: MadeRecords) -> None:
+    judged.loop("daqp", "turn", **NATIVE)
+    judged.replay("osqp", median_us=30.0, **NATIVE)
+    tight = make_counts("osqp", [3_000_000] * 200, settings='{"eps_abs": 1e-06, "rho": 0.25}')
+    report = Report.from_results(judged.results(), counted=pd.concat([counts(), tight]))
+    (topic,) = (topic for topic in report.topics if topic.id == "embedded")
+    assert (
+        "`osqp` is not ranked: its C code runs with eps_abs = 1e-06 and rho = 0.25, but the solver "
+        "on this machine at default settings (adaptive_rho = 1, adaptive_rho_interval = 50)."
+    ) in topic.lines
+    uncounted = "The QPs of `turn` were not counted and may take more instructions."
+    assert uncounted in topic.lines and uncounted in notes(report)["counted"]
+
+
 def test_what_was_not_counted_is_stated_once_a_reason(judged: MadeRecords) -> None:
     judged.suite["not_counted"] = [
         {"solver": solver, "target": "m7", "sequence": "paper[0:200]", "reason": "no compiler"}
