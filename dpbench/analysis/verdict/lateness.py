@@ -20,7 +20,8 @@ Closed loops, and replays of one round. Hard steps and delays look the same, and
 a hundred is allowed: binomial with a share of 1 %. Late is what exceeds the limit by more than the
 uncertainty of the times. Where waits are not recorded, each involuntary context switch that can
 have hit a timed call explains one (`count_explained_late_timings`). A disturbed run proves nothing:
-waits do not show what other programs cost in caches and clock frequency.
+waits do not show what other programs cost in caches and clock frequency. The iterations do where
+they alone, at the least time per iteration of all steps, make the run late.
 
 Deadline. So long a stall is rare in a whole campaign: its rate is that of all replays together.
 
@@ -40,7 +41,7 @@ from scipy.stats import binom, nbinom
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
-from dpbench.analysis.records.run_steps import Delays
+from dpbench.analysis.records.run_steps import Delays, RunSteps
 from dpbench.analysis.statistics import adjust_p_values_by_holm
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.arrays import Floats
@@ -185,19 +186,17 @@ def find_late_timings(
     replays, loops, arms = ([r for r in of if r.run_id in delays] for of in (replays, loops, arms))
     repeated = [run for run in replays if len(delays[run.run_id].samples) > 1]
     once = [*loops, *(run for run in replays if run not in repeated)]
+    limits_ns = {run: requirements.p99_ns * uncertainty.get_factor_of_run(run) for run in once}
     tests: dict[Kind, list[LateTimings]] = {
         "late at random": _test_replays_for_late_timings(
             repeated, arms, delays, requirements, "late at random"
         ),
         "late timings": [
             *_test_replays_for_late_timings(repeated, arms, delays, requirements, "late timings"),
-            *(
-                _test_run_timed_once(
-                    run,
-                    delays[run.run_id],
-                    requirements.p99_ns * uncertainty.get_factor_of_run(run),
-                )
-                for run in once
+            *_clear_disturbance_of_long_steps(
+                records,
+                [_test_run_timed_once(run, delays[run.run_id], limits_ns[run]) for run in once],
+                limits_ns,
             ),
         ],
         "past the deadline": _test_steps_past_deadline(loops, replays, arms, delays, requirements),
@@ -350,6 +349,34 @@ def _test_run_timed_once(run: RunRecord, own: Delays, limit_ns: float) -> LateTi
     switches = MAX_SWITCHES_PER_S * run.replay_s, ALLOWED * samples
     is_disturbed = run.involuntary_switches > max(switches)
     return LateTimings("late timings", run, late, samples, explained / samples, p, is_disturbed)
+
+
+def _clear_disturbance_of_long_steps(
+    records: Records, tests: Sequence[LateTimings], limits_ns: Mapping[RunRecord, float]
+) -> list[LateTimings]:
+    """Return tests of runs timed once; a run is not disturbed if its iterations make it late."""
+    disturbed = [test.run for test in tests if test.is_disturbed and test.p <= DOUBTFUL]
+    cleared = {
+        run_id
+        for run_id, steps, _ in records.yield_merged_and_raw_steps(disturbed)
+        if _is_late_by_iterations(
+            steps, next(limits_ns[run] for run in disturbed if run.run_id == run_id)
+        )
+    }
+    return [replace(t, is_disturbed=t.is_disturbed and t.run.run_id not in cleared) for t in tests]
+
+
+def _is_late_by_iterations(steps: RunSteps, limit_ns: float) -> bool:
+    """Return whether the iterations of a run's steps alone make too many of them late.
+
+    Each iteration counts with the least time of all steps, which other work can only prolong.
+    """
+    work, timed = 1.0 + steps.iterations, ~np.isnan(steps.time_ns * steps.iterations)
+    if not timed.any():
+        return False
+    least_ns = float((steps.time_ns[timed] / work[timed]).min())
+    late = int(np.count_nonzero(work[timed] * least_ns > limit_ns))
+    return bool(binom.sf(late - 1, np.count_nonzero(timed), ALLOWED) <= PROVEN)
 
 
 def _count_late_explained_by_machine(run: RunRecord, own: Delays) -> float:

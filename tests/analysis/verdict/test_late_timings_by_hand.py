@@ -179,6 +179,19 @@ def test_a_disturbed_loop_proves_nothing(
     assert finding.kind == ("late timings" if proven else "late when disturbed")
 
 
+@pytest.mark.parametrize(("iterations", "proven"), [(3100, True), (2900, False)])
+def test_iterations_prove_a_disturbed_loop_late(
+    records: Any, iterations: int, proven: bool
+) -> None:
+    """At 2 µs each, as 20 µs for one and nine, 3100 iterations take 6.2 ms, above the 6 ms."""
+    slow = dict.fromkeys(range(200), 7e6)
+    _loop(records, 450, slow, involuntary_switches=50, replay_s=0.36)
+    frame = records._steps[-1]
+    frame["iterations"] = np.where(frame["total_ns"] > BASE_NS, iterations, 9)
+    (found,) = _found(records)["daqp"]
+    assert found.is_proven_late == proven
+
+
 @pytest.mark.parametrize(("switches", "p"), [(0, 1.0 - 0.99**3), (1, None), (2, None)])
 def test_a_single_late_timing_of_a_short_loop(records: Any, switches: int, p: float | None) -> None:
     _loop(records, 3, {1: 7e6}, involuntary_switches=switches)
