@@ -74,7 +74,8 @@ def _list_suites() -> RenderableType:
     for name in problems.list_shipped_problem_names("suites"):
         path, suite = load_path_and_suite(name)
         purpose = suite.title.removeprefix(f"{name.capitalize()}: ")
-        table.add_row(name, str(len(plan_suite(suite, beside=path.parent))), purpose)
+        described = ", ".join(filter(None, (purpose, suite.duration)))
+        table.add_row(name, str(len(plan_suite(suite, beside=path.parent))), described)
     return table
 
 

@@ -299,6 +299,8 @@ class SuiteFile(FileModel):
 
     title: str
     """The suite in words."""
+    duration: str = ""
+    """Usual run time in words, such as "two minutes"."""
     solvers: Annotated[list[str], Field(min_length=1)] = ["all"]
     """Solvers that run; all: every one that is installed."""
     superseded: bool = True
