@@ -10,7 +10,11 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS, Interval
-from dpbench.analysis.times.machine import find_largest_by_name, sum_disturbances
+from dpbench.analysis.times.machine import (
+    find_largest_by_name,
+    find_shortest_wait_ns,
+    sum_disturbances,
+)
 from dpbench.analysis.times.paired_times import PairedComparison
 from dpbench.analysis.verdict.requirements import (
     LATE,
@@ -402,6 +406,28 @@ def _describe_spread(compared: PairedComparison) -> str:
     one_round = "had a single round" if math.isinf(compared.spread) else ""
     rounds = one_round or f"rounds differ by a factor of up to {significant(compared.spread)}"
     return f": no ranking, as other work disturbed the timing and {rounds}"
+
+
+def describe_short_times(records: Records, compared: Sequence[Verdict]) -> str:
+    """Return a caution on compared times below those by which the timing was checked; or ""."""
+    shortest_ns = find_shortest_wait_ns(records.calibration)
+    short = [
+        f"of {verdict.configuration.marked_label}, {format_time(verdict.p50_ns)},"
+        for verdict in compared
+        if verdict.p50_ns < shortest_ns
+    ]
+    if not short:
+        return ""
+    differences = (
+        " Differences between such times reflect the bindings, not the methods."
+        if len(compared) > 1
+        else ""
+    )
+    return (
+        f"The p50 {join_with_and(short)} {'is' if len(short) == 1 else 'are'} below "
+        f"{format_time(shortest_ns)}, the shortest time for which the timing was checked."
+        f"{differences}"
+    )
 
 
 def describe_findings(findings: Sequence[Finding]) -> str:

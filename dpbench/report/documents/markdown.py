@@ -55,6 +55,7 @@ from dpbench.report.verdict_text import (
     describe_hardest_wait,
     describe_paired_times,
     describe_requirements,
+    describe_short_times,
     describe_which_solvers_pass,
     format_p99_interval,
     name_experiment,
@@ -440,7 +441,7 @@ def _compare_step_times(data: PageData, own: Verdict, other: Verdict) -> str:
     pair = data.records, faster, slower
     wording = describe_paired_times(compare_paired_times(*pair), count_common_window_steps(*pair))
     names = f"`{slower.configuration.label}` against `{faster.configuration.label}`"
-    return f"{names}: {wording}."
+    return f"{names}: {wording}. {describe_short_times(data.records, [faster, slower])}".rstrip()
 
 
 def _make_worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequence[Verdict]) -> str:

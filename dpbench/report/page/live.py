@@ -7,6 +7,7 @@ from typing import Any
 import pandas as pd
 
 from dpbench.analysis.suites.study import SMALL_M
+from dpbench.analysis.times.machine import find_shortest_wait_ns
 from dpbench.analysis.times.solver_tables import (
     compute_half_widths_of_pairs,
     tabulate_best_times,
@@ -26,7 +27,12 @@ from dpbench.report.formats import (
     join_with_and,
     plural,
 )
-from dpbench.report.page.data import PageData, make_table_of_runs, select_tiles
+from dpbench.report.page.data import (
+    PageData,
+    convert_to_json_number,
+    make_table_of_runs,
+    select_tiles,
+)
 from dpbench.report.page.section import Section
 from dpbench.report.verdict_text import shorten_findings
 
@@ -167,7 +173,12 @@ def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
     """Return JSON data: the half-width of each two configurations' log time ratio, packed."""
     pairs = compute_half_widths_of_pairs(data)
     reach = data.block.add_as_uint16_logs(pairs.widths)
-    about = {"variables": pairs.sizes, "turns": pairs.turns, "spreads": pairs.spreads}
+    about: dict[str, Any] = {
+        "variables": pairs.sizes,
+        "turns": pairs.turns,
+        "spreads": pairs.spreads,
+        "shortest": convert_to_json_number(find_shortest_wait_ns(data.records.calibration)),
+    }
     return {"paired": {"c": pairs.timed, "reach": reach, **about}}
 
 

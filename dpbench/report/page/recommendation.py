@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import isfinite, isnan
 from typing import Any
 
-from dpbench.analysis.times.machine import find_shortest_wait_ns
 from dpbench.analysis.times.paired_times import (
     MACHINE_DISTURBED,
     compare_paired_times,
@@ -54,6 +53,7 @@ from dpbench.report.verdict_text import (
     describe_longest_wait,
     describe_requirements,
     describe_scaled_p99,
+    describe_short_times,
     describe_stopped_runs,
     describe_times_compared_with,
     explain_no_recommendation,
@@ -265,14 +265,6 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
     chosen = found.chosen
     if chosen is None:
         return
-    shortest_ns = find_shortest_wait_ns(data.records.calibration)
-    if chosen.p50_ns < shortest_ns:
-        p50, shortest = format_time(chosen.p50_ns), format_time(shortest_ns)
-        yield (
-            "checked",
-            f"Its p50 of {p50} is below {shortest}, the shortest time for which the timing was "
-            "checked.",
-        )
     if found.faster is not None:
         label = found.faster.configuration.marked_label
         compared = compare_paired_times(data.records, chosen, found.faster)
@@ -292,6 +284,9 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
             first, compare_paired_times(*pair), count_common_window_steps(*pair)
         )
         yield "next", f"Next: {label}, {time} {beside}"
+    named = [*filter(None, (chosen, found.faster, found.runner_up))]
+    if short := describe_short_times(data.records, named):
+        yield "checked", short
     for verdict in filter(None, (chosen, found.runner_up)):
         if silent := describe_unanswered_qps(data.records, verdict.configuration.solver):
             yield "unanswered", f"{silent}."

@@ -657,6 +657,20 @@ def test_a_snippet_in_c_has_numbers(
 ) -> None:
     for settings_run in dict.fromkeys(("default", settings)):
         error = 0.4 if settings_run != settings else 1e-9
+def test_compared_times_below_checked_waits_are_named(records: Any) -> None:
+    for solver, median_us in (("daqp", 9.0), ("quadprog", 12.0)):
+        records.loop(solver)
+        records.replay(solver, median_us=median_us, spread=0.0)
+    records.replay("busy_wait_20us", median_us=20.2, route="native", policy="reuse")
+    notes = [about for about, _ in _answer(records).notes]
+    assert notes.index("checked") == notes.index("next") + 1
+    assert dict(_answer(records).notes)["checked"] == (
+        "The p50 of `daqp` (qpsolvers fresh), 9.00 µs, and of `quadprog` (qpsolvers fresh), "
+        "12.0 µs, are below 20.0 µs, the shortest time for which the timing was checked. "
+        "Differences between such times reflect the bindings, not the methods."
+    )
+
+
         records.loop(solver, settings=settings_run, error=error)
         records.replay(solver, settings=settings_run, error=error)
     assert dict(_answer(records).snippets).get("C") == text

@@ -6,7 +6,7 @@ function beside() {
   const first = facts.answer.first, rows = first === state.c ? [] : comparedSteps(first, state.c);
   if (rows[0]?.separate) return `, ${rows[0].separate} from ${unlike(first, state.c)}`;
   return rows.length
-    ? `, step times ${figure(ratioOf(rows), 2)} times those of ${unlike(first, state.c)} (geometric mean over the same steps)` : "";
+    ? `, step times ${figure(ratioOf(rows), 2)} times those of ${unlike(first, state.c)} (geometric mean over the same steps${shortTimes(first, state.c) && `; times below ${time(facts.paired.shortest)} reflect the bindings`})` : "";
 }
 
 // The line that stays on a wide screen: the selected configuration, its times, what is shown of it.

@@ -86,7 +86,7 @@ function commonSteps(rows) {
   const largest = ofLargest(rows);
   const counts = unique(largest.map((row) => row.sequence))
     .map((name) => `${largest.filter((row) => row.sequence === name).length} steps of \`${name}\``);
-  const size = largest.length < rows.length ? ` with the largest QPs (${largest[0].variables} variables)` : "";
+  const size = largest.length < rows.length ? ` with the largest QPs of full replays (${largest[0].variables} variables)` : "";
   return `${counts.join(" and ")}${counts.length > 1 ? ", of equal weight," : ""}${size}`;
 }
 
@@ -96,6 +96,13 @@ function captionOf(rows, second) {
     `\`${name}\` (${rows.find((row) => row.sequence === name).variables} variables)`);
   return `Each dot is one step, timed by its fastest round, in ${replays.join(" or ")}. Below the dashed line, ${
     unlike(second, state.c)} is faster.`;
+}
+
+// A caution on the p50 of two compared configurations below the shortest time that was checked, or "".
+function shortTimes(first, second) {
+  const { shortest } = facts.paired, short = [first, second].filter((c) => C().p50[c] !== null && C().p50[c] < shortest);
+  return short.length === 0 ? "" : ` The p50 of ${short.map((c) => `${marked(c)} (${time(C().p50[c])})`).join(" and ")} ${
+    short.length > 1 ? "are" : "is"} below ${time(shortest)}, the shortest time for which the timing was checked. Differences between such times reflect the bindings, not the methods.`;
 }
 
 // The packed times hold two digits of a ratio: 1 is written as 1.0.
@@ -122,7 +129,7 @@ async function drawTwo() {
     + `${commonSteps(rows)}.`
     : `${marked(slower)} takes ${twoDigits(ratio)} times as long as ${marked(faster)}: `
     + `geometric mean over ${commonSteps(rows)}; ${interval}.`
-    + `${reach === null ? "" : whyUnranked(rows, ratio / reach)}`;
+    + `${reach === null ? "" : whyUnranked(rows, ratio / reach)}${shortTimes(state.c, second)}`;
   said.replaceChildren(...coded(text));
   $("two-caption").replaceChildren(...coded(captionOf(rows, second)));
   const view = await figureOf("pairs");
