@@ -294,8 +294,8 @@ def format_usual_time(verdict: Verdict) -> str:
     time = format_time(verdict.p99_ns)
     if searched:
         steps = f"the {plural(searched, 'step')} of `{verdict.p99_run.scenario}`"
-        few = ", of which only the hardest were timed (no interval)" if name == "p99" else ""
-        return f"{name} {time} over {steps}{few}"
+        few = ", from the replay of its window of hardest steps (no interval)"
+        return f"{name} {time} over {steps}{few * (name == 'p99')}"
     return f"{name} {time}{describe_p99_interval(verdict)} in {name_experiment(verdict.p99_run)}"
 
 
@@ -315,7 +315,7 @@ def describe_p99_interval(verdict: Verdict) -> str:
         return ""
     if searched := verdict.p99_run.steps_searched_for_hardest:
         is_p99 = searched >= LEAST_STRETCH
-        return " (no interval: only the hardest steps were timed)" if is_p99 else ""
+        return " (no interval: only the hardest steps were replayed)" if is_p99 else ""
     return format_p99_interval(verdict.p99_interval)
 
 

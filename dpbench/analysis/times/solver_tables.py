@@ -88,7 +88,10 @@ def _make_margin_columns(matrix: RunMatrix, verdict: Verdict) -> dict[str, Any]:
     margin = matrix.get_speed_margin(verdict.configuration)
     if margin is None:
         return {"margin": nan}
-    columns: dict[str, Any] = {"margin": margin.allowed_slowness_factor}
+    columns: dict[str, Any] = {
+        "margin": margin.allowed_slowness_factor,
+        "limiting_p99_us": margin.limiting_p99_ns / 1e3,
+    }
     parts = {"p99": (margin.p99_limit, margin.p99), "deadline": (margin.deadline, margin.hardest)}
     for name, (factor, step) in parts.items():
         columns[f"margin_{name}"] = factor

@@ -399,6 +399,11 @@ class SpeedMargin:
     p99_limit: float
 
     @property
+    def limiting_p99_ns(self) -> float:
+        """The p99 that limits the speed margin [ns]; that of a window is scaled up."""
+        return self.p99.time_ns * self.p99.run.untimed_iterations
+
+    @property
     def allowed_slowness_factor(self) -> float:
         """Factor by which a computer may be slower with p99 and deadline still kept."""
         return min(self.deadline, self.p99_limit)

@@ -81,18 +81,24 @@ HEAD: tuple[str, ...] = (
         "p99 of single timings",
         "worst p99",
     ),
-    *("longest step", "speed margin", "largest error [maximum increments]", "failed steps"),
+    *("limiting p99", "longest step", "speed margin"),
+    *("largest error [maximum increments]", "failed steps"),
 )
 
 PERCENTILES = ("p99", "p99 of single timings")
 """Columns that are left out where no replay is long enough for them."""
+MARGINS = ("limiting p99", "speed margin")
+"""Columns that are left out where lateness is not judged."""
 CALL_MODES = (
     "Call modes: fresh sets up the solver at every step, reuse keeps its workspace, and warm also "
-    "starts from its last solution. Speed margin: factor by which the computer may be slower until "
-    "the worst p99 or the longest step reaches its limit."
+    "starts from its last solution."
 )
-TERMS = " Terms: `docs/glossary.md` of dpbench."
-SINGLE_TIMINGS = " The p99 of single timings includes interference from other work."
+SINGLE_TIMINGS = "The p99 of single timings includes interference from other work."
+FEW_STEPS = "A p99 of step times needs at least 1000 steps; a dash marks a shorter replay."
+FEW_TIMINGS = (
+    "A p99 of single timings needs at least 1000 timings; a dash marks a replay with fewer."
+)
+TERMS = "Terms: `docs/glossary.md` of dpbench."
 
 
 def make_report_markdown(report: Report) -> str:
@@ -113,7 +119,7 @@ def make_report_markdown(report: Report) -> str:
         *make_ship_lines(recommendation.ship),
         *map(escape_markdown_paragraph, [*lead, *wording, recommendation.requirements]),
         make_solver_table(data, listed := _list_verdicts(data.verdicts)),
-        _explain_columns(listed),
+        _explain_columns(data, listed),
         _unlisted_text(data.verdicts, len(listed)),
         escape_markdown_paragraph(
             describe_which_solvers_pass(data.verdicts) if data.verdicts.of else ""
@@ -199,15 +205,42 @@ def _count_configurations(verdicts: Verdicts) -> int:
     return sum(verdict.state != "not run" for verdict in verdicts.all_verdicts)
 
 
-def _explain_columns(listed: Sequence[Verdict]) -> str:
+def _explain_columns(data: PageData, listed: Sequence[Verdict]) -> str:
     """Return a note on the call modes and columns of the table of solvers; "" without rows."""
     if not listed:
         return ""
-    are_known = [not math.isnan(v.replay_p99_ns) for v in listed if v.timed_on]
-    few = " A p99 of step times needs at least 1000 steps; a dash marks a shorter replay."
+    timed = [v for v in listed if v.timed_on]
+    few = [
+        note
+        for column, note in (("replay_p99_ns", FEW_STEPS), ("raw_p99_ns", FEW_TIMINGS))
+        for are_known in [[not math.isnan(getattr(v, column)) for v in timed]]
+        if any(are_known) and not all(are_known)
+    ]
     has_raw_p99 = any(not math.isnan(verdict.raw_p99_ns) for verdict in listed)
-    notes = CALL_MODES + SINGLE_TIMINGS * has_raw_p99
-    return notes + (few if any(are_known) and not all(are_known) else "") + TERMS
+    notes = [
+        CALL_MODES,
+        _explain_speed_margin(data, listed),
+        SINGLE_TIMINGS * has_raw_p99,
+        *few,
+        TERMS,
+    ]
+    return " ".join(filter(None, notes))
+
+
+def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
+    """Return how the columns of the table give the speed margin; "" without one."""
+    margins = [m for v in listed if (m := data.get_speed_margin(v.configuration))]
+    if not margins:
+        return ""
+    requirements = data.requirements
+    is_scaled = any(margin.p99.run.untimed_iterations > 1.0 for margin in margins)
+    scaled = ", that of a window scaled up to the iterations of its closed loop" * is_scaled
+    return (
+        f"Limiting p99: the largest p99 of all replays and windows{scaled}; without a p99, the "
+        "longest step. Speed margin: factor by which the computer may be slower, the smaller of "
+        f"{requirements.p99_ms:g} ms divided by the limiting p99 and "
+        f"{requirements.deadline_ms:g} ms divided by the longest step, rounded down."
+    )
 
 
 def _unlisted_text(verdicts: Verdicts, listed: int) -> str:
@@ -235,7 +268,7 @@ def make_solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
     if not rows:
         return ""
     shown = [
-        head not in PERCENTILES or set(cells) != {MISSING}
+        head not in (*PERCENTILES, *MARGINS) or set(cells) != {MISSING}
         for head, *cells in zip(HEAD, *rows, strict=True)
     ]
     heads, *kept = ([*compress(cells, shown)] for cells in (HEAD, *rows))
@@ -271,7 +304,7 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
         names, are = join_with_and(["The p50", *known]), "are" if known else "is"
         yield f"{names} {are} {_most_and_others(usual, 'from')}."
     if any(v.p99_run is not None and v.p99_run.steps_searched_for_hardest for v in timed):
-        yield "A p99 of hardest steps has no interval, because the other steps were not timed."
+        yield "A p99 of hardest steps has no interval, because the other steps were not replayed."
     for name, found in (("worst p99", worst), ("longest step", hardest)):
         if any(found[label] != usual[label] for label in found):
             yield f"The {name} is {_most_and_others(found, 'in')}."
@@ -322,6 +355,7 @@ def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[
             format_time(verdict.replay_p99_ns),
             format_time(verdict.raw_p99_ns),
             format_time(verdict.p99_ns) + format_p99_interval(verdict.p99_interval),
+            MISSING if margin is None else format_time(margin.limiting_p99_ns),
             format_time(verdict.algo_max_ns) + describe_hardest_wait(data.records, verdict.max_run),
             MISSING
             if margin is None

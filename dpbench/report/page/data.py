@@ -15,7 +15,7 @@ from dpbench.analysis.records.records import (
     count_inaccurate_steps,
 )
 from dpbench.analysis.records.run_record import RunRecord, build_run_records
-from dpbench.analysis.records.run_steps import MEASURES
+from dpbench.analysis.records.run_steps import MEASURES, find_hardest_steps
 from dpbench.analysis.records.thinned_runs import FORCES, TRACK, ThinnedRun, Track, thin_track
 from dpbench.analysis.suites.embedded import EmbeddedResults
 from dpbench.analysis.suites.study import Study, find_studies
@@ -31,14 +31,18 @@ from dpbench.analysis.verdict.run_matrix import (
 )
 from dpbench.analysis.verdict.ship_results import ShipResult, find_ship_results
 from dpbench.analysis.verdict.verdict import Verdicts
+from dpbench.bench.record.cell import Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.formats import as_float
 from dpbench.report.page.pack import MOST_HARD, Block, Room, pack_steps, pack_track
+from dpbench.solvers.calibration import CALIBRATION
 
 MOST_RUNS = 20_000
 """Runs of studies on the page with their errors; the files have all."""
 MOST_LOOPS = 400
 """Runs of studies on the page with their steps."""
+MOST_WINDOW_STEPS = 5
+"""Steps of a configuration's windows in the page's list of hardest steps."""
 
 
 def select_shown_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:
@@ -175,6 +179,34 @@ class PageData(RunMatrix):
             kept[run_id] = ThinnedRun.from_run(steps, room.steps, track, inaccurate)
         return kept
 
+    @cached_property
+    def longest_window_steps(self) -> dict[Configuration, list[tuple[int, int, float]]]:
+        """Longest steps of all windows by configuration: loop's experiment index, k, time [ns]."""
+        loops = {
+            experiment.name: p
+            for p, experiment in enumerate(self.experiments)
+            if (experiment.mode, experiment.units, experiment.study)
+            == ("closed_loop", "scaled", "")
+            and not experiment.slowdown
+        }
+        windows = {
+            run.run_id: run
+            for run in self.records.select_runs(mode="replay", units="scaled")
+            if run.steps_searched_for_hardest and run.has_steps and run.scenario in loops
+        }
+        found: dict[Configuration, list[tuple[int, int, float]]] = {}
+        for run_id, steps, _ in self.records.yield_merged_and_raw_steps([*windows.values()]):
+            run = windows[run_id]
+            own = found.setdefault(get_configuration_in_common_form(run), [])
+            own += [
+                (loops[run.scenario], run.first_step + int(steps.k[i]), float(steps.time_ns[i]))
+                for i in find_hardest_steps(steps, "time", MOST_WINDOW_STEPS)
+            ]
+        return {
+            c: sorted(own, key=lambda step: -step[2])[:MOST_WINDOW_STEPS]
+            for c, own in found.items()
+        }
+
     @property
     def thinned_count(self) -> int:
         """Number of runs of which the page shows only a part of the steps."""
@@ -243,8 +275,8 @@ def convert_rows_to_columns(rows: Sequence[dict[str, Any]]) -> dict[str, list[An
 
 GROUPS: dict[str, str] = {
     "times": (
-        "algo_p50_ns algo_p99_ns algo_max_ns raw_p50_ns raw_p99_ns raw_max_ns raw_samples "
-        "rounds disturbed_rounds"
+        "algo_p50_ns algo_p99_ns window_p99_ns limiting_p99_ns algo_max_ns raw_p50_ns raw_p99_ns "
+        "raw_max_ns raw_samples rounds disturbed_rounds"
     ),
     "accuracy": (
         "error_move_max error_plan_max failed_steps claimed_not_true true_share "
@@ -268,6 +300,8 @@ LABELS = {
     "where": "scenario or replay",
     "algo_p50_ns": "p50",
     "algo_p99_ns": "p99",
+    "window_p99_ns": "p99 of window",
+    "limiting_p99_ns": "limiting p99",
     "algo_max_ns": "longest step",
     "raw_p50_ns": "p50 of single timings",
     "raw_p99_ns": "p99 of single timings",
@@ -302,6 +336,11 @@ LABELS = {
     "run_id": "run_id",
 }
 """Labels of columns on the page; others are their names with spaces."""
+COLUMNS = {
+    **RUN_COLUMNS,
+    "limiting_p99_ns": ("float64", "p99 for the speed margin; that of a window is scaled up"),
+}
+"""Type and meaning of the columns of runs, with that which only the page has."""
 MOST_TILES = 1000
 """Each tile is two nodes of the browser."""
 MOST_ROWS = 3000
@@ -309,8 +348,12 @@ MOST_ROWS = 3000
 
 
 def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
-    """Return the table of runs as columns for the page's script, without empty columns."""
+    """Return the table of runs as columns for the page's script, without empty columns.
+
+    A window of hardest steps has a configuration, but no experiment on the page.
+    """
     runs = runs.iloc[:MOST_ROWS]
+    runs = runs.assign(limiting_p99_ns=_compute_limiting_p99_ns(data, runs))
     by_id = {run.run_id: key for key, run in data.runs.items()}
     keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
     always: dict[str, Iterable[Any]] = {
@@ -335,7 +378,7 @@ def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
     values: list[list[Any]] = [list(map(str, column)) for column in always.values()]
     for group, names in GROUPS.items():
         for name in names.split():
-            kind, meaning = RUN_COLUMNS[name]
+            kind, meaning = COLUMNS[name]
             text = kind == "str"
             cells = (
                 [str(x) for x in runs[name]]
@@ -353,11 +396,29 @@ def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
             values.append(cells)
     return {
         "rows": len(runs),
+        "calibration_runs": int(runs["solver"].isin(list(CALIBRATION)).sum()),
         "columns": columns,
         "values": values,
-        "c": [None if key is None else key[0] for key in keys],
+        "c": _find_configuration_indices(data, runs),
         "p": [None if key is None else key[1] for key in keys],
     }
+
+
+def _compute_limiting_p99_ns(data: PageData, runs: pd.DataFrame) -> "pd.Series[float]":
+    """Return the p99 of each replay and window (R,) [ns], that of a window scaled up; or NaN."""
+    factors = {run.run_id: run.untimed_iterations for run in data.records.runs}
+    scale = runs["run_id"].astype(str).map(factors).astype(np.float64).fillna(1.0)
+    return runs["algo_p99_ns"].fillna(runs["window_p99_ns"] * scale)
+
+
+def _find_configuration_indices(data: PageData, runs: pd.DataFrame) -> list[int | None]:
+    """Return the index of each run's configuration on the page (R,); None for one not shown."""
+    shown = {run.run_id: c for (c, _), run in data.runs.items()}
+    for run in data.records.select_runs(mode="replay", units="scaled"):
+        c = data.find_index(get_configuration_in_common_form(run))
+        if run.steps_searched_for_hardest and c >= 0:
+            shown[run.run_id] = c
+    return [shown.get(str(run_id)) for run_id in runs["run_id"]]
 
 
 def select_tiles(tiles: pd.DataFrame) -> pd.DataFrame:

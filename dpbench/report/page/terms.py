@@ -24,6 +24,9 @@ PHRASES = {
     **{name: name for name in _OWN_PHRASES.split(", ")},
     "first move": "error_move",
     "single timing": "single timing",
+    "scaled up": "speed margin",
+    "limiting p99": "speed margin",
+    "speed margin": "speed margin",
     "p50": "p50, p95, p99",
     "p99": "p50, p95, p99",
 }

@@ -5,6 +5,7 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
+from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from dpbench.report.embedded_text import (
     describe_deadline,
     make_calculator_rows,
 )
-from dpbench.report.formats import explain_range_of_steps
+from dpbench.report.formats import explain_range_of_steps, format_time
 from dpbench.report.page.citations import format_citations
 from dpbench.report.page.data import (
     GROUPS,
@@ -121,7 +122,8 @@ def _describe_configuration(
         "failed": None if v is None else v.failed_steps,
         "timed_experiment_index": None if v is None else data.find_timed_experiment_index(v),
         "call": format_python_call(c),
-        **_describe_margin(data, c),
+        **_describe_margin(data, c, v),
+        "longest_in_windows": [list(step) for step in data.longest_window_steps.get(c, ())],
         "max_wait": describe_hardest_wait(data.records, None if v is None else v.max_run),
         "longest_wait": describe_longest_wait(data.records, longest and longest[1]),
         "longest": None if longest is None else convert_to_json_number(longest[1].raw_max_ns),
@@ -129,23 +131,23 @@ def _describe_configuration(
     }
 
 
-def _describe_margin(data: PageData, c: Configuration) -> dict[str, Any]:
-    """Return how much slower a computer may be for a configuration, and the limiting steps."""
+def _describe_margin(data: PageData, c: Configuration, v: Verdict | None) -> dict[str, Any]:
+    """Return how much slower a computer may be for a configuration, and which time limits it."""
     margin = data.get_speed_margin(c)
     if margin is None:
-        return {"margin": None, "bounds": []}
-    loops = {
-        experiment.name: p
-        for p, experiment in enumerate(data.experiments)
-        if (experiment.mode, experiment.units, experiment.study) == ("closed_loop", "scaled", "")
-        and not experiment.slowdown
-    }
-    bounds = [
-        [loops[step.run.scenario], step.k, convert_to_json_number(step.time_ns)]
-        for step in (margin.hardest, margin.p99)
-        if step.run.steps_searched_for_hardest and step.run.scenario in loops
-    ]
-    return {"margin": convert_to_json_number(margin.allowed_slowness_factor), "bounds": bounds}
+        return {"margin": None, "limited_by": ""}
+    requirements, longest = data.requirements, format_time(margin.hardest.time_ns)
+    if margin.deadline < margin.p99_limit:
+        limited_by = f"longest step of {longest} (deadline {requirements.deadline_ms:g} ms)"
+    elif v is None or isnan(v.p99_ns):
+        limit = f"p99 limit {requirements.p99_ms:g} ms, as too few steps give a p99"
+        limited_by = f"longest step of {longest} ({limit})"
+    else:
+        scaled = ", scaled up" if margin.p99.run.untimed_iterations > 1.0 else ""
+        p99 = format_time(margin.limiting_p99_ns)
+        limited_by = f"p99 of {p99}{scaled} (limit {requirements.p99_ms:g} ms)"
+    allowed = convert_to_json_number(margin.allowed_slowness_factor)
+    return {"margin": allowed, "limited_by": limited_by}
 
 
 def _select_at_opening(

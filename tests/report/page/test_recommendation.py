@@ -134,8 +134,8 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
     [
         (
             450,
-            "p99 {} over the 450 steps of `paper`, of which only the hardest were timed (no "
-            "interval)",
+            "p99 {} over the 450 steps of `paper`, from the replay of its window of hardest steps "
+            "(no interval)",
         ),
         (60, "largest {} over the 60 steps of `paper`"),
     ],
@@ -451,6 +451,33 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     assert f"{scaled} and reaches the limit of 3 ms at × 75.0." in text
 
 
+def test_the_table_has_the_times_that_give_each_speed_margin(records: Any) -> None:
+    """A window of 20 µs counts as 40 µs by its iterations; `osqp` has one step of 60 ms."""
+    records.loop("daqp", "turn", iterations_p99=9.0)
+    cell = json.dumps({"source": {"kind": "hardest", "name": "turn hardest 30", "of": 450}})
+    window = {"sequence": "turn hardest 30", "scenario": "turn", "cell": cell}
+    records.replay("daqp", steps=30, spread=0.0, iterations_p99=4.0, **window)
+    records.loop("osqp", "paper")
+    records.replay("osqp", spread=0.0, slow={500: 3000.0})
+    report = Report.from_results(records.results())
+    text = make_report_markdown(report)
+    table = [line for line in text.splitlines() if line.startswith("| ")]
+    head, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in table)
+    found = {row[0]: dict(zip(head, row, strict=True)) for row in rows}
+    columns = ("worst p99", "limiting p99", "longest step", "speed margin")
+    assert [found["daqp"][name] for name in columns] == ["20.0 µs", "40.0 µs", "20.0 µs", "× 75.0"]
+    assert [found["osqp"][name] for name in columns[1:]] == ["20.0 µs", "60.0 ms", "× 5.00"]
+    assert "the smaller of 3 ms divided by the limiting p99 and 300 ms divided by" in text
+    facts = make_page_document(report.data, report.results, report.recommendation, {})
+    limits = dict(zip(*(facts["configurations"][n] for n in ("solver", "limited_by")), strict=True))
+    assert limits == {
+        "daqp": "p99 of 40.0 µs, scaled up (limit 3 ms)",
+        "osqp": "longest step of 60.0 ms (deadline 300 ms)",
+    }
+    verdicts = tabulate_verdicts(report.data).set_index("solver")
+    assert verdicts["limiting_p99_us"].round(3).to_dict() == {"daqp": 40.0, "osqp": 20.0}
+
+
 def test_a_replay_of_the_same_horizons_by_another_name_times_the_loop(records: Any) -> None:
     """`horizons = ["30/5"]` of `paper` names it `paper-30-5`."""
     for scenario in ("paper", "calm"):
@@ -630,6 +657,20 @@ def test_a_p50_below_checked_waits_is_said(
     assert ("is below 20.0 µs, the shortest time for which" in note) == output == bool(note)
 
 
+def test_compared_times_below_checked_waits_are_named(records: Any) -> None:
+    for solver, median_us in (("daqp", 9.0), ("quadprog", 12.0)):
+        records.loop(solver)
+        records.replay(solver, median_us=median_us, spread=0.0)
+    records.replay("busy_wait_20us", median_us=20.2, route="native", policy="reuse")
+    notes = [about for about, _ in _answer(records).notes]
+    assert notes.index("checked") == notes.index("next") + 1
+    assert dict(_answer(records).notes)["checked"] == (
+        "The p50 of `daqp` (qpsolvers fresh), 9.00 µs, and of `quadprog` (qpsolvers fresh), "
+        "12.0 µs, are below 20.0 µs, the shortest time for which the timing was checked. "
+        "Differences between such times reflect the bindings, not the methods."
+    )
+
+
 def test_a_snippet_opens_what_it_recommends(records: Any) -> None:
     records.loop("daqp", route="native", policy="warm")
     records.replay("daqp", route="native", policy="warm")
@@ -657,20 +698,6 @@ def test_a_snippet_in_c_has_numbers(
 ) -> None:
     for settings_run in dict.fromkeys(("default", settings)):
         error = 0.4 if settings_run != settings else 1e-9
-def test_compared_times_below_checked_waits_are_named(records: Any) -> None:
-    for solver, median_us in (("daqp", 9.0), ("quadprog", 12.0)):
-        records.loop(solver)
-        records.replay(solver, median_us=median_us, spread=0.0)
-    records.replay("busy_wait_20us", median_us=20.2, route="native", policy="reuse")
-    notes = [about for about, _ in _answer(records).notes]
-    assert notes.index("checked") == notes.index("next") + 1
-    assert dict(_answer(records).notes)["checked"] == (
-        "The p50 of `daqp` (qpsolvers fresh), 9.00 µs, and of `quadprog` (qpsolvers fresh), "
-        "12.0 µs, are below 20.0 µs, the shortest time for which the timing was checked. "
-        "Differences between such times reflect the bindings, not the methods."
-    )
-
-
         records.loop(solver, settings=settings_run, error=error)
         records.replay(solver, settings=settings_run, error=error)
     assert dict(_answer(records).snippets).get("C") == text

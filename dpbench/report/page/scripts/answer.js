@@ -9,10 +9,11 @@ const listed = (rows, say = (row) => `\`${row.solver}\``) => (rows.length && (ro
 // make it late on this machine already.
 function paceOf(c, margin) {
   const late = C().late[c], verdict = C().verdict[c];
-  if (late) return `is late on this machine (${late})`;
-  if (margin < 1) return `is late on this machine (speed margin × ${roundedDown(margin)})`;
+  const limited = `× ${roundedDown(margin)}, limited by its ${C().limited_by[c]}`;
+  if (late) return `is late on this machine (${late})${margin < 1 ? `. Its speed margin is ${limited}` : ""}`;
+  if (margin < 1) return `is late on this machine (speed margin ${limited})`;
   const other = ["pass", "not judged"].includes(verdict) ? "" : ` (overall verdict: ${verdict})`;
-  return `is ${margin < state.slow ? "late beyond" : "in time up to"} × ${roundedDown(margin)}${other}`;
+  return `is ${margin < state.slow ? "late beyond" : "in time up to"} ${limited}${other}`;
 }
 
 // The speed margin of the chosen configuration, and the solvers that stay within both limits on the
@@ -20,8 +21,7 @@ function paceOf(c, margin) {
 function kept() {
   const { deadline_ms, p99_ms } = facts.requirements, margin = C().margin[state.c];
   if (deadline_ms === null) return "Lateness is not judged, as no deadline is known.";
-  const counted = facts.counts?.some((row) => row.solver === C().solver[state.c]);
-  const own = margin === null || counted ? "" : `\`${C().solver[state.c]}\` ${paceOf(state.c, margin)}. `;
+  const own = margin === null ? "" : `\`${C().solver[state.c]}\` ${paceOf(state.c, margin)}. `;
   const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
   const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");
   if (!right.length) return own;

@@ -33,7 +33,9 @@ function drawTable() {
     th.append(button); head.append(th);
   }
   // A row is chosen where it stands; its name opens it above.
-  const choose = (i) => { if (table.c[i] !== null) select({ c: table.c[i], p: table.p[i], k: null }); };
+  // A window has no experiment of its own: what is shown stays, where the configuration has that.
+  const shownOf = (c) => (cell(c, state.p) ? state.p : Math.max(0, facts.experiments.findIndex((_, p) => cell(c, p))));
+  const choose = (i) => { if (table.c[i] !== null) select({ c: table.c[i], p: table.p[i] ?? shownOf(table.c[i]), k: null }); };
   const body = rows.slice(from, from + ROWS).map((i) => {
     const tr = document.createElement("tr");
     for (const [column, j] of shown) {
@@ -56,7 +58,8 @@ function drawTable() {
   $("table-head").replaceChildren(head);
   $("table-body").replaceChildren(...body);
   $("table-said").textContent = `${rows.length ? `rows ${from + 1} to ${Math.min(from + ROWS, rows.length)} of ${rows.length}` : "no row matches"}${
-    $("table-of").value === "all" ? "" : `; ${table.rows} in total`}`;
+    $("table-of").value === "all" ? "" : `; ${table.rows} in total`}${
+    table.calibration_runs ? `, with ${many(table.calibration_runs, "calibration run")}` : ""}`;
   turnable($("table-back"), from > 0, $("table-next"));
   turnable($("table-next"), from + ROWS < rows.length, $("table-back"));
   state.rows = rows; state.shown = shown;

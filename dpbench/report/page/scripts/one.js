@@ -168,7 +168,7 @@ function worstAnywhere(m, mode) {
   const known = facts.experiments.flatMap((experiment, p) => (experiment.trial || (mode && experiment.mode !== mode) ? []
     : cell(state.c, p)?.hard?.[m] ?? []).map(([k, value]) => ({ p, k, value })));
   // Windows of hardest steps have no experiment of their own: their steps are shown in the loop.
-  if (m === 0 && mode === "replay") known.push(...C().bounds[state.c].map(([p, k, value]) => ({ p, k, value })));
+  if (m === 0 && mode === "replay") known.push(...C().longest_in_windows[state.c].map(([p, k, value]) => ({ p, k, value })));
   const rank = (x) => (x === "inf" ? Infinity : x);
   return known.sort((a, b) => rank(b.value) - rank(a.value))
     .filter(({ p, k }, i) => known.findIndex((other) => other.p === p && other.k === k) === i).slice(0, 5);
