@@ -28,7 +28,7 @@ def _describe_settings(scenario: Scenario) -> str:
     """Return the settings of a scenario's controller as text."""
     controller = scenario.files["scenario"]["controller"]
     horizons = f"{controller['prediction_horizon']}/{controller['control_horizon']}"
-    parts = [
+    parts = (
         {"forces": "plans forces", "thrusters": "commands thrusters"}.get(
             controller.get("kind", "forces"), "plans forces and allocates thrust (cascade)"
         ),
@@ -36,9 +36,7 @@ def _describe_settings(scenario: Scenario) -> str:
         f"prediction/control horizon {horizons} samples",
         f"Q = {_format_diagonal(controller['output_weight'])} {OUTPUT_UNITS}",
         *_list_input_weights(controller),
-    ]
-    if lag_s := (scenario.files["scenario"].get("plant") or {}).get("thruster_lag_s"):
-        parts.append(f"simulated thrusters lag by {lag_s:g} s")
+    )
     return ", ".join(parts)
 
 

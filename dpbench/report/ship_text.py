@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.run.exact_loop import HEADING_DEG
+from dpbench.report.conditions_text import describe_conditions_of_ships
 from dpbench.report.formats import format_share, join_with_and, plural, significant
 from dpbench.scenario.scenario import Scenario
 from dpbench.scenario.stability import describe_unstable_loop
@@ -37,6 +38,7 @@ class ShipSummary:
     result.
     caution : of ships on station with little margin, still moving away, or farther off since a
     loss, and in a report of losses that no closed loop shows to be held; "" without any.
+    conditions : sensors, estimator, lag, delay and mismatch, by scenarios with equal ones.
     """
 
     warning: str = ""
@@ -44,6 +46,7 @@ class ShipSummary:
     details: str = ""
     caution: str = ""
     limits: str = ""
+    conditions: str = ""
 
     @property
     def text(self) -> str:
@@ -67,8 +70,10 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
     warning = " ".join(_warn_of_lost(lost))
     details = [*_describe_after_losses(known), *_describe_unsettled(known), *_describe_rest(ships)]
     caution, limits = _describe_small_margins(known), _describe_limits(known)
+    details_text, caution_text, limits_text = map(" ".join, (details, caution, limits))
+    conditions = describe_conditions_of_ships(known)
     return ShipSummary(
-        warning, _describe_kept(known), *(" ".join(lines) for lines in (details, caution, limits))
+        warning, _describe_kept(known), details_text, caution_text, limits_text, conditions
     )
 
 

@@ -258,7 +258,8 @@ def make_ship_lines(ship: ShipSummary) -> list[str]:
         for text in map(escape_markdown_paragraph, (ship.warning, ship.caution))
     )
     warning, caution = bold
-    return [line for line in (warning, escape_markdown_paragraph(ship.text), caution) if line]
+    text, conditions = map(escape_markdown_paragraph, (ship.text, ship.conditions))
+    return [line for line in (warning, text, caution, conditions) if line]
 
 
 def make_solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:

@@ -1,0 +1,95 @@
+"""Each ship result is stated with its sensors, estimator, lag, delay and mismatch."""
+
+import math
+from typing import Any
+
+import pytest
+
+from dpbench.analysis.verdict.ship_results import ShipResult, find_ship_results
+from dpbench.report.conditions_text import describe_conditions_of_ships, list_conditions
+from dpbench.scenario.scenario import load_scenario
+from tests.conftest import MadeRecords
+
+IDEAL = (
+    "exact sensors, no first-order wave motion, no state estimator, no thruster lag, no delay, no "
+    "model mismatch"
+)
+FILTERED = {
+    "environment": {"noise": {"position_m": 0.3, "heading_deg": 0.1}},
+    "estimator": {"kind": "kalman"},
+    "plant": {
+        "thruster_lag_s": 2.5,
+        "delay_samples": 2,
+        "mass_percent": 10.0,
+        "damping_percent": -20.0,
+    },
+}
+
+
+class _Run:
+    """A run that has only the documents of its scenario."""
+
+    def __init__(self, files: dict[str, Any]) -> None:
+        self.scenario_documents = files
+        self.study = ""
+        self.exact_steps = 10.0
+        self.exact_left_s = math.nan
+        self.exact_offset_end_m = self.exact_heading_end_deg = 0.0
+        self.station_radius_m = 5.0
+
+
+def _ship(name: str, values: dict[str, Any], study: str = "") -> Any:
+    files = load_scenario("paper").files
+    run: Any = _Run({**files, "scenario": {**files["scenario"], **values}})
+    run.study = study
+    return ShipResult(name, run)
+
+
+def _text(ship: Any) -> str:
+    return ", ".join(list_conditions(ship.run))
+
+
+def test_conditions_follow_from_the_scenario() -> None:
+    assert _text(_ship("paper", {})) == IDEAL
+    assert _text(_ship("paper", FILTERED)) == (
+        "measurement noise (0.3 m, 0.1°), no first-order wave motion, Kalman filter, thruster lag "
+        "2.5 s, delay of 2 samples, mismatch: mass +10 %, damping -20 %"
+    )
+    observer = {"estimator": {"kind": "passive", "wave_filter": False}}
+    assert "passive observer without wave filter" in list_conditions(_ship("a", observer).run)
+    losses = {"plant": {"thrust_loss_percent": [10.0, 0.0, 5.0]}}
+    assert _text(_ship("a", losses)).endswith("thrust loss 10/0/5 %")
+
+
+def test_scenarios_with_equal_conditions_are_named_together() -> None:
+    ships = [_ship("calm", {}), _ship("real", FILTERED), _ship("turn", {})]
+    assert describe_conditions_of_ships(ships) == (
+        "Conditions in `calm` and `turn`: exact sensors, no state estimator, no thruster lag, no "
+        "delay, no model mismatch. Conditions in `real`: measurement noise (0.3 m, 0.1°), Kalman "
+        "filter, thruster lag 2.5 s, delay of 2 samples, mismatch: mass +10 %, damping -20 %. "
+        "Conditions of every result: no first-order wave motion."
+    )
+    assert describe_conditions_of_ships(ships[:1]) == f"Conditions of this result: {IDEAL}."
+    assert describe_conditions_of_ships(ships[::2]) == f"Conditions of every result: {IDEAL}."
+    assert describe_conditions_of_ships([]) == ""
+
+
+def test_a_study_of_several_conditions_is_named_in_each() -> None:
+    seas = [_ship("sea", {}, "lags"), _ship("sea", {"plant": {"thruster_lag_s": 1.0}}, "lags")]
+    text = describe_conditions_of_ships(seas)
+    assert text.startswith(
+        "Conditions in points of `lags`: no thruster lag. Conditions in points of `lags`: thruster "
+        "lag 1 s. Conditions of every result: "
+    )
+
+
+@pytest.mark.parametrize("count", [12, 13])
+def test_a_long_group_is_counted(count: int) -> None:
+    ships = [_ship(f"s{i}", {}) for i in range(count)] + [_ship("real", FILTERED)]
+    assert ("`s11` and 1 more scenario:" in describe_conditions_of_ships(ships)) == (count == 13)
+
+
+def test_the_report_has_the_conditions_of_its_ships(records: MadeRecords) -> None:
+    records.loop("daqp", "paper")
+    (ship,) = find_ship_results(records.view())
+    assert describe_conditions_of_ships([ship]) == f"Conditions of this result: {IDEAL}."
