@@ -5,10 +5,9 @@
 
 BASELINE is a JSON file, or a folder that keeps one for each machine. What looks worse or was
 disturbed is measured again: noise only ever makes a minimum larger. The baseline is not, and so
-nothing whose baseline was disturbed: to measure both by turns is the task of
-`dpbench.ci.revisions`. Exit 0: no regression shown, or no baseline
-yet, which is stored; 1: a regression, a benchmark that failed or is gone; 2: bad input;
-CODE (0): disturbed by other load, no regression shown.
+nothing whose baseline was disturbed: `dpbench.ci.revisions` measures both alternately. Exit 0: no
+regression shown, or no baseline yet, which is stored; 1: a regression, or a failed or missing
+benchmark; 2: bad input; CODE (0): disturbed by other load, no regression shown.
 """
 
 import argparse
@@ -47,7 +46,7 @@ from dpbench.report.formats import plural
 HELP_EPILOG = """\
 exit codes:
   0     no regression shown, or the baseline was stored
-  1     a regression: slower, worse, wrong answers, a benchmark that failed or is gone
+  1     a regression: longer times, more iterations, larger errors, or a failed or missing benchmark
   2     bad input
   CODE  of --disturbed-exit: times disturbed, no regression shown
 
@@ -173,7 +172,9 @@ def _build_parser() -> argparse.ArgumentParser:
     parser.add_argument("baseline", type=Path, metavar="BASELINE", help=baseline)
     renew = "store this run as the baseline; compare nothing"
     parser.add_argument("--renew", action="store_true", help=renew)
-    retries = "repeat benchmarks that look worse or were disturbed up to N times (default: 3)"
+    retries = (
+        "repeat each benchmark that looks worse or was disturbed, at most N times (default: 3)"
+    )
     parser.add_argument("--retries", type=int, default=3, metavar="N", help=retries)
     gone = "pass even if a benchmark of the baseline is missing"
     parser.add_argument("--allow-gone", action="store_true", help=gone)

@@ -32,7 +32,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="SHARE",
         type=float,
         default=MARGIN,
-        help=f"largest slowdown that is no regression (default: {MARGIN})",
+        help=f"largest slowdown that does not count as a regression (default: {MARGIN})",
     )
     group.addoption(
         "--dpbench-allow-gone",

@@ -1,4 +1,4 @@
-"""Compare two revisions of a solver by its benchmarks, measured by turns.
+"""Compare two revisions of a solver by its benchmarks, measured alternately.
 
     python -m dpbench.ci.revisions BASE HEAD [--pairs 5] [--attempts N] [--markdown FILE]
         [-- PYTEST ARGUMENTS]
@@ -47,7 +47,7 @@ REMEDY = 'install it in a .venv of each tree, or give pytest `pythonpath = ["src
 STOPPED = "stopped after two disturbed pairs in a row"
 ADVICE = f"{STOPPED}: run again when no other program is at work, or on another machine"
 HELP_EPILOG = """\
-Arguments after -- are those of pytest.
+Arguments after -- are passed to pytest.
 
 disturbed:
   Other programs, the host or throttling slowed the machine during a benchmark, so its time is
@@ -57,7 +57,7 @@ disturbed:
 
 exit codes:
   0     no regression shown, or a base without benchmarks
-  1     a regression: slower, worse, wrong answers, a benchmark that failed or is gone
+  1     a regression: longer times, more iterations, larger errors, or a failed or missing benchmark
   2     bad input
   CODE  of --disturbed-exit: times disturbed, no regression shown
 
@@ -330,7 +330,7 @@ def _build_parser() -> argparse.ArgumentParser:
         type=float,
         default=MARGIN,
         metavar="SHARE",
-        help=f"largest slowdown that is no regression (default: {MARGIN})",
+        help=f"largest slowdown that does not count as a regression (default: {MARGIN})",
     )
     parser.add_argument(
         "--markdown", type=Path, metavar="FILE", help="write the comparison as Markdown"

@@ -26,13 +26,16 @@ _STORED = {
 """Arguments whose values are names of stored files, with their kind."""
 _BAD_INPUT = "2 bad input"
 _LOST = "1 runs were lost through a fault of dpbench (run the same command again)"
-_NOT_HELD = "with --strict, the controller does not hold a ship"
+_NOT_HELD = "with --strict, a ship does not hold station in closed loop"
 _BUSY = f"{_BAD_INPUT}, or another dpbench campaign is running (--no-wait, or after --wait)"
 
 
 @dataclass(frozen=True)
 class CommandHelp:
-    """Help of a command: its group, a summary, its options, two examples, exit codes, a text."""
+    """Help of a command: its group, a summary, its options, two examples, exit codes, a text.
+
+    An example is the command's arguments, or a whole shell command that contains `dpbench `.
+    """
 
     group: str
     summary: str
@@ -44,7 +47,10 @@ class CommandHelp:
     @property
     def epilog(self) -> str:
         """Examples and exit codes of the command."""
-        lines = [f"  dpbench {example}" for example in self.examples]
+        lines = [
+            f"  {example}" if "dpbench " in example else f"  dpbench {example}"
+            for example in self.examples
+        ]
         codes = [f"  {code.strip()}" for code in self.exit_codes.split(";")]
         return "\n".join(["examples:", *lines, "", "exit codes:", *codes])
 
@@ -268,8 +274,8 @@ COMMANDS: dict[str, CommandHelp] = {
         "0 proved; 1 not proved in time, or the C library takes a different number of iterations; "
         f"{_BAD_INPUT}",
         "Prove a bound on the iterations that the solver paper_active_set takes from a cold start. "
-        "The bound covers all QPs of a controller for which the QP's parameters (offset, speed, "
-        "applied force) are in a box.",
+        "The bound covers all QPs of a controller whose parameters (offset, speed, applied force) "
+        "lie in a given box.",
     ),
     "active-sets": CommandHelp(
         _ANALYSE,
@@ -299,15 +305,16 @@ COMMANDS: dict[str, CommandHelp] = {
         ),
         text="Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml; their comments "
         "explain how each value was derived. With --thrusters, also write: NAME_thrusters.toml, a "
-        "scenario whose controller commands the thrusters, with the worst loss of a switchboard "
-        "that the ship holds; NAME_loss_*.toml, scenarios with other losses; NAME_weak_side.toml, "
-        "a scenario with weather from the direction in which the ship holds the least wind; and "
-        "NAME_capability.svg, the capability plot. Give the sector or barred zone of an azimuth "
-        "thruster as the directions in which it pushes the ship, clockwise from ahead; its race "
-        "(wash) goes the opposite way. For example, if the race of a port azimuth thruster must "
-        "not point between 60° and 120°, towards the starboard one, set barred_from_deg to 240 and "
-        "barred_to_deg to 300. If NAME.toml exists and only --sea is given, write the scenario and "
-        "the suite of that ship for that sea.",
+        "scenario whose controller commands the thrusters, with the most severe loss of a "
+        "switchboard in which the ship still holds station; NAME_loss_*.toml, scenarios with other "
+        "losses; NAME_weak_side.toml, a scenario with weather from the direction in which the ship "
+        "holds the least wind; and NAME_capability.svg, the capability plot. Give the sector or "
+        "barred zone of an azimuth thruster as the directions in which it pushes the ship, "
+        "clockwise from ahead; its race (wash) goes the opposite way. For example, if the race of "
+        "a port azimuth thruster must not point between 60° and 120°, towards the starboard one, "
+        "set the columns barred_from_deg and barred_to_deg of FILE.csv to 240 and 300. If "
+        "NAME.toml exists and only --sea is given, write the scenario and the suite of that ship "
+        "for that sea.",
     ),
     "check": CommandHelp(
         _SHIP,
@@ -320,8 +327,8 @@ COMMANDS: dict[str, CommandHelp] = {
         "Search for weights and horizons that hold a ship",
         options.add_tune_options,
         ("tune my_ship_weather.toml", "tune my_ship_weather.toml --seas 4,5"),
-        "0 found; 1 the best controller exceeds the margin in the search or in the test; "
-        f"{_BAD_INPUT}",
+        "0 a controller within the margin was found; 1 the best controller exceeds the "
+        f"margin in the search or in the test; {_BAD_INPUT}",
         "Find weights and horizons that hold the ship with a margin and little thruster wear, test "
         "them in other realisations of the sea, and write the scenario with them. After an "
         "interruption, run the same command again.",
@@ -371,8 +378,8 @@ COMMANDS: dict[str, CommandHelp] = {
         "Print a shell completion script",
         options.add_completion_options,
         (
-            'completion bash  # bash: eval "$(dpbench completion bash)"',
-            'completion zsh   # zsh:  eval "$(dpbench completion zsh)"',
+            'eval "$(dpbench completion bash)"  # in ~/.bashrc',
+            "dpbench completion fish | source  # in ~/.config/fish/config.fish",
         ),
     ),
 }

@@ -15,6 +15,10 @@ Each sequence has QPs of the reference loop of the scenario in its name, at the
 horizons N_p-N_c. Every optimum is certified. n: variables; m: rows; K: QPs;
 active: share of active limits; samples: stored samples of the loop."""
 
+SOLVERS_ARE = """
+form: matrix format. native, qpsolvers: routes, each with its call policies.
+low, mid, high: tolerance presets."""
+
 
 def list_table(kind: str) -> RenderableType:
     """Return a table of all stored vessels, scenarios, suites, QP sequences or known solvers."""
@@ -26,16 +30,17 @@ def _list_vessels() -> RenderableType:
     """Return a table of all stored vessels: time constants and acceleration at full thrust."""
     from dpbench.scenario import problem_files as problems
     from dpbench.scenario.tables.vessel_file import VesselFile
+    from dpbench.ship.characteristics import compute_axis_time_constants_s
 
     entries = []
     for name in problems.list_shipped_problem_names("vessels"):
         path = problems.find_problem_path("vessels", name)
         vessel = problems.read_toml_as_model(path, VesselFile).build_vessel(name, str(path))
-        times = ", ".join(f"{t:.3g}" for t in vessel.linear_model_time_constants_s())
+        times = [f"{t:.3g}" for t in compute_axis_time_constants_s(vessel)]
         surge, sway, yaw = 1e3 * vessel.accelerations_at_force_limits()[1]
         reached = f"surge {surge:.3g}, sway {sway:.3g} mm/s², yaw {yaw:.3g} mrad/s²"
         about = [
-            f"time constants of the linear model: {times} s",
+            f"time constants: surge {times[0]}, sway {times[1]}, yaw {times[2]} s",
             f"acceleration at full thrust: {reached}",
         ]
         entries.append(format_heading_and_paragraphs(name, [vessel.title, *about]))
@@ -97,16 +102,24 @@ def _list_sequences() -> RenderableType:
             *(str(count) for count in (base.n, base.m, len(sequence))),
             f"{np.count_nonzero(sets) / np.size(sets):.1%}" if sets else MISSING,
             "constant" if sequence.P is None else "varying",
-            "all" if every == 1 else f"every {every}th",
+            "all" if every == 1 else f"every {_make_ordinal(every)}",
         )
     return Group(table, make_unstyled_text(SEQUENCES_ARE))
+
+
+def _make_ordinal(number: int) -> str:
+    """Return a whole number as an ordinal, such as 2nd."""
+    last = 0 if number % 100 in (11, 12, 13) else number % 10
+    return f"{number}{ {1: 'st', 2: 'nd', 3: 'rd'}.get(last, 'th') }"
 
 
 def _list_solvers() -> RenderableType:
     """Return a text on all solvers with their descriptions."""
     from dpbench.solvers.table import list_all_solver_names
 
-    return make_unstyled_text("\n".join(map(_describe_solver, list_all_solver_names())))
+    return make_unstyled_text(
+        "\n".join([*map(_describe_solver, list_all_solver_names()), SOLVERS_ARE])
+    )
 
 
 def _describe_solver(name: str) -> str:

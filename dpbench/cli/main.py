@@ -1,7 +1,7 @@
 """The command line: parse arguments, call one public function, print, choose the exit code.
 
 Exit 0: done (a solver's failure is data). 1: a comparison shows a regression, the benchmark lost
-cells of a run by an accident of its own, or with `--strict` the controller does not hold a ship.
+cells of a run by an accident of its own, or with `--strict` a ship does not hold station.
 2: bad input.
 """
 

@@ -134,7 +134,7 @@ def add_ending_options(group: Command) -> None:
     _flag(group, "--open", "open the report in a browser")
     _flag(group, "--json", "print the result as JSON")
     _flag(group, "--quiet", "print only the path of the report")
-    _flag(group, "--strict", "exit with 1 if the controller does not hold a ship")
+    _flag(group, "--strict", "exit with 1 if a ship does not hold station in closed loop")
 
 
 def add_report_options(report: Command) -> None:
@@ -142,7 +142,7 @@ def add_report_options(report: Command) -> None:
     report.add_argument("dir", metavar="DIR", help="result folder of `dpbench run`")
     _option(report, "--baseline", "SOLVER", "solver to compare the recommended one with")
     more = report.add_argument_group("further documents")
-    formats = "also write the figures as pdf or png"
+    formats = "also write the figures as svg, pdf or png"
     _repeated(more, "--figures", "FORMAT", formats, default=[])
     _option(more, "--statement", "FILE.pdf", "write a one-page statement for a class society")
     beside = (
@@ -201,9 +201,10 @@ def add_export_options(export: Command) -> None:
     output = export.add_argument_group("output")
     formats = "file format: npz (default), qpbenchmark, mat, csv or qps"
     _option(output, "--format", "FORMAT", formats, default="npz")
-    _option(
-        output, "--out", "PATH", "file or folder to write; with --all, default: results/sequences"
+    path = (
+        "file or folder to write (required without --all; with --all, default: results/sequences)"
     )
+    _option(output, "--out", "PATH", path)
 
 
 def add_worst_case_options(worst_case: Command) -> None:

@@ -679,7 +679,7 @@ def list_disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
     stolen = "not visible" if isnan(steal_share) else format_share(steal_share)
     return [
         (
-            "remaining disturbed rounds",
+            "rounds still disturbed after a repeat",
             f"{disturbed}; {format_count(disturbance.rerun)} repeated",
         ),
         (

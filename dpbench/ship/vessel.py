@@ -146,11 +146,6 @@ class Vessel:
         largest: Vector = self.rate_max * sample_s
         return largest
 
-    def linear_model_time_constants_s(self) -> Vector:
-        """Return the time constants (3,) [s] of the linear model, fastest first."""
-        rates = np.linalg.eigvals(np.linalg.solve(self.M, self.D))
-        return np.sort(1.0 / rates.real)
-
     def accelerations_at_force_limits(self) -> Matrix:
         """Return the accelerations (2, 3) under the least and the largest force, axis by axis."""
         return np.stack([self.tau_min, self.tau_max]) / np.diag(self.M)

@@ -1,4 +1,4 @@
-"""Two working trees measured by turns, with tests that need no solver."""
+"""Two working trees measured alternately, with tests that need no solver."""
 
 import json
 import os

@@ -142,7 +142,8 @@ def test_disturbed_rounds_are_part_of_all_rounds(records: Any) -> None:
     assert "3 of 3 rounds disturbed" in records.ending()["machine"]
     topic = build_trust_topic(records.view())
     assert topic is not None and "3 of 3 rounds disturbed" in topic.lines[1]
-    assert dict(topic.tables[0].rows)["remaining disturbed rounds"] == ("3 of 3 rounds; 1 repeated")
+    rounds = dict(topic.tables[0].rows)["rounds still disturbed after a repeat"]
+    assert rounds == "3 of 3 rounds; 1 repeated"
 
 
 def test_records_without_counters_say_nothing(records: Any) -> None:
