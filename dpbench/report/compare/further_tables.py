@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from dpbench.analysis.compare.pairs import Pair
 from dpbench.analysis.compare.verdicts import VerdictChange
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_steps import StepTimes
 from dpbench.analysis.times.paired_times import (
     MACHINE_DISTURBED,
     UNSTABLE,
@@ -47,35 +49,73 @@ def make_verdicts_table(a: Records, b: Records, changes: Sequence[VerdictChange]
 
 def make_windows_table(a: Records, b: Records, pairs: Sequence[Pair]) -> Table | None:
     """Return a table of step times in windows of hardest steps of two folders; None without one."""
-    rows = []
+    rows, of_medians = [], False
     for pair in pairs:
         if not (of := pair.a.steps_searched_for_hardest):
             continue
-        times = [view.get_step_times(run) for view, run in ((a, pair.a), (b, pair.b))]
-        if times[0] is None or times[1] is None:
+        times = a.get_step_times(pair.a), b.get_step_times(pair.b)
+        if times[0] is not None and times[1] is not None:
+            found = _compare_steps_of_window(pair, times[0], times[1])
+        elif (recorded := _compare_columns_of_window(pair)) is not None:
+            found, of_medians = recorded, True
+        else:
             continue
-        both = match_times_by_step(times[0], times[1])
-        p99 = [compute_p99_ns(pair.a, one.algo_ns) for one in times if one is not None]
-        largest = [one.max() for one in both]
         rows.append(
             {
                 "configuration": pair.configuration_label,
                 "window": pair.a.problem,
-                "A p99 [µs]": format_microseconds(p99[0]),
-                "B p99 [µs]": format_microseconds(p99[1]),
-                "A largest [µs]": format_microseconds(largest[0]),
-                "B largest [µs]": format_microseconds(largest[1]),
-                "B/A": f"{math.exp(float(np.mean(np.log(both[1] / both[0])))):.3f}",
-                "steps": f"{len(both[0])} of {of}",
+                "A p99 [µs]": format_microseconds(found.p99_ns[0]),
+                "B p99 [µs]": format_microseconds(found.p99_ns[1]),
+                "A largest [µs]": format_microseconds(found.largest_ns[0]),
+                "B largest [µs]": format_microseconds(found.largest_ns[1]),
+                "B/A": f"{found.ratio:.3f}",
+                "steps": f"{found.steps} of {of}",
             }
         )
+    ratio = "geometric mean over the steps of the window"
+    if of_medians:
+        ratio += " (the ratio of medians if a folder has no steps.parquet)"
     note = (
         "The p99 is that of all steps from which the hardest were chosen; with fewer than 100 "
-        "steps it is the largest. B/A: geometric mean over the steps of the window, including the "
-        "machine factor. So few steps give no interval and no verdict."
+        f"steps it is the largest. B/A: {ratio}, including the machine factor. So few "
+        "steps give no interval and no verdict."
     )
     title = "Step times, windows of hardest steps"
     return Table.from_rows(rows, title, note=note, text_columns=2) if rows else None
+
+
+@dataclass(frozen=True)
+class _WindowTimes:
+    """Step times of a window in A and B [ns], their ratio B/A, and the number of steps."""
+
+    p99_ns: tuple[float, float]
+    largest_ns: tuple[float, float]
+    ratio: float
+    steps: int
+
+
+def _compare_steps_of_window(pair: Pair, a: StepTimes, b: StepTimes) -> _WindowTimes:
+    """Return the times of a window from the steps that both runs completed."""
+    both = match_times_by_step(a, b)
+    return _WindowTimes(
+        (compute_p99_ns(pair.a, a.algo_ns), compute_p99_ns(pair.a, b.algo_ns)),
+        (float(both[0].max()), float(both[1].max())),
+        math.exp(float(np.mean(np.log(both[1] / both[0])))),
+        len(both[0]),
+    )
+
+
+def _compare_columns_of_window(pair: Pair) -> _WindowTimes | None:
+    """Return the times of a window from columns of both runs; None if they have none."""
+    runs = pair.a, pair.b
+    if not all(math.isfinite(run.algo_p50_ns) for run in runs):
+        return None
+    return _WindowTimes(
+        (pair.a.window_p99_ns, pair.b.window_p99_ns),
+        (pair.a.algo_max_ns, pair.b.algo_max_ns),
+        pair.b.algo_p50_ns / pair.a.algo_p50_ns,
+        min(pair.a.steps_done, pair.b.steps_done),
+    )
 
 
 def make_settings_table(a: Records, b: Records) -> Table | None:

@@ -212,6 +212,22 @@ def test_windows_of_hardest_steps_are_compared_by_accuracy_alone(
     assert whole.headline == "no change shown"
 
 
+@pytest.mark.slow
+def test_windows_without_steps_are_compared_by_their_columns(make: Make) -> None:
+    """A folder without steps has the p99, the longest step and the median of each window."""
+    cell = {"scenario": {"name": "paper"}, "source": {"kind": "hardest", "of": 450}}
+    window: dict[str, Any] = {"configurations": ("daqp",), "cell": json.dumps(cell)}
+    times = {"algo_p50_ns": 2e4, "window_p99_ns": 5e4, "algo_max_ns": 6e4}
+    a = make("a", seed=1, **window, **times)
+    b = make("b", seed=2, **window, **{name: 1.5 * ns for name, ns in times.items()})
+    (b / "steps.parquet").unlink()
+    (table,) = (table for table in compare(a, b).tables if "window" in table.heads)
+    (row,) = (dict(zip(table.heads, row, strict=True)) for row in table.rows)
+    found = [float(row[f"{run} {what} [µs]"]) for what in ("p99", "largest") for run in "AB"]
+    assert found == [50.0, 75.0, 60.0, 90.0]
+    assert row["B/A"] == "1.500" and "ratio of medians" in table.note
+
+
 STOLEN = {"steal_s": 0.08}
 HIDDEN: dict[str, Any] = {"steal_s": np.nan, "replay_s": np.nan, "involuntary_switches": np.nan}
 
