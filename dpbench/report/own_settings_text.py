@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 from dpbench.analysis.records.run_record import group_by_key
+from dpbench.analysis.verdict.requirements import STATES
 from dpbench.analysis.verdict.verdict import (
     ACCURATE,
     ALIKE,
@@ -25,6 +26,7 @@ from dpbench.report.formats import (
     strip_markdown,
 )
 from dpbench.report.page.data import PageData
+from dpbench.report.tolerances_text import describe_tolerances_left
 from dpbench.report.verdict_text import (
     describe_finding,
     describe_kinds_of_reasons,
@@ -32,10 +34,7 @@ from dpbench.report.verdict_text import (
     format_usual_time,
 )
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
-from dpbench.solvers.settings import (
-    list_tolerances_left_at_default,
-    resolve_settings_with_fixed_options,
-)
+from dpbench.solvers.settings import resolve_settings_with_fixed_options
 
 SIMILAR = 2.0
 """Factor below which largest errors differ little, so that a wider grid would hardly help."""
@@ -46,12 +45,27 @@ LEAST_POINTS = 3
 def describe_own_settings(verdicts: Verdicts) -> list[str]:
     """Return lines on the verdict on each custom settings, and the best of each grid."""
     own = list_best_verdict_of_own_settings(verdicts)
-    modes = group_own_settings(verdicts).values()
-    shown = zip(own[:MOST_OWN], modes, strict=False)
-    lines = [_describe_verdict_on_settings(verdict, alike) for verdict, alike in shown]
+    lines = describe_verdicts_on_settings(verdicts, own)
     others = len(own) - MOST_OWN
     more = [f"{others} more settings: tables/verdicts.csv."] if others > 0 else []
     return [*lines, *more, *describe_best_of_grids(own)]
+
+
+def describe_failing_settings_and_grids(verdicts: Verdicts) -> list[str]:
+    """Return lines on the custom settings that fail, and why, and the best of each grid."""
+    own = list_best_verdict_of_own_settings(verdicts)
+    failing = [verdict for verdict in own if verdict.state == "fail"]
+    return [*describe_verdicts_on_settings(verdicts, failing), *describe_best_of_grids(own)]
+
+
+def describe_verdicts_on_settings(verdicts: Verdicts, own: Sequence[Verdict]) -> list[str]:
+    """Return lines on verdicts on custom settings, passes first; at most `MOST_OWN`."""
+    modes = group_own_settings(verdicts)
+    shown = sorted(own, key=lambda v: STATES.index(v.state))[:MOST_OWN]
+    return [
+        _describe_verdict_on_settings(v, modes[v.configuration.solver, v.configuration.options])
+        for v in shown
+    ]
 
 
 def describe_own_settings_in_si(data: PageData) -> list[str]:
@@ -87,23 +101,14 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) ->
     if verdict.refusal:
         return f"{name}: {verdict.state}: {verdict.refusal}."
     time = f", {format_usual_time(verdict)}" if verdict.timed_on else ""
-    why = f": {reasons}" if (reasons := describe_kinds_of_reasons(verdict)) else ""
+    left = strip_markdown(describe_tolerances_left(verdict))
+    reasons = "; ".join(filter(None, (describe_kinds_of_reasons(verdict), left)))
+    why = f": {reasons}" if reasons else ""
     return (
         f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
         f"{plural(verdict.failed_steps, 'failed step')}{time}{why}."
-        f"{describe_scaled_p99(verdict)}{_describe_tolerances_left(verdict)}"
-        f"{_describe_failing_modes(verdict, modes)}"
+        f"{describe_scaled_p99(verdict)}{_describe_failing_modes(verdict, modes)}"
     )
-
-
-def _describe_tolerances_left(verdict: Verdict) -> str:
-    """Return a sentence on tolerances that settings with too large an error do not set; or ""."""
-    solver = verdict.configuration.solver
-    is_inaccurate = any(finding.kind == "inaccurate" for finding in verdict.causes)
-    if not is_inaccurate or find_solver_record_or_none(solver) is None:
-        return ""
-    left = list_tolerances_left_at_default(solver, _format_options_by_name(verdict))
-    return f" Tolerances at {solver}'s defaults: {join_with_and(left)}." if left else ""
 
 
 def _describe_failing_modes(verdict: Verdict, modes: Sequence[Verdict]) -> str:

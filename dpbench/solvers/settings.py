@@ -112,6 +112,21 @@ def list_tolerances_left_at_default(solver: str, options: Options) -> list[str]:
     return left if len(left) < len(known) else []
 
 
+def find_default_tolerance(solver: str, name: str) -> float | None:
+    """Return the installed library's default of a tolerance; None where it is not known."""
+    try:
+        adapter = get_native_adapter(solver)
+        target = None if adapter.make_settings is None else adapter.make_settings()
+    except (KeyError, ImportError):
+        return None
+    if target is None:
+        options = {} if adapter.list_options is None else adapter.list_options()
+        value = options.get(name) if isinstance(options, Mapping) else None
+    else:
+        value = getattr(target, name, None)
+    return float(value) if isinstance(value, Real) else None
+
+
 def has_preset_or_tolerance(solver: str, name: str) -> bool:
     """Return whether a solver has an option preset of this name, or takes it as a tolerance."""
     return name in list_preset_names(solver) or _make_options_at_tolerance(solver, name) is not None

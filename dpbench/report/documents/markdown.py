@@ -19,7 +19,6 @@ from dpbench.analysis.verdict.verdict import (
     Verdict,
     Verdicts,
     list_best_verdict_of_each_solver,
-    list_best_verdict_of_own_settings,
     list_main_verdicts,
     sort_best_first,
     sort_fastest_first,
@@ -42,7 +41,7 @@ from dpbench.report.formats import (
     one_line,
     plural,
 )
-from dpbench.report.own_settings_text import describe_best_of_grids
+from dpbench.report.own_settings_text import describe_failing_settings_and_grids
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
@@ -127,7 +126,7 @@ def make_report_markdown(report: Report) -> str:
         *(counts := _make_counts_tables(topics)),
         *map(
             escape_markdown_paragraph,
-            [*describe_best_of_grids(list_best_verdict_of_own_settings(data.verdicts)), *after],
+            [*describe_failing_settings_and_grids(data.verdicts), *after],
         ),
         *_yield_study_tables(topics),
         "All figures and steps are in `report.html`; the other files are `tables/*.csv`, "

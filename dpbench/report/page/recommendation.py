@@ -44,6 +44,7 @@ from dpbench.report.formats import (
 )
 from dpbench.report.page.data import PageData
 from dpbench.report.ship_text import ShipSummary, summarise_ships
+from dpbench.report.tolerances_text import describe_tolerances_left
 from dpbench.report.verdict_text import (
     NOBODY,
     describe_deployment,
@@ -120,7 +121,8 @@ class Recommendation:
             return verdict.refusal
         if verdict.state == "pass":
             return ""
-        return describe_findings(verdict.causes or verdict.findings_that_bar_pass)
+        reasons = describe_findings(verdict.causes or verdict.findings_that_bar_pass)
+        return "; ".join(filter(None, (reasons, describe_tolerances_left(verdict))))
 
 
 def build_recommendation(

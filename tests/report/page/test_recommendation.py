@@ -204,10 +204,14 @@ def test_inaccurate_settings_that_are_late_too_name_both_reasons(records: Any) -
     assert "median timing" not in line
 
 
+LEFT = "; `eps_rel` is left at osqp's default 0.001, so a solve can end before it reaches `eps_abs`"
+
+
 @pytest.mark.parametrize(
     ("own", "error", "left"),
     [
-        ({"rho": 1.6, "eps_abs": 1e-5}, 0.33, " Tolerances at osqp's defaults: eps_rel."),
+        ({"rho": 1.6, "eps_abs": 1e-5}, 0.33, LEFT),
+        ({"rho": 1.6, "eps_abs": 1e-2}, 0.33, "; `eps_rel` is left at osqp's default 0.001"),
         ({"eps_abs": 1e-5, "eps_rel": 1e-5}, 0.33, ""),
         ({"rho": 1.6}, 0.33, ""),
         ({"eps_abs": 1e-5}, 1e-9, ""),
@@ -219,8 +223,12 @@ def test_a_tolerance_that_inaccurate_settings_leave_is_named(
     options = {"settings": "mine", "options": json.dumps(own)}
     records.loop("osqp", error=error, **options)
     records.replay("osqp", error=error, **options)
-    line = records.ending()["options"]
-    assert ("Tolerances at osqp's" in line) is bool(left) and left in line
+    report = Report.from_results(records.results())
+    line = dict(report.summary_rows())["options"]
+    assert ("is left at" in line) is bool(left) and left.replace("`", "") in line
+    assert ("so a solve can end" in line) is ("so a solve can end" in left)
+    assert left.replace("`", "") in report.tables["verdicts"]["why"].iloc[0]
+    assert ("is left at osqp's default" in make_report_markdown(report)) is bool(left)
 
 
 def test_a_grid_that_is_best_at_zero_cannot_be_widened(records: Any) -> None:
