@@ -142,19 +142,21 @@ def _describe_passes_outside_default(
     of_each = [missed[c.solver] for c in passing if c.solver in missed]
     reasons = [f"{_VERBS[v.state][0]}: {describe_main_reason(v)}" for v in of_each[:MOST_NAMED]]
     labels = join_with_and([configuration.marked_label for configuration in passing])
+    # Of a grid of custom settings the reference is its first point, not the solver's default.
+    is_default = all(v.configuration.settings == DEFAULT for v in of_each)
+    kind = "default configuration" if is_default else "first configuration"
     if len(passing) == 1 and of_each:
-        default = of_each[0].configuration.marked_label
-        return [f"{labels} passes, but its default configuration, {default}, {reasons[0]}"]
-    outside = "passes only outside its default configuration"
-    many = "pass only outside their default configurations"
+        first = of_each[0].configuration
+        return [f"{labels} passes, but its {kind}, {first.marked_label}, {reasons[0]}"]
+    outside, many = f"passes only outside its {kind}", f"pass only outside their {kind}s"
     clauses = [
-        f"In its default configuration, {v.configuration.marked_label} {reason}"
+        f"In its {kind}, {v.configuration.marked_label} {reason}"
         for v, reason in zip(of_each, reasons, strict=False)
     ]
     return [
         f"{labels} {outside if len(passing) == 1 else many}",
         *clauses,
-        *_count_others(len(of_each), " do not pass in their default configuration"),
+        *_count_others(len(of_each), f" do not pass in their {kind}"),
     ]
 
 
