@@ -241,11 +241,15 @@ def list_thruster_states_by_sample(controller: Controller, samples: int) -> Matr
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Inputs (K, n_in) and commands (K, n_u) of a controller at K samples; sample time [s]."""
+    """Inputs (K, n_in) and commands (K, n_u) of a controller at K samples; sample time [s].
+
+    changes : the samples at which limits change or thrusters are lost.
+    """
 
     inputs: Matrix
     commands: Matrix
     sample_s: float
+    changes: tuple[int, ...] = ()
 
     def format_as_csv(self, names: list[str]) -> str:
         """Format the trajectory as CSV text; `names` are those of inputs and commands."""
@@ -277,4 +281,6 @@ def record_closed_loop_trajectory(
             stack_lower_and_upper_limits(controller.list_planned_force_limits_by_sample(K))
         )
     commands = controller.select_applied_commands(log.tau, log.thrust).copy()
-    return Trajectory(np.hstack([measured, reference, state]), commands, scenario.sample_s)
+    changes = 1 + np.flatnonzero(np.diff(state, axis=0).any(axis=1))
+    inputs = np.hstack([measured, reference, state])
+    return Trajectory(inputs, commands, scenario.sample_s, tuple(changes.tolist()))

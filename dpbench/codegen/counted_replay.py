@@ -12,14 +12,20 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.codegen.controller_data import Trajectory
 from dpbench.embedded.count import verify_calibration_counts
-from dpbench.embedded.emulator import DATA, Core, Program, read_program_from_elf_file
+from dpbench.embedded.emulator import DATA, Core, Counts, Program, read_program_from_elf_file
 from dpbench.embedded.toolchain import TARGETS, Target, compile_program
 from dpbench.errors import SituationError
+from dpbench.report.formats import join_with_and
 from dpbench.temporary_folders import make_temporary_folder_for_block, process_temporary_folder
 
 CORES = ("m7", "a53")
 MOST_INSTRUCTIONS = 100_000_000
-"""Most instructions of a replay on one core, some seconds: no step is counted after them."""
+"""Most instructions of a replay on one core, some seconds: the start and each loss have a share."""
+MOST_CHANGES = 3
+"""Changes of limits, such as losses, whose steps have a share of their own."""
+WARM_UP = 10
+"""Steps solved before a counted part, not counted: they give it a warm start, and the controller
+the last sample, which its prediction uses."""
 FLAGS = ("-ffp-contract=off",)
 """As in the CMakeLists.txt of a controller: the replay compares with recorded commands."""
 
@@ -28,13 +34,27 @@ FLAGS = ("-ffp-contract=off",)
 class StepCost:
     """Cost of a controller's step on a core.
 
-    core : its title; instructions : of each counted step; stack, code : bytes.
+    core : its title; instructions : of each counted step; samples : these steps; recorded : steps
+    of the trajectory; stack, code : bytes.
     """
 
     core: str
     instructions: Vector
+    samples: tuple[int, ...]
+    recorded: int
     stack: int
     code: int
+
+    @property
+    def steps(self) -> str:
+        """Number of counted steps as text, with their ranges where some were not counted."""
+        count = f"{len(self.samples):,}"
+        if len(self.samples) == self.recorded:
+            return count
+        edges = [k for k in self.samples if k - 1 not in self.samples]
+        ends = [k for k in self.samples if k + 1 not in self.samples]
+        ranges = [f"{first:,} to {last:,}" for first, last in zip(edges, ends, strict=True)]
+        return f"{count} of {self.recorded:,} ({join_with_and(ranges)})"
 
     @property
     def row(self) -> dict[str, str]:
@@ -45,16 +65,18 @@ class StepCost:
             "worst": self.instructions.max(),
             "stack": self.stack,
             "code": self.code,
-            "steps": len(self.instructions),
         }
-        return {"core": self.core} | {name: f"{x:,.0f}" for name, x in numbers.items()}
+        texts = {name: f"{x:,.0f}" for name, x in numbers.items()}
+        return {"core": self.core, "steps": self.steps} | texts
 
     @property
     def summary(self) -> str:
         """One line for the terminal."""
         row = self.row
         steps = f"a step takes {row['median']} instructions in the median, {row['worst']} at most"
-        return f"On {self.core} {steps}, of {row['steps']} steps"
+        count, _, ranges = row["steps"].partition(" (")
+        where = f" (steps {ranges}" if ranges else ""
+        return f"On {self.core} {steps}, of {count} steps{where}"
 
 
 def count_replay(
@@ -94,23 +116,50 @@ def _replay(
     verify_calibration_counts(target)
     core = Core(program, target)
     core.call_function_and_count("embedded_set_up", DATA)
-    counted, most, left = [], 0.0, MOST_INSTRUCTIONS
-    for inputs, recorded in zip(trajectory.inputs, trajectory.commands, strict=True):
-        core.write_memory(DATA, inputs.tobytes())
-        core.call_function_and_count("embedded_read", DATA)
-        counted.append(core.call_function_and_count("embedded_step", DATA)[1])
-        core.write_memory(DATA, recorded.tobytes())
-        core.call_function_and_count("embedded_write", DATA)
-        command = np.frombuffer(core.read_memory(DATA, recorded.nbytes))
-        most = max(most, float(np.abs((command - recorded) / step_max).max()))
-        left -= counted[-1].instructions
-        if left < 0:
-            break
+    starts = [0, *trajectory.changes[:MOST_CHANGES]]
+    counted: dict[int, Counts] = {}
+    k, most, left = 0, 0.0, float(MOST_INSTRUCTIONS)
+    for part, (first, end) in enumerate(zip(starts, [*starts[1:], None], strict=True)):
+        if k < first - WARM_UP:
+            k = first - WARM_UP
+            _write_applied_command(core, trajectory.commands[k - 1])
+        share = left / (len(starts) - part)
+        while share >= 0.0 and k < (len(trajectory.commands) if end is None else end):
+            counts, command = _step(core, trajectory, k)
+            if k >= first:
+                counted[k] = counts
+                differs = np.abs((command - trajectory.commands[k]) / step_max)
+                most = max(most, float(differs.max()))
+                share -= counts.instructions
+                left -= counts.instructions
+            k += 1
     if not most <= tolerance:
         limit = f"{tolerance:g} of the maximum increment"
         raise SituationError(
             "codegen", f"on {target.title} a command differs by {most:.1g}; allowed: {limit}"
         )
-    instructions = np.array([counts.instructions for counts in counted], dtype=float)
-    stack = max(counts.stack for counts in counted)
-    return StepCost(target.title, instructions, stack, program.sizes["code"])
+    instructions = np.array([counts.instructions for counts in counted.values()], dtype=float)
+    stack = max(counts.stack for counts in counted.values())
+    return StepCost(
+        target.title,
+        instructions,
+        tuple(counted),
+        len(trajectory.commands),
+        stack,
+        program.sizes["code"],
+    )
+
+
+def _step(core: Core, trajectory: Trajectory, k: int) -> tuple[Counts, Vector]:
+    """Return the counts of one step of a trajectory, and the command that it gives."""
+    core.write_memory(DATA, trajectory.inputs[k].tobytes())
+    core.call_function_and_count("embedded_read", DATA)
+    counts = core.call_function_and_count("embedded_step", DATA)[1]
+    return counts, _write_applied_command(core, trajectory.commands[k])
+
+
+def _write_applied_command(core: Core, recorded: Vector) -> Vector:
+    """Make a recorded command the applied one; return the command of the last step."""
+    core.write_memory(DATA, recorded.tobytes())
+    core.call_function_and_count("embedded_write", DATA)
+    return np.frombuffer(core.read_memory(DATA, recorded.nbytes))

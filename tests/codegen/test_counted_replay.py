@@ -1,16 +1,19 @@
 """Instructions of a generated controller's steps: the right steps, counted each time alike."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from dpbench.codegen import generate
+from dpbench.codegen import counted_replay, generate
 from dpbench.codegen.controller_data import (
     read_controller_data_of_scenario,
     record_closed_loop_trajectory,
 )
+from dpbench.codegen.counted_replay import StepCost
 from dpbench.codegen.generate import count_steps, generate_controller, list_constant_tables
 from dpbench.codegen.solver_sources import make_c_sources_of_active_set
 from dpbench.embedded.toolchain import has_extra
@@ -37,6 +40,45 @@ def test_every_step_is_counted_and_does_more_than_its_solve(name: str) -> None:
         assert len(cost.instructions) == STEPS
         assert cost.instructions.min() > data.gradient.size
     assert [cost.core for cost in first] == ["Cortex-M7", "Cortex-A53"]
+
+
+@needs_extra
+@pytest.mark.slow
+def test_steps_after_a_loss_are_counted_where_the_limit_allows_few(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The loss of `thrusters_loss` is at 90 s, step 300; the whole loop exceeds this limit."""
+    monkeypatch.setattr(counted_replay, "MOST_INSTRUCTIONS", 3_000_000)
+    data = read_controller_data_of_scenario(load_scenario("thrusters_loss"))
+    sources = make_c_sources_of_active_set(data.qp)
+    trajectory = record_closed_loop_trajectory(data, "paper_active_set", 330)
+    assert trajectory.changes == (300,)
+    for cost in count_steps(data, sources, list_constant_tables(data), trajectory):
+        first = [k for k in cost.samples if k < 300]
+        assert first == list(range(len(first))) and 0 < len(first) < 290
+        after = [k for k in cost.samples if k >= 300]
+        assert after[0] == 300 and after == list(range(300, 300 + len(after)))
+        assert f"of 330 (0 to {first[-1]} and 300 to {after[-1]})" in cost.steps
+        assert 0.8 * 3_000_000 < cost.instructions.sum() < 1.2 * 3_000_000
+
+
+@pytest.mark.parametrize(
+    ("samples", "steps", "ending"),
+    [
+        (range(1000), "1,000", "of 1,000 steps"),
+        (range(442), "442 of 1,000 (0 to 441)", "of 442 of 1,000 steps (steps 0 to 441)"),
+        (
+            [*range(3), *range(600, 602)],
+            "5 of 1,000 (0 to 2 and 600 to 601)",
+            "of 5 of 1,000 steps (steps 0 to 2 and 600 to 601)",
+        ),
+    ],
+)
+def test_steps_that_were_not_counted_are_named(
+    samples: Sequence[int], steps: str, ending: str
+) -> None:
+    cost = StepCost("Core", np.ones(len(samples)), tuple(samples), 1000, stack=8, code=8)
+    assert cost.row["steps"] == steps and cost.summary.endswith(f", {ending}")
 
 
 @needs_extra
