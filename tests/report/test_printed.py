@@ -109,7 +109,9 @@ def test_times_stand_against_limit_and_deadline() -> None:
     (axes,) = figure.axes
     assert axes.get_xscale() == "log" and axes.yaxis_inverted()
     assert [text.get_text() for text in axes.get_yticklabels()] == ["daqp", "osqp"]
-    assert _legend(figure) == ["p99 limit", "deadline", "pass", "late"]
+    limits, spans = ["p99 limit", "deadline"], ["p50 to p99", "to the longest step"]
+    spans += ["to the largest single timing"]
+    assert _legend(figure) == [*limits, "p50, pass", "p50, late", *spans]
     by_label = {line.get_label(): line for line in axes.lines}
     assert by_label["deadline"].get_xdata()[0] == 300.0
     bars = [line.get_segments()[0][:, 0].tolist() for line in axes.collections]

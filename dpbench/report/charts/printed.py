@@ -124,7 +124,10 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
     for at_ms, name, line in limits if np.isfinite(deadline_ms) else ():
         axes.axvline(at_ms, color=style.INK, linestyle=line, linewidth=0.8, label=name)
     for state in (state for state in STATES if state in set(table["verdict"])):
-        axes.plot([], [], _MARKERS[state], color=_COLOURS[state], label=state)
+        axes.plot([], [], _MARKERS[state], color=_COLOURS[state], label=f"p50, {state}")
+    axes.plot([], [], color=style.SOFT, linewidth=6, label="p50 to p99")
+    axes.plot([], [], color=style.SOFT, linewidth=1.5, label="to the longest step")
+    axes.plot([], [], color=style.SOFT, linestyle=":", label="to the largest single timing")
     axes.set(xscale="log", xlabel="step time [ms]")
     _label_log_axis(axes.xaxis)
     axes.set_yticks(range(len(table)), table["label"], **_SMALL)
