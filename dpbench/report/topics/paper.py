@@ -39,6 +39,8 @@ DRAWN = (
     ),
 )
 """Figures 4 to 7: name, function, caption."""
+READ_FROM_FIGURE, LIMIT_OF_DPBENCH = "read from Fig.", "set by dpbench"
+"""Marks in the paper's words of a claim that the text does not state, or has no number for."""
 STILL_OFFSET = f"sway offset held, {STILL} [m]"
 WEATHER_OFFSET = f"in the weather of {WEATHER} [m]"
 
@@ -92,7 +94,20 @@ def describe_count_reproduced(judged: "Sequence[Claim]") -> str:
     if any(claim.found == _WORDS["found"]["no clipped law"] for claim in judged):
         why += " (add `--solver unconstrained_clipped` to run the clipped law)"
     open_ones = f", and {missing} not simulated, {why}" if missing else ""
-    return f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced{open_ones}"
+    return (
+        f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced"
+        f"{_describe_basis(judged)}{open_ones}"
+    )
+
+
+def _describe_basis(judged: "Sequence[Claim]") -> str:
+    """Return in brackets how many reproduced claims rest on a figure or a limit of dpbench."""
+    held = [claim.stated_in_paper for claim in judged if claim.state == "reproduced"]
+    read = sum(READ_FROM_FIGURE in stated for stated in held)
+    limited = sum(LIMIT_OF_DPBENCH in stated for stated in held)
+    counts = [f"{read} of them read from figures"] if read else []
+    counts += [f"{limited} with a limit set by dpbench"] if limited else []
+    return f" ({', '.join(counts)})" if counts else ""
 
 
 def _make_stability_table(designs: Designs) -> Table:

@@ -11,7 +11,13 @@ import pytest
 from dpbench.analysis.records.records import Records
 from dpbench.bench.design import Bracket, DesignRecord, Designs, UnanalysedStability
 from dpbench.bench.record.result_folder import Results
-from dpbench.report.topics.paper import build_paper_topic, judge_claims, list_choices
+from dpbench.report.topics.paper import (
+    Claim,
+    build_paper_topic,
+    describe_count_reproduced,
+    judge_claims,
+    list_choices,
+)
 from tests.result_folder import StepsInMemory
 
 WHOLE = 1000
@@ -247,3 +253,17 @@ def test_the_table_shows_the_numbers_of_the_records(records: Any) -> None:
 @pytest.mark.slow
 def test_without_designs_there_is_no_such_table(records: Any) -> None:
     assert _rows(None, records) == []
+
+
+def test_the_count_names_what_a_figure_or_dpbench_decides(records: Any) -> None:
+    """Three claims are read from a figure and two limits are dpbench's, one of them in both."""
+    claims = judge_claims(records.view())
+    assert len(claims) == 9
+    all_held = [Claim(one.claim, one.stated_in_paper, "", "reproduced") for one in claims]
+    assert describe_count_reproduced(all_held) == (
+        "9 of 9 claims of Xia, Liu, Pang & Xue are reproduced (3 of them read from figures, 2 with "
+        "a limit set by dpbench)"
+    )
+    quoted = [one for one in all_held if one.stated_in_paper.startswith("“")]
+    quoted = [one for one in quoted if "dpbench" not in one.stated_in_paper]
+    assert describe_count_reproduced(quoted).endswith("are reproduced")
