@@ -44,6 +44,20 @@ RATIO_NOTE = (
     "Ratio: geometric mean of the step times of the second over those of the first, on the same "
     "steps. Low and high: its 95 % interval within this run; two runs can differ by more."
 )
+EXCESS_NOTE = (
+    "Excess error: 95 % radial error less that of the reference in the same realisation, mean over "
+    "points. Excess cost: 100 times the logarithm of the ratio of closed-loop costs. Low and high: "
+    "95 % interval of the mean; empty without one."
+)
+
+
+def _describe_studies(runs: pd.DataFrame) -> list[str]:
+    """Return for each study of some runs a sentence on its points and realisations."""
+    return [
+        f"Study `{name}`: {plural(own['study_point'].nunique(), 'point')}, "
+        f"at most {plural(own['replicate'].nunique(), 'realisation')} each."
+        for name, own in runs[runs["study"].fillna("") != ""].groupby("study", sort=False)
+    ]
 
 
 class RatioTable(pd.DataFrame):
@@ -253,12 +267,14 @@ class Results(result_folder.Results):
         if "finding" in frame:
             values = frame.columns.intersection(["ratio", "low", "high"])
             frame = frame.copy()
-            frame.loc[frame["finding"] == "one run", values] = math.nan
+            of_one_run = frame["finding"] == "one run"
+            frame.loc[of_one_run, values] = math.nan
         are_verdicts = isinstance(table, str) and table == "verdicts"
         usual = [name for name in frame if not are_verdicts or name in VERDICT_COLUMNS]
         caption = self._describe_table(table) if isinstance(table, str) else ""
         if {"ratio", "finding"} <= {*frame}:
             caption = f"{caption} {RATIO_NOTE}".lstrip()
+            caption += " An empty ratio: both names are of one run." if of_one_run.any() else ""
         frame = frame[list(columns or usual)].rename(columns=_find_heads_with_unit(frame))
         if (
             are_verdicts
@@ -274,6 +290,8 @@ class Results(result_folder.Results):
         from dpbench.report.report import TABLES
 
         caption = TABLES.get(name, "")
+        if name == "study_excess":
+            caption = " ".join([caption, EXCESS_NOTE, *_describe_studies(self.runs)])
         is_timed = any(column.endswith(_TIME_ENDINGS) for column in self.tables[name].columns)
         runs = self.runs[(self.runs["mode"] == "replay") & (self.runs["rounds"] > 0)]
         if not (is_timed and len(runs)):

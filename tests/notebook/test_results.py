@@ -114,6 +114,8 @@ def test_a_ratio_of_one_run_to_itself_is_empty_in_latex(results: Results) -> Non
     rows = results.paired_ratios()[["ratio", "low", "high", "finding"]][:2]
     rows = rows.assign(ratio=[1.0, 2.04], low=[0.0, 1.9], high=[np.inf, 2.1])
     text = results.to_latex(rows.assign(finding=["one run", "slower"]))
+    assert "An empty ratio: both names are of one run." in text
+    assert "of one run" not in results.to_latex(rows.assign(finding="slower"))
     assert "\n &  &  & one run" in text and "\n2.04 & 1.90 & 2.10 & slower" in text
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import dpbench
 from dpbench.analysis.records.run_steps import extract_counting_rows, yield_merged_steps_by_run
 from dpbench.cli.main import main
 from dpbench.files.regular_files import write_file_set_into_folder
@@ -153,3 +154,14 @@ def test_the_legend_explains_every_table_and_column(written: Any) -> None:
         explained = set(re.findall(r"^- `(\w+)`: \S", parts[name], re.M))
         plain = {"solver", "route", "policy", "settings", "call_mode", "first", "second"}
         assert set(_table(written.folder, name).columns) <= explained | plain, name
+
+
+def test_the_caption_of_a_study_defines_it(records: Any, tmp_path: Path) -> None:
+    for solver in ("daqp", "osqp"):
+        for replicate in (1, 2, 3):
+            records.sea(solver, 0, replicate, {"scale": 1.0})
+    write_results(tmp_path, records.results())
+    caption = dpbench.load_results(tmp_path).to_latex("study_excess").splitlines()[-1]
+    assert "less that of the reference in the same realisation" in caption
+    assert "95 \\% interval of the mean" in caption
+    assert caption.endswith("Study seas: 1 point, at most 3 realisations each.")
