@@ -27,7 +27,7 @@ from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.capability_boundary import write_capability_suite
 from dpbench.cli.terminal import WIDTH, ProgressBar
 from dpbench.errors import InputError
-from dpbench.report.formats import format_time
+from dpbench.report.formats import format_time, join_with_and
 from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.scenario.own_thrusters import (
     describe_own_wind_areas,
@@ -237,8 +237,9 @@ def _explain_notation(capability: Capability, vessel: Vessel) -> list[str]:
             f"{hs_m:g} m and a current of {current_mps:g} m/s."
         )
     for case, names in capability.lost.items():
-        if names:
-            lines.append(f"{case}: without {', '.join(names)}.")
+        if names and [*names] != [case]:
+            verb = "is" if len(names) == 1 else "are"
+            lines.append(f"Failure {case}: {join_with_and([*names])} {verb} lost.")
     return lines
 
 

@@ -338,15 +338,18 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
     losses = sorted((case for case in held if case != INTACT), key=lambda c: held[c].wind_mps)
     worst, intact = losses[0], held[INTACT]
     lost = next((case for case in losses if held[case].number), None)
-    most, largest = max(scaling.DP_NUMBERS), "the largest that its thrusters hold by level 1"
+    most, largest = (
+        max(scaling.DP_NUMBERS),
+        "the largest in which the ship holds station by level 1",
+    )
     if lost is not None:
-        number, reason = held[lost].number, f"{largest}, after the loss of {lost} too"
+        number, reason = held[lost].number, f"{largest}, intact and after the loss of {lost}"
         if lost != worst:
-            reason += f"; without {worst} they hold none"
+            reason += f"; it holds none after the loss of {worst}"
     elif intact.number:
-        number, reason = intact.number, f"{largest} intact; without {worst} they hold none"
+        number, reason = intact.number, f"{largest} intact; it holds none after the loss of {worst}"
     else:
-        number, reason = 1, "the smallest, as its thrusters hold none by level 1"
+        number, reason = 1, "the smallest, as the ship holds station in none by level 1"
     numbers = {case: held[case].number for case in losses}
     number, intact_mps = min(number, most), intact.wind_mps
     halves = vessel.thrusters.has_half_turns
@@ -481,8 +484,8 @@ def describe_losses(
 def describe_losses_left_out(held: HeldSea, simulated: Sequence[str]) -> str:
     """Return a text on the groups whose loss is not simulated, and why; "" where every one is."""
     others = [group for group in held.losses if group not in simulated]
-    why = f"the {MOST_LOSSES} losses that leave the least wind are"
-    return f"the loss of {join_with_and(others)}; {why}" if others else ""
+    why = f"simulated: the {MOST_LOSSES} losses with the lowest wind limits"
+    return f"the loss of {join_with_and(others)} ({why})" if others else ""
 
 
 def _describe_losses_not_held(held: HeldSea, number: int) -> list[str]:

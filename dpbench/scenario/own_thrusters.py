@@ -205,7 +205,9 @@ def list_assumptions_on_vessel(vessel: Vessel) -> list[str]:
     lacking = [name for name, screw in screws.items() if screw.height_m is None]
     if lacking:
         whose = "" if len(lacking) == len(screws) else f" of {', '.join(lacking)}"
-        assumed.append(f"no thrust lost to air in waves, as shaft heights{whose} are unknown")
+        assumed.append(
+            f"loss of thrust by ventilation in waves neglected, as shaft heights{whose} are unknown"
+        )
     hull = vessel.capability
     if hull is not None and hull.assumed:
         assumed.append(f"of the hull: {', '.join(HULL_WORDS[key] for key in hull.assumed)}")
@@ -225,7 +227,7 @@ def describe_assumed_values(
         "of the length.": rises,
         f"Diameters, from the power as on the rescue ship Ratownik: {sizes}.": sizes,
         f"Propellers: {propellers}.": propellers,
-        "Shaft heights are unknown: no thrust is lost to air in waves.": any(
+        "Shaft heights are unknown: loss of thrust by ventilation in waves is neglected.": any(
             "height_m" not in row for row in rows if "power_kW" in row
         ),
         f"Thrust astern over that ahead: {astern}.": astern,

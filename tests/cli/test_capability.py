@@ -32,7 +32,7 @@ def test_the_table_fits_a_terminal_and_names_what_is_assumed(say: Say) -> None:
     text = "\n".join(lines)
     for said in (
         "DP capability-L1(",
-        "board A: without bow 1, stern port.",
+        "Failure board A: bow 1 and stern port are lost.",
         "Assumed, not given: of",
     ):
         assert said in text

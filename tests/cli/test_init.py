@@ -82,12 +82,15 @@ def test_the_vessel_file_says_how_it_was_made() -> None:
 def test_the_files_state_the_scaled_sample_time_and_the_runs_of_the_baseline_law() -> None:
     """0.3 s of a ship of 76.2 m: 0.307 s at 80 m and 0.37 s at 116 m, in steps of 0.05 s."""
     main(SHIP)
-    assert "with the root of the length this is 0.307 s" in " ".join(
+    assert "with the square root of the length this is 0.307 s" in " ".join(
         Path(FILES[1]).read_text(encoding="utf-8").replace("\n# ", " ").split()
     )
     main([*SHIP[:2], "--length", "116", *SHIP[4:], "--force"])
     text = " ".join(Path(FILES[1]).read_text(encoding="utf-8").replace("\n# ", " ").split())
-    assert "with the root of the length this is 0.37 s, rounded to a multiple of 0.05 s." in text
+    assert (
+        "with the square root of the length this is 0.37 s, rounded to a multiple of 0.05 s."
+        in text
+    )
     assert "sample_s = 0.35" in text
     suite = Path(FILES[2]).read_text(encoding="utf-8")
     assert "unconstrained_clipped" in suite

@@ -140,7 +140,7 @@ def test_what_is_assumed_of_thrusters_is_printed_and_marked(
     assert "diameter_m = 3.81  # assumed\n" in second and "astern = 0.79  # assumed\n" in second
     source = tomllib.loads(Path(FILES[0]).read_text(encoding="utf-8"))["source"]
     assert "section IV" not in source
-    assumed = source.partition("; limits: vessel file; assumed: ")[2]
+    assumed = source.partition("; limits: computed from the thrusters; assumed: ")[2]
     assert assumed.startswith("rise times ") and f"; diameters {sizes}; " in assumed
     windage = tomllib.loads(Path(FILES[0]).read_text(encoding="utf-8"))["windage"]
     areas = f"wind areas {windage['frontal_m2']:.0f} m² in front, {windage['lateral_m2']:.0f} m²"
@@ -320,13 +320,15 @@ def test_of_many_failure_groups_three_are_lost_and_the_others_named(
     lost = {load_scenario(file).files["scenario"]["faults"][0]["lost"][0] for file in files}
     assert len(lost) == 3
     (said,) = re.findall(
-        r"not simulated: the loss of (\S+|\S+ \S+) and (\S+|\S+ \S+); the 3 losses that leave the "
-        "least wind are",
+        r"not simulated: the loss of (\S+|\S+ \S+) and (\S+|\S+ \S+) \(simulated: the 3 losses "
+        r"with the lowest wind limits\)",
         " ".join(capsys.readouterr().out.split()),
     )
     assert lost | set(said) == {"a", "b", "bow/1", "bow 1", "bow-1"}
     comments = " ".join(Path(FILES[3]).read_text(encoding="utf-8").replace("#", "").split())
-    assert f"Not simulated: the loss of {said[0]} and {said[1]}; the 3 losses" in comments
+    assert (
+        f"Not simulated: the loss of {said[0]} and {said[1]} (simulated: the 3 losses" in comments
+    )
 
 
 def test_a_force_that_the_thrusters_cannot_make_is_no_share_of_the_limits(

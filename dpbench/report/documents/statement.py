@@ -82,8 +82,6 @@ from dpbench.ship.vessel import Vessel
 from dpbench.solvers.settings import resolve_settings_with_fixed_options
 
 MOST_SHIPS = 5
-LIMITS_IN_SOURCE = "; limits: vessel file"
-"""End of the source of a vessel by `dpbench init`."""
 WIDTH, HEIGHT, MARGIN = 595, 842, 48
 """A4 in points."""
 LOAD_MISMATCH = (
@@ -236,11 +234,7 @@ def _fill_statement(
         thrusters=[
             text for file in files if (text := describe_thrusters(file.get("thrusters") or ()))
         ],
-        sources=[
-            source.replace(LIMITS_IN_SOURCE, "; force limits as in the vessel file")
-            for vessel in vessels.values()
-            if (source := split_source(vessel)[0])
-        ],
+        sources=[source for vessel in vessels.values() if (source := split_source(vessel)[0])],
         assumed=dict.fromkeys(
             text for vessel in vessels.values() for text in list_assumptions_on_vessel(vessel)
         ),

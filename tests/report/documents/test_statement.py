@@ -167,8 +167,10 @@ def test_it_says_why_a_compared_solver_is_inconclusive(records: Any, tmp_path: P
 def test_it_lists_what_is_assumed_of_ship_and_thrusters() -> None:
     """List of the source of a vessel, then the keys that the hull of level 1 leaves out."""
     osv = load_vessel("osv")
-    own = replace(osv, source="scaled; limits: vessel file; assumed: rise times 7 s")
-    assert split_source(own) == ("scaled; limits: vessel file", "rise times 7 s")
+    own = replace(
+        osv, source="scaled; limits: computed from the thrusters; assumed: rise times 7 s"
+    )
+    assert split_source(own) == ("scaled; limits: computed from the thrusters", "rise times 7 s")
     first, hull = list_assumptions_on_vessel(own)
     assert (
         first == "rise times 7 s"
@@ -183,7 +185,10 @@ def test_it_lists_what_is_assumed_of_ship_and_thrusters() -> None:
     )
     thrusters = replace(own.thrusters, thrusters=(bow, second, *rest))
     _, shafts, _ = list_assumptions_on_vessel(replace(own, thrusters=thrusters))
-    assert shafts == (f"no thrust lost to air in waves, as shaft heights of {bow.name} are unknown")
+    assert shafts == (
+        "loss of thrust by ventilation in waves neglected, as shaft heights of "
+        f"{bow.name} are unknown"
+    )
     assert list_assumptions_on_vessel(load_vessel("supply_fs99")) == []
 
 
