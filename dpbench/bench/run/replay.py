@@ -121,10 +121,13 @@ class ReplayRun:
     def _prepare_round(self, steps: int) -> None:
         """Solve QPs without recording them: those of the lead, else the first ones to warm caches.
 
-        After the lead the solver keeps its data for a warm start; else it is reset.
+        The solver is reset before the lead, and keeps its data for a warm start after it; else it
+        is reset at the end.
         """
         log, solver = self._log, self._solver
         if self._lead is not None:
+            # Else the step size that OSQP has adapted in one round would change the next.
+            solver.reset()
             for k in range(len(self._lead)):
                 if not is_usable(solver.answer(solver.formulate(self._lead.step(k)))):
                     solver.reset()

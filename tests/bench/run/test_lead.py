@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpbench import load_scenario, open_workspace
+from dpbench import load_scenario, load_sequence, open_workspace
 from dpbench.arrays import Ints
 from dpbench.bench.record.cell import Cell, Formulation
 from dpbench.bench.record.raw_log import RawLog, make_replay_layout
@@ -69,3 +69,19 @@ def test_the_lead_has_the_formulation_of_the_replay(
     stretch = read_replay(replace(cell, first=FIRST, steps=STEPS), path)
     found = count_iterations(stretch, "piqp", "reuse", formulation)
     assert found.tolist() == whole[FIRST:].tolist() and found.min() > 1
+
+
+@pytest.mark.parametrize("solver", ["osqp", "scs"])
+def test_every_round_after_a_lead_is_the_same_computation(solver: str) -> None:
+    """OSQP and SCS adapt a step size, which a later round would take over without a reset."""
+    stored, clock = load_sequence("rough-60-10"), time.perf_counter_ns
+    made, formulated = formulate_sequence("condensed_box", stored)
+    workspace = open_workspace(solver, route="native", policy="reuse", settings="high")
+    timed = TimedSolver(workspace, formulated, clock)
+    count, rounds = len(stored), 4
+    log = RawLog.in_memory(make_replay_layout(rounds, count, stored.base.n, stored.base.m))
+    run = ReplayRun(made, timed, log, warmup_steps=count, limit_ns=2**62, clock=clock, lead=made)
+    run.run_all_rounds()
+    iterations = np.array(log.iterations)
+    assert iterations.shape == (rounds, count) and iterations.min() > 0
+    np.testing.assert_array_equal(iterations[1:], iterations[:-1])
