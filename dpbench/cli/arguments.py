@@ -114,7 +114,6 @@ def make_parser(calls: Mapping[str, Callable[..., int | None]]) -> argparse.Argu
     commands = whole.add_subparsers(
         dest="command",
         metavar="COMMAND",
-        required=True,
         parser_class=_TerseParser,
         prog="dpbench",
         help=argparse.SUPPRESS,
@@ -136,8 +135,10 @@ def parse_words(whole: argparse.ArgumentParser, words: Sequence[str]) -> argpars
     """Parse a command line; exit with code 2 on a mistake, naming the help of its command."""
     arguments, unknown = whole.parse_known_args(words)
     if unknown:
-        whole.prog = f"{whole.prog} {arguments.command}"
+        whole.prog = f"{whole.prog} {arguments.command or ''}".strip()
         whole.error(f"unrecognized arguments: {' '.join(unknown)}")
+    if arguments.command is None:
+        whole.error("the following arguments are required: COMMAND")
     return arguments
 
 

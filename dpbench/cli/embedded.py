@@ -193,6 +193,8 @@ def _read_settings(texts: list[str], recipes: list[Recipe]) -> dict[str, dict[st
     for text in texts:
         name, _, value = text.partition("=")
         solver, _, key = name.partition(".")
+        if solver in solvers and key and not value:
+            raise InputError("--settings", "", repr(text), "SOLVER.KEY=N, such as osqp.rho=0.1")
         if solver not in solvers or not key:
             raise InputError(
                 "--settings",

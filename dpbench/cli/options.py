@@ -346,7 +346,8 @@ def add_codegen_options(codegen: Command) -> None:
 def add_embedded_options(embedded: Command) -> None:
     """Add the options of `dpbench embedded` to its parser."""
     sequences = (
-        "stored sequence, .npz file or random_mpc-STATES-INPUTS-HORIZON (default: paper-30-5)"
+        "sequence: name, file or folder (.npz, .json, .mat), or random_mpc-STATES-INPUTS-HORIZON "
+        "(default: paper-30-5)"
     )
     embedded.add_argument("sequences", metavar="SEQUENCE", nargs="*", help=sequences)
     repeated: Callable[..., None] = partial(_repeated, default=[])

@@ -307,8 +307,9 @@ def run_closed_loop(
     >>> bool(run.summary["error_move_max"] < 1e-9)
     True
     """
-    _refuse_unknown_choice("fallback", fallback, FALLBACKS)
-    _refuse_unknown_choice("formulation", formulation, FORMULATIONS)
+    function = "run_closed_loop"
+    _refuse_unknown_choice(function, "fallback", fallback, FALLBACKS)
+    _refuse_unknown_choice(function, "formulation", formulation, FORMULATIONS)
     mpc = scenario if isinstance(scenario, LinearMPC) else None
     case: Case = mpc or resolve_to_scenario(scenario)
     workspace = _open_workspace_if_named(workspace)
@@ -378,7 +379,7 @@ def replay(
     >>> len(run.steps.query("counts"))  # the warm-up does not count
     150
     """
-    _refuse_unknown_choice("formulation", formulation, FORMULATIONS)
+    _refuse_unknown_choice("replay", "formulation", formulation, FORMULATIONS)
     sequence, workspace = as_sequence(sequence), _open_workspace_if_named(workspace)
     require_integer_at_least("repeats", repeats, 1)
     require_integer_at_least("warmup_steps", warmup_steps, 0)
@@ -404,10 +405,10 @@ def replay(
     return _make_run(cell, workspace, solver, evaluate_replay_log(log, sequence, sample_s))
 
 
-def _refuse_unknown_choice(key: str, value: str, allowed: Collection[str]) -> None:
-    """Raise InputError unless a value is one of those allowed."""
+def _refuse_unknown_choice(function: str, key: str, value: str, allowed: Collection[str]) -> None:
+    """Raise InputError, named after a function, unless a value is one of those allowed."""
     if value not in allowed:
-        raise InputError("run", key, repr(value), f"one of {', '.join(allowed)}")
+        raise InputError(function, key, repr(value), f"one of {', '.join(allowed)}")
 
 
 def _open_workspace_if_named(given: object) -> Workspace:

@@ -103,6 +103,14 @@ class FileModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
+class KeysError(ValueError):
+    """Error for keys of a table that exclude or require each other: the keys found, and allowed."""
+
+    def __init__(self, found: str, allowed: str) -> None:
+        super().__init__(allowed)
+        self.found = found
+
+
 def find_folder_of_shipped_problems() -> Path:
     """Return the folder of the vessels, scenarios, suites and sequences that dpbench ships."""
     installed = _PACKAGE / "problems"
@@ -256,13 +264,17 @@ def validate_settings_as_model(document: dict[str, Any], model: type[_Model], wh
         message = _word_allowed_values(model, first)
         value = first["input"]
         found = repr(value)[:200]
-        if isinstance(value, dict):
+        if isinstance(cause := first.get("ctx", {}).get("error"), KeysError):
+            found = cause.found
+        elif isinstance(value, dict):
             found = f"keys {', '.join(value)}" if value else "no keys"
         raise InputError(where, key, found, message) from None
 
 
 def _word_allowed_values(model: type[BaseModel], fault: ErrorDetails) -> str:
     """Return what is allowed at a faulty key, as a noun where the library has a sentence."""
+    if allowed := _find_schema(model, fault).get("allowed"):
+        return str(allowed)
     if fault["type"] == "too_short" and isinstance(fault["input"], dict):
         return "a table of {min_length} or more keys".format(**fault["ctx"])
     if fault["type"] in ("list_type", "too_short", "too_long"):
@@ -272,8 +284,8 @@ def _word_allowed_values(model: type[BaseModel], fault: ErrorDetails) -> str:
     return fault["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
 
 
-def _describe_any_value(model: type[BaseModel], fault: ErrorDetails) -> str:
-    """Return the type of value at a faulty key as text, such as "an array of 3 entries"."""
+def _find_schema(model: type[BaseModel], fault: ErrorDetails) -> dict[str, Any]:
+    """Return the JSON schema of a faulty key; "allowed" in it has words of its own."""
     whole: dict[str, Any] = model.model_json_schema()
     schema = whole
     for key in fault["loc"]:
@@ -283,6 +295,14 @@ def _describe_any_value(model: type[BaseModel], fault: ErrorDetails) -> str:
         schema = next((s for s in schema.get("anyOf", ()) if s.get("type") != "null"), schema)
         if "$ref" in schema:
             schema = whole["$defs"][schema["$ref"].rpartition("/")[2]]
+    return schema
+
+
+def _describe_any_value(model: type[BaseModel], fault: ErrorDetails) -> str:
+    """Return the type of value at a faulty key as text, such as "an array of 3 entries"."""
+    schema = _find_schema(model, fault)
+    if allowed := schema.get("allowed"):
+        return str(allowed)
     if "enum" in schema:
         return " or ".join(map(repr, schema["enum"]))
     if schema.get("type") != "array":

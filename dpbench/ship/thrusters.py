@@ -174,13 +174,9 @@ class ThrusterSet:
                 self.where, "thrusters.name", f"{twice[0]!r} twice", "a different name for each"
             )
         if np.linalg.matrix_rank(self.T_e / [[1.0], [1.0], [self.longest_arm_m]]) < AXES:
-            found = (
-                f"{', '.join(names) or 'none'}, which cannot make forces in surge, sway and yaw "
-                "independently"
-            )
-            raise InputError(
-                self.where, "thrusters", found, "thrusters that make each force independently"
-            )
+            key = "" if self.where == "thrusters" else "thrusters"
+            allowed = "thrusters that together make surge, sway and yaw force independently"
+            raise InputError(self.where, key, ", ".join(names) or "none", allowed)
 
     @property
     def longest_arm_m(self) -> float:

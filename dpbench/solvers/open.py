@@ -113,11 +113,12 @@ def _require_route_and_policy(row: SolverRecord, route: Route, policy: Policy) -
     where = f"solver {row.name}"
     if route not in row.routes:
         raise PolicyError(where, "route", repr(route), " | ".join(row.routes))
-    runs = " | ".join(f"{name}: {POLICIES[name]}" for name in row.get_route_record(route).policies)
+    runs = " or ".join(row.get_route_record(route).policies)
+    for other in row.routes:
+        if other != route:
+            runs += f" (route {other}: {', '.join(row.get_route_record(other).policies)})"
     if policy not in POLICIES:
-        raise PolicyError(
-            where, "policy", repr(policy), " | ".join(row.get_route_record(route).policies)
-        )
+        raise PolicyError(where, f"route {route}: policy", repr(policy), runs)
     reason = row.state_why_policy_is_unavailable(route, policy)
     if reason:
         raise PolicyError(where, f"route {route}: policy", f"{policy!r} ({reason})", runs)

@@ -178,7 +178,7 @@ def _parse_start(choice: str) -> tuple[str, Options]:
     solver, _ = split_into_solver_and_options_text(choice)
     points = expand_option_grid(parse_options_of_choice(choice), f"solver {solver}")
     if len(points) != 1:
-        allowed = "one value per option; --range or --widen 'OPTION=[LEAST,LARGEST]' for a range"
+        allowed = "one value per option; --range or --widen 'OPTION=[MIN,MAX]' for a range"
         raise InputError("tune-solver", "", choice[:90], allowed)
     return solver, points[0]
 

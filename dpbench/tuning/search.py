@@ -167,7 +167,7 @@ def make_space(
             names = list_all_solver_names()
             ranged = [n for n in names if {n, find_solver_record(n).module} & stated.keys()]
             nearest = format_allowed_names(solver, ranged)
-            allowed = f"{nearest}; or --range 'OPTION=[LEAST,LARGEST]'"
+            allowed = f"{nearest}; or --range 'OPTION=[MIN,MAX]'"
             raise InputError("tune-solver", "", f"{solver}, which has no predefined range", allowed)
         found = {name: OptionRange(name, *ends) for name, ends in (usual or {}).items()}
     for option, texts in (("--range", ranges), ("--widen", widened)):

@@ -513,8 +513,12 @@ def test_thrusters_are_asked_for(
         (TABLE.replace("-38", "-380", 1), (), "thruster 1: x_m: found -380; allowed: -48 to 48"),
         (TABLE.replace("azimuth", "pod"), (), "thruster 5: kind: found 'pod'"),
         (TABLE.replace("2000", "2000000"), (), "10 times the ship's weight"),
-        ("kind,x_m,thrust_kN\nmain,-38,100\n", (), "cannot make forces in surge"),
-        ("kind,x_m,power_kW\nazimuth,-30,3000\n", (), "found azimuth 1, which cannot make forces"),
+        (
+            "kind,x_m,thrust_kN\nmain,-38,100\n",
+            (),
+            "found main 1; allowed: thrusters that",
+        ),
+        ("kind,x_m,power_kW\nazimuth,-30,3000\n", (), "found azimuth 1; allowed: thrusters that"),
         (
             "kind,x_m,thrust_kN,sector_from_deg,sector_to_deg\n"
             "azimuth,-30,100,-60,60\nazimuth,30,100,-60,60\n",

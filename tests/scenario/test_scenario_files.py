@@ -100,8 +100,8 @@ BAD_SCENARIOS = [
         "move_weight =",
         "move_weight_relative = [1.0, 1.0, 1.0]\nmove_weight =",
         "controller",
-        "",
-        "exactly one of move_weight and move_weight_relative",
+        "both of move_weight and move_weight_relative",
+        "one of the two",
     ),
 ]
 

@@ -149,7 +149,7 @@ def refuse_unknown_settings_names(
         ):
             presets = [preset for solver in solvers for preset in list_preset_names(solver)]
             known = dict.fromkeys((*presets, *suite.settings))
-            allowed = f"{' | '.join(known)} | a tolerance such as 1e-4"
+            allowed = f"{' | '.join(known)} | a tolerance such as 1e-4, above 0 and below 1"
             raise SettingsError("settings", "", repr(name), allowed)
 
 

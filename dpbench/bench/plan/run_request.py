@@ -157,6 +157,8 @@ class RunRequest:
             path, document = load_path_and_suite(self.suite)
             return path.stem, path, document
         if self.sequence is not None and self.suite is None:
+            if self.scenarios:
+                raise InputError("`scenarios`", "", "a choice with `sequence`", "one of the two")
             meta = read_sequence(resolve_sequence_path(self.sequence)).sequence.meta
             name = f"sequence-{Path(self.sequence).resolve().stem}"
             return name, Path("suite"), build_sequence_suite(self.sequence, meta)

@@ -229,7 +229,10 @@ class CapabilityTable(RunsTable):
     formulations: ClassVar[list[FormulationName]] = ["condensed_box"]
     vessel: str
     """A vessel with `[[thrusters]]` and `[capability]`, or its TOML file in the suite's folder."""
-    sides: Annotated[int, Field(ge=4, multiple_of=2)] = 16
+    sides: Annotated[
+        int,
+        Field(ge=4, multiple_of=2, json_schema_extra={"allowed": "an even number, 4 or more"}),
+    ] = 16
     """Sides of the polygons in place of circles."""
 
 

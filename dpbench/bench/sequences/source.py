@@ -109,7 +109,10 @@ def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QP
     """Return each `every`-th of the first `steps` QPs of a sequence (None: of all)."""
     if steps is not None and not 1 <= steps <= len(sequence):
         raise InputError(
-            "`steps`", "", steps, f"1 to {len(sequence)}, the steps of {sequence.name}"
+            "`steps`",
+            "",
+            steps,
+            f"1 to {len(sequence)}, as the sequence stores {len(sequence)} QPs",
         )
     if every < 1:
         raise InputError("`every`", "", every, "1 or more")
@@ -123,7 +126,12 @@ def thin_sequence(sequence: QPSequence, steps: int | None, every: int = 1) -> QP
 def select_step(sequence: QPSequence, k: int) -> QPSequence:
     """Return step k of a sequence of QPs as a sequence of one QP."""
     if not 0 <= k < len(sequence):
-        raise InputError("`at`", "", k, f"0 to {len(sequence) - 1}, the steps of {sequence.name}")
+        raise InputError(
+            "`at`",
+            "",
+            k,
+            f"0 to {len(sequence) - 1}, as the sequence stores {len(sequence)} QPs",
+        )
     first = int(sequence.meta.get("first", 0)) + k * int(sequence.meta.get("every", 1))
     return _select_steps(sequence, slice(k, k + 1), f"{sequence.name}[{k}]", {"first": first})
 

@@ -18,7 +18,15 @@ Percent = Annotated[float, Field(gt=-100, le=1e4)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=0, le=1_000_000)]
 Horizon = Annotated[int, Field(ge=1, le=1000)]
-PolygonSides = Annotated[int, Field(ge=4, le=128, multiple_of=2)]
+PolygonSides = Annotated[
+    int,
+    Field(
+        ge=4,
+        le=128,
+        multiple_of=2,
+        json_schema_extra={"allowed": "an even number, 4 to 128"},
+    ),
+]
 Two = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Three = Annotated[list[Number], Field(min_length=3, max_length=3)]
 ThreeByThree = Annotated[list[Three], Field(min_length=3, max_length=3)]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from dpbench.arrays import Vector
-from dpbench.scenario.problem_files import FileModel
+from dpbench.scenario.problem_files import FileModel, KeysError
 from dpbench.scenario.tables import key_types as keys
 from dpbench.scenario.tables.weather import EnvironmentTable
 from dpbench.ship.froude import Froude
@@ -244,11 +244,10 @@ class ControllerTable(FileModel):
             allowed = 'controller.thrusters if, and only if, kind is "thrusters" or "cascade"'
             raise ValueError(allowed)
         if of_forces != (not plans_thrusters):
-            raise ValueError(
-                "the move weight of thrusters in controller.thrusters, not here"
-                if plans_thrusters
-                else "exactly one of move_weight and move_weight_relative"
-            )
+            if plans_thrusters:
+                raise ValueError("the move weight of thrusters in controller.thrusters, not here")
+            number = "both" if of_forces else "neither"
+            raise KeysError(f"{number} of move_weight and move_weight_relative", "one of the two")
         if plans_thrusters and self.limits != "box":
             raise ValueError(
                 'limits = "box" with kind = "thrusters", as thrusters have limits of their own'
@@ -349,7 +348,12 @@ class ScenarioFile(FileModel):
     """The scenario in words."""
     shows: str
     """Purpose of the scenario."""
-    vessel: str
+    vessel: Annotated[
+        str,
+        Field(
+            json_schema_extra={"allowed": "the name of a vessel or the path of a .toml file"},
+        ),
+    ]
     """A vessel by name, or a TOML file, in the folder of this file first."""
     sample_s: keys.Seconds
     """Time between two answers of the controller [s]."""

@@ -124,7 +124,9 @@ class ThrusterTable(FileModel):
         made_of = [self.power_kW, self.diameter_m, self.propeller]
         given = [value is not None for value in made_of]
         if (self.thrust_kN is None) != all(given) or (any(given) and not all(given)):
-            raise ValueError("either thrust_kN, or power_kW, diameter_m and propeller")
+            raise ValueError(
+                "thrust_kN, or power_kW with diameter_m and propeller (optional in a CSV file)"
+            )
         if self.height_m is not None and self.thrust_kN is not None:
             raise ValueError("height_m only together with power_kW, diameter_m and propeller")
         return self
