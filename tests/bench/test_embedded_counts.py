@@ -107,7 +107,7 @@ def test_counts_stand_beside_the_other_results(out: Path) -> None:
 def test_what_cannot_be_counted_is_named_with_the_reason(out: Path) -> None:
     (missing,) = json.loads((out / "suite.json").read_text())["not_counted"]
     assert (missing["solver"], missing["sequence"]) == ("osqp", "turn[0:2]")
-    assert "P that change" in missing["reason"]
+    assert "P, which changes in" in missing["reason"]
 
 
 @pytest.mark.slow

@@ -150,7 +150,7 @@ def test_a_best_that_is_late_says_where_and_by_which_percentile(
     assert "no accurate settings that were tried are in time on the training sequences" in shown
     for written in (shown, " ".join(text.split())):
         for role, sequence in (("training", "calm"), ("test", "move")):
-            reason = rf"p95 is [a-z ]*9.74 ms in the replay of {sequence}, above .*?3.00 ms"
+            reason = rf"p95 of 9.74 ms in the replay of {sequence} exceeds .*?3.00 ms"
             assert re.search(rf"{role} sequences .*?late on 1 of 1: its {reason}", written)
         assert "times the step time of default, which is late on 1 of 1" in written
 

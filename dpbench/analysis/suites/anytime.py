@@ -86,26 +86,26 @@ def find_required_limits(loops: Sequence[LimitedGroup]) -> list[RequiredLimit]:
     return sorted(required, key=lambda one: one.limit)
 
 
+_COLUMNS = (
+    *("scenario", "configuration", "limit_of", "limit", "cost_ratio", "dev_position_max_m"),
+    *("error_move_max", "unconverged", "steps_done", "raw_p50_ns"),
+)
+
+
 def tabulate_limited_loops(records: Records) -> pd.DataFrame:
     """Return one row per closed loop with a limit, of configurations with two limits or more."""
-    return pd.DataFrame(
-        {
-            "scenario": run.scenario,
-            "configuration": one.configuration.label,
-            "limit_of": group.limit_of,
-            "limit": limit,
-            "cost_ratio": compute_cost_ratio(run),
-            "dev_position_max_m": run.dev_position_max_m,
-            "error_move_max": run.error_move_max,
-            "unconverged": run.unconverged,
-            "steps_done": run.steps_done,
-            "raw_p50_ns": run.raw_p50_ns,
-        }
+    rows = [
+        (
+            *(run.scenario, one.configuration.label, group.limit_of, limit),
+            *(compute_cost_ratio(run), run.dev_position_max_m, run.error_move_max),
+            *(run.unconverged, run.steps_done, run.raw_p50_ns),
+        )
         for group in group_limited_runs(records)
         if group.mode == "closed_loop"
         for one in group.configurations
         for limit, run in one.runs.items()
-    )
+    ]
+    return pd.DataFrame(rows, columns=_COLUMNS)
 
 
 def find_limit(run: RunRecord) -> tuple[LimitOf, float] | None:
