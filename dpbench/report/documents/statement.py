@@ -216,8 +216,7 @@ def _fill_statement(
     plots = build_capability_results(records, load_capability_plots(folder))
     analyses = build_consequence_analyses(records)
     known = [s for s in map(records.build_scenario, records.scenarios) if s is not None]
-    ships = [ship for ship in data.ships if not ship.run.study]
-    ships.sort(key=lambda ship: not ship.has_left_station)
+    ships = _list_ships_by_importance(data.ships)
     options = resolve_settings_with_fixed_options(c.solver_settings, c.solver)
     by_solver = results.runs.groupby("solver")["solver_version"]
     versions = {name: ", ".join(sorted({str(v) for v in own if v})) for name, own in by_solver}
@@ -297,6 +296,20 @@ def _fill_statement(
         machine=defaultdict(str, results.machine),
         hashes=hash_files(folder, HASHED) | _hash_documents(known),
         suite=defaultdict(str, results.suite),
+    )
+
+
+def _list_ships_by_importance(ships: Sequence[ShipResult]) -> list[ShipResult]:
+    """Return ships outside of studies: after a loss first, of these the one farthest off."""
+    alone = [ship for ship in ships if not ship.run.study]
+    return sorted(
+        alone,
+        key=lambda ship: (
+            ship.state == "not run",
+            not (ship.run.scenario_documents or {}).get("scenario", {}).get("faults"),
+            not ship.has_left_station,
+            0.0 if ship.state == "not run" else -ship.used_share_of_station_limits,
+        ),
     )
 
 

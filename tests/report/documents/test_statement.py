@@ -315,6 +315,22 @@ def test_a_lost_ship_is_the_first_line_of_its_statement(records: Any, tmp_path: 
     assert "stroke-dasharray" in drawn
 
 
+def test_scenarios_with_a_loss_come_first_the_farthest_off_of_all(
+    records: Any, tmp_path: Path
+) -> None:
+    """The DP number rests on a single failure: the scenario without one comes last."""
+    for name, far_m in (("paper", 3.0), ("thrusters_loss", 1.0), ("thruster_loss", 2.0)):
+        records.loop("daqp", name, exact_offset_max_m=far_m)
+    records.replay("daqp", spread=0.1)
+    results = records.results()
+    svg = make_statement_svg(
+        records.write(tmp_path / "out"), results, Report.from_results(results).data
+    )
+    lines = ["".join(element.itertext()) for element in _texts(svg)]
+    found = [re.match(r"(\w+): (?:on station|leaves|not there)", line) for line in lines]
+    assert [m[1] for m in found if m] == ["thruster_loss", "thrusters_loss", "paper"]
+
+
 def test_it_states_weather_losses_thrusters_and_source(records: Any, tmp_path: Path) -> None:
     """Those of the scenario file and of the vessel file; the figure marks the loss."""
     records.loop("daqp", "thrusters_loss", steps=500)
