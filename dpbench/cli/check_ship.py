@@ -16,6 +16,7 @@ from dpbench.bench.design import (
     find_bracket_in_still_water,
 )
 from dpbench.bench.progress import Progress, Silent
+from dpbench.cli.ideal_sensors import describe_ideal_sensors
 from dpbench.cli.terminal import WIDTH
 from dpbench.report.controller_text import describe_unused_turning
 from dpbench.report.formats import (
@@ -86,7 +87,8 @@ def describe_checked_scenario(
     first = f"{shown}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
     loads = compare_with_level_1(scenario) or textwrap.wrap(_describe_weather_load(scenario), WIDTH)
     turning = textwrap.wrap(describe_unused_turning(scenario), WIDTH)
-    about = [*format_limits_by_axis(scenario.vessel), *turning, *loads]
+    sensors = textwrap.wrap(describe_ideal_sensors(scenario.files["scenario"]), WIDTH)
+    about = [*format_limits_by_axis(scenario.vessel), *turning, *loads, *sensors]
     return _join_lines(first, [*about, *_try_offsets([scenario], progress, quick=quick)])
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dpbench.cli.ideal_sensors import SENSOR_TABLES, describe_missing_tables
 from dpbench.cli.own_thrusters import (
     HeldSea,
     OwnThrusters,
@@ -357,6 +358,7 @@ def _list_files_and_commands(
         lines.append(
             f"This ship cannot hold station there: it needs more force ({forces}){smaller}."
         )
+    lines += textwrap.wrap(describe_missing_tables([*SENSOR_TABLES]), WIDTH)
     return [*lines, f"next: dpbench check {paths[0]}", f"      dpbench run {paths[-1]}"]
 
 

@@ -1,0 +1,33 @@
+"""Text on the sensors and the estimator that a scenario in waves lacks."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dpbench.report.formats import join_with_and
+
+SENSOR_TABLES = {
+    "motion": "first-order wave motion ([environment.waves.motion])",
+    "noise": "measurement noise ([environment.noise])",
+    "estimator": 'an estimator ([estimator] with kind = "kalman")',
+}
+"""What an ideal scenario in waves lacks, and the tables that add it."""
+
+
+def describe_ideal_sensors(scenario: Mapping[str, Any]) -> str:
+    """Return a sentence on what a scenario in waves lacks of sensors and estimator, or ""."""
+    weather, estimator = scenario.get("environment") or {}, scenario.get("estimator") or {}
+    waves = weather.get("waves") or {}
+    has = {
+        "motion": waves.get("motion") is not None,
+        "noise": any((weather.get("noise") or {}).values()),
+        "estimator": estimator.get("kind", "measured") != "measured",
+    }
+    return describe_missing_tables([name for name in has if waves and not has[name]])
+
+
+def describe_missing_tables(names: Sequence[str]) -> str:
+    """Return a sentence on what scenarios lack of `SENSOR_TABLES`, and how to add it, or ""."""
+    if not names:
+        return ""
+    lacks = join_with_and([SENSOR_TABLES[name] for name in names])
+    return f"Not in the scenario: {lacks}. The offsets with them may be several times as large."
