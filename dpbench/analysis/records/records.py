@@ -6,6 +6,10 @@ from functools import cached_property
 
 import pandas as pd
 
+from dpbench.analysis.records.loop_ratios import (
+    SOLVE_TIME_COLUMNS,
+    compare_loops_over_replayed_steps,
+)
 from dpbench.analysis.records.run_record import RunRecord, build_run_records, map_first_by_key
 from dpbench.analysis.records.run_steps import (
     COUNTING_COLUMNS,
@@ -70,7 +74,12 @@ class Records:
             replace(run, default_route=True) if run.route == routes[run.solver] else run
             for run in runs
         ]
+        self._steps = results.recorded
         self.all_runs = relate_windows_to_closed_loops(self.all_runs)
+        if self.has_steps:
+            self.all_runs = compare_loops_over_replayed_steps(
+                self.all_runs, lambda run: self.read_counting_step_table(run, SOLVE_TIME_COLUMNS)
+            )
         self.delayed = [run for run in self.all_runs if run.slowdown > 0.0]
         self.random = [run for run in self.all_runs if run.family]
         self.consequence = [run for run in self.all_runs if run.lost_thruster_group]
@@ -84,7 +93,6 @@ class Records:
         self.runs = _select_runs_in_common_formulation(
             [run for run in undelayed if not run.is_outside_verdicts]
         )
-        self._steps = results.recorded
         self._times: dict[str, StepTimes | None] = {}
         self._delays: dict[str, Delays] = {}
         self._scenarios: dict[str, Scenario | None] = {}
