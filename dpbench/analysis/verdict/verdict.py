@@ -206,7 +206,7 @@ def _make_reference_sort_key(
     kinds = len({run.mode for run in ran})
     default = any(run.default_route for run in runs)
     return (
-        sort_key_of_settings(configuration.settings) if ran else (99, ""),
+        sort_key_of_settings(configuration.settings) if ran else (99, ()),
         -kinds,
         not default,
         list(POLICIES).index(configuration.policy),
@@ -428,8 +428,8 @@ def list_equally_fast(best: Verdict, own: Sequence[Verdict]) -> list[Verdict]:
     ]
 
 
-def _make_settings_sort_key(verdict: Verdict) -> tuple[int, str]:
-    """Return a sort key of a verdict: the tolerance level of its settings."""
+def _make_settings_sort_key(verdict: Verdict) -> tuple[int, tuple[str | float, ...]]:
+    """Return a sort key of a verdict: the preset or the name of its settings."""
     return sort_key_of_settings(verdict.configuration.settings)
 
 

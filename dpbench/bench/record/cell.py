@@ -7,6 +7,7 @@ A configuration is one solver, its call mode and its settings, from the plan to 
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
@@ -402,8 +403,16 @@ class Configuration:
         return replace(self, formulation=COMMON_FORMULATION)
 
 
-def sort_key_of_settings(settings: str) -> tuple[int, str]:
-    """Return a sort key of a settings name: default and tolerance presets first, in order."""
+def sort_key_of_settings(settings: str) -> tuple[int, tuple[str | float, ...]]:
+    """Return a sort key of a settings name: default and tolerance presets first, in order.
+
+    Other names are sorted by their text, and numbers in it by value.
+    """
     known = settings in LEVELS
     level = LEVELS.index(settings) if known else len(LEVELS)
-    return level, settings
+    # Text and numbers alternate, so that two keys have the same type at each place.
+    parts = _NUMBER.split(settings)
+    return level, tuple(float(part) if i % 2 else part for i, part in enumerate(parts))
+
+
+_NUMBER = re.compile(r"(\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)", re.ASCII)
