@@ -11,11 +11,11 @@ from dpbench.analysis.verdict.verdict import (
     MOST_OWN,
     Verdict,
     Verdicts,
+    choose_best_settings,
     find_solver_record_or_none,
     group_own_settings,
     list_best_verdict_of_own_settings,
     list_equally_fast,
-    make_sort_key_of_settings,
 )
 from dpbench.report.formats import (
     as_float,
@@ -38,6 +38,8 @@ from dpbench.solvers.settings import resolve_settings_with_fixed_options
 
 SIMILAR = 2.0
 """Factor below which largest errors differ little, so that a wider grid would hardly help."""
+MOST_EQUAL = 2
+"""Settings that are named as equally fast; of the others their number is."""
 LEAST_POINTS = 3
 """Settings with the same options that count as a grid."""
 
@@ -48,14 +50,14 @@ def describe_own_settings(verdicts: Verdicts) -> list[str]:
     lines = describe_verdicts_on_settings(verdicts, own)
     others = len(own) - MOST_OWN
     more = [f"{others} more settings: tables/verdicts.csv."] if others > 0 else []
-    return [*lines, *more, *describe_best_of_grids(own)]
+    return [*lines, *more, *describe_best_of_grids(verdicts)]
 
 
 def describe_failing_settings_and_grids(verdicts: Verdicts) -> list[str]:
     """Return lines on the custom settings that fail, and why, and the best of each grid."""
     own = list_best_verdict_of_own_settings(verdicts)
     failing = [verdict for verdict in own if verdict.state == "fail"]
-    return [*describe_verdicts_on_settings(verdicts, failing), *describe_best_of_grids(own)]
+    return [*describe_verdicts_on_settings(verdicts, failing), *describe_best_of_grids(verdicts)]
 
 
 def describe_verdicts_on_settings(verdicts: Verdicts, own: Sequence[Verdict]) -> list[str]:
@@ -121,15 +123,16 @@ def _describe_failing_modes(verdict: Verdict, modes: Sequence[Verdict]) -> str:
     )
 
 
-def describe_best_of_grids(own: Sequence[Verdict]) -> list[str]:
+def describe_best_of_grids(verdicts: Verdicts) -> list[str]:
     """Return lines on the best of three or more settings of a solver that set the same options.
 
     Also the options of which it has the least or largest value that was tried. Limits of iterations
     or time alone have a topic of their own.
     """
+    own = list_best_verdict_of_own_settings(verdicts)
     grids = group_by_key(own, lambda v: (v.configuration.solver, tuple(_format_options_by_name(v))))
     best = [
-        _describe_best_of_grid(points)
+        _describe_best_of_grid(points, choose_best_settings(verdicts, points))
         for points in grids.values()
         if len(points) >= LEAST_POINTS and not _differ_in_limit_alone(points)
     ]
@@ -186,8 +189,15 @@ def _changes_result(option: str, best: Verdict, points: Sequence[Verdict]) -> bo
 
 
 def _has_same_result(one: Verdict, other: Verdict) -> bool:
-    """Return whether two verdicts have the same state, error and, but for noise, p99."""
-    if one.state != other.state or format_error(one.error_move) != format_error(other.error_move):
+    """Return whether two verdicts have the same state and, but for noise, p99 or else error.
+
+    Accurate settings are compared by their time alone.
+    """
+    if one.state != other.state:
+        return False
+    if one.state in ACCURATE and list_equally_fast(one, [other]):
+        return True
+    if format_error(one.error_move) != format_error(other.error_move):
         return False
     return not abs(one.p99_ns - other.p99_ns) > ALIKE * one.p99_ns
 
@@ -197,18 +207,22 @@ def _format_options_by_name(verdict: Verdict) -> dict[str, str]:
     return format_each_option_as_toml(decode_options_from_json(verdict.configuration.options))
 
 
-def _describe_equally_fast(best: Verdict, points: Sequence[Verdict]) -> str:
-    """Return in words which other accurate settings are as fast as the best; or ""."""
+def _list_others_equally_fast(best: Verdict, points: Sequence[Verdict]) -> list[Verdict]:
+    """Return the other accurate settings that are as fast as the best."""
     if best.state not in ACCURATE:
-        return ""
+        return []
     rivals = [verdict for verdict in points if verdict.state == best.state]
-    others = [_name_own_settings(v) for v in list_equally_fast(best, rivals) if v is not best]
-    return f"; equally fast within the noise: {join_with_and(others)}" if others else ""
+    return [verdict for verdict in list_equally_fast(best, rivals) if verdict is not best]
 
 
-def _describe_best_of_grid(points: Sequence[Verdict]) -> str:
-    """Return a line on the best of a solver's settings, and whether it is at the grid's edge."""
-    best = min(points, key=make_sort_key_of_settings)
+def _name_first_of(names: Sequence[str]) -> str:
+    """Return names joined in words: the first `MOST_EQUAL`, and the number of the others."""
+    more = len(names) - MOST_EQUAL
+    return join_with_and([*names[:MOST_EQUAL], *([f"{more} more"] if more > 0 else [])])
+
+
+def _list_edges(best: Verdict, points: Sequence[Verdict], equals: Sequence[Verdict]) -> list[str]:
+    """Return the options of which a wider grid may have a better value than the best has."""
     edges = []
     for option, value in _format_options_by_name(best).items():
         numbers = (as_float(_format_options_by_name(verdict)[option]) for verdict in points)
@@ -217,8 +231,17 @@ def _describe_best_of_grid(points: Sequence[Verdict]) -> str:
         # No option takes a value below zero: a zero is the least that is allowed.
         ends = {min(tried), max(tried)} if len(tried) >= LEAST_POINTS else set()
         is_bound = at == min(tried, default=at) <= 0.0
-        if at in ends and not is_bound and _changes_result(option, best, points):
+        # Another value that is as fast shows that the time does not fall towards this end.
+        is_flat = any(_format_options_by_name(other)[option] != value for other in equals)
+        if at in ends and not is_bound and not is_flat and _changes_result(option, best, points):
             edges.append(option)
+    return edges
+
+
+def _describe_best_of_grid(points: Sequence[Verdict], best: Verdict) -> str:
+    """Return a line on the best of a solver's settings, and whether it is at the grid's edge."""
+    equals = _list_others_equally_fast(best, points)
+    edges = _list_edges(best, points, equals)
     edge = f", at the edge of the grid in {join_with_and(edges)}" if edges else ""
     errors = [verdict.error_move for verdict in points]
     least, largest = min(errors), max(errors)
@@ -227,7 +250,9 @@ def _describe_best_of_grid(points: Sequence[Verdict]) -> str:
         edge += f"; all fail, with similar errors ({similar})"
     elif edges:
         edge += ": widen it"
-    edge += _describe_equally_fast(best, points)
+    if equals:
+        names = [_name_own_settings(verdict) for verdict in equals]
+        edge += f"; equally fast within the noise: {_name_first_of(names)}"
     solver, by = best.configuration.solver, ""
     if best.state not in ACCURATE:
         by = f" by largest error ({format_error(best.error_move)})"

@@ -409,6 +409,25 @@ def _choose_most_usual_of_fastest(own: Sequence[Verdict]) -> Verdict:
     return min(list_equally_fast(own[0], own), key=_make_settings_sort_key)
 
 
+def choose_best_settings(verdicts: Verdicts, points: Sequence[Verdict]) -> Verdict:
+    """Return the best of a solver's settings; of accurate ones by the rule of `rank_solvers`.
+
+    points : verdicts on custom settings of one solver.
+    """
+    best = min(points, key=make_sort_key_of_settings)
+    if best.state not in ACCURATE:
+        return best
+    ranked = find_fastest_configuration(verdicts, best.configuration.solver)
+    if ranked is not None and ranked.state == best.state:
+        # Its call mode is the one recommended, which need not be that of the best verdict.
+        key = ranked.configuration.options
+        if key and any(verdict.configuration.options == key for verdict in points):
+            return ranked
+    rivals = [verdict for verdict in points if verdict.state == best.state]
+    fastest_first = sort_fastest_first(sorted(rivals, key=_make_settings_sort_key))
+    return _choose_most_usual_of_fastest(fastest_first)
+
+
 def list_equally_fast(best: Verdict, own: Sequence[Verdict]) -> list[Verdict]:
     """Return a solver's configurations that are as fast as its `best`, in the same call mode.
 

@@ -35,7 +35,7 @@ from dpbench.analysis.verdict.requirements import (
     is_right_on_every_step,
     is_right_to_the_end,
 )
-from dpbench.analysis.verdict.verdict import Verdicts, list_best_verdict_of_own_settings
+from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.bench.judge.rules import median_of_known
 from dpbench.bench.record.cell import sort_key_of_settings
 from dpbench.report.formats import (
@@ -201,7 +201,7 @@ def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     windows = any(run.steps_searched_for_hardest for run in records.runs)
     texts += ["Windows of hardest steps are not counted."] if windows else []
     table = Table.from_rows(rows, text_columns=2)
-    grids = describe_best_of_grids(list_best_verdict_of_own_settings(verdicts))
+    grids = describe_best_of_grids(verdicts)
     return Topic(
         "settings",
         "Two settings of one solver",

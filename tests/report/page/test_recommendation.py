@@ -293,8 +293,20 @@ def test_a_grid_whose_best_is_inside_needs_no_wider_one(records: Any) -> None:
     records.replay("osqp", median_us=20.2, **options)
     text = make_report_markdown(Report.from_results(records.results()))
     (best,) = re.findall(r"Best of 4 settings .*", text)
-    found = re.search(r"rho=(\S+); equally fast within the noise: osqp\[rho=(\S+)\]\.$", best)
-    assert found is not None and set(found.groups()) == {"1.0", "2.0"}
+    assert best.endswith("rho=1.0; equally fast within the noise: osqp[rho=2.0].")
+
+
+def test_the_best_of_a_flat_grid_is_the_recommended_one(records: Any) -> None:
+    """The fastest by chance is neither named nor at an edge to be widened."""
+    for rho, us in ((0.1, 20.1), (0.4, 20.0), (1.6, 20.2), (6.4, 19.9), (12.8, 20.1)):
+        options = {"settings": f"rho={rho}", "options": json.dumps({"rho": rho})}
+        records.loop("osqp", **options)
+        records.replay("osqp", median_us=us, **options)
+    rows = Report.from_results(records.results()).summary_rows()
+    assert dict(rows)["answer"].startswith("Use osqp (qpsolvers, fresh, rho=0.1)")
+    (best,) = (text for about, text in rows if text.startswith("Best of 5"))
+    assert re.search(r"\): rho=0\.1; equally fast within the noise: ", best)
+    assert best.endswith("osqp[rho=0.4], osqp[rho=1.6] and 2 more.")
 
 
 def test_a_grid_that_fails_everywhere_alike_is_not_to_be_widened(records: Any) -> None:
