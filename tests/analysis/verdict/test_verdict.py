@@ -415,14 +415,14 @@ def test_high_settings_rescue(records: Any) -> None:
 
 
 def test_the_first_settings_of_a_grid_are_no_default(records: Any) -> None:
-    for eps, error in ((1e-4, 0.4), (1e-6, 1e-9)):
+    for eps, error in ((1e-6, 0.4), (1e-4, 1e-9)):
         own = {"settings": f"eps_abs={eps}", "options": json.dumps({"eps_abs": eps})}
         records.loop("osqp", error=error, **own)
         records.replay("osqp", error=error, **own)
     text = describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
     assert (
-        "eps_abs=1e-06) passes, but its first configuration, `osqp` (qpsolvers fresh, "
-        "eps_abs=0.0001), fails: the error"
+        "eps_abs=0.0001) passes, but its first configuration, `osqp` (qpsolvers fresh, "
+        "eps_abs=1e-06), fails: the error"
     ) in text
     assert "default" not in text
 
