@@ -10,7 +10,7 @@ SENSOR_TABLES = {
     "noise": "measurement noise ([environment.noise])",
     "estimator": 'an estimator ([estimator] with kind = "kalman")',
 }
-"""What an ideal scenario in waves lacks, and the tables that add it."""
+"""Parts that an ideal scenario in waves lacks, with the tables that add them."""
 
 
 def describe_ideal_sensors(scenario: Mapping[str, Any]) -> str:
