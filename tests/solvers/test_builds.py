@@ -19,6 +19,9 @@ from dpbench.solvers.table import Availability, find_solver_availability
 
 AVX2, FMA = 0x2, 0x4
 
+IS_NAMED = (os.environ.get(VARIABLE) or CASADI) != CASADI
+"""Whether the variable names a file with a BLASFEO."""
+
 
 class Blasfeo:
     """A BLASFEO compiled for a target, by the functions of `blasfeo_processor_features.h`."""
@@ -48,9 +51,7 @@ def test_a_blasfeo_is_generic_where_it_needs_no_vector_instruction(
 
 
 @pytest.mark.skipif(not find_solver_availability("hpipm").ok, reason="casadi is not installed")
-@pytest.mark.skipif(
-    (os.environ.get(VARIABLE) or CASADI) != CASADI, reason="headers of a named BLASFEO unknown"
-)
+@pytest.mark.skipif(IS_NAMED, reason="the headers of a BLASFEO that is named are not known")
 @pytest.mark.parametrize("solver", ["hpipm", "hpipm_ocp"])
 def test_the_build_of_hpipm_is_that_of_the_headers_beside_it(solver: str) -> None:
     build = find_solver_availability(solver).build
