@@ -106,14 +106,14 @@ def _check_document(file: Path, progress: Progress | None, *, quick: bool) -> st
 def _check_vessel(file: Path, progress: Progress | None, *, quick: bool) -> str:
     """Validate a vessel file; return the ship's properties as text."""
     vessel = problems.read_toml_as_model(file, VesselFile).build_vessel(file.stem, str(file))
-    from dpbench.cli.check_ship import describe_checked_vessel
+    from dpbench.cli.ship.check_ship import describe_checked_vessel
 
     return describe_checked_vessel(file, vessel, progress, quick=quick)
 
 
 def _check_scenario(name: str | Path, progress: Progress | None, *, quick: bool) -> str:
     """Load a scenario, which validates it; return its ship, weather and controller as text."""
-    from dpbench.cli.check_ship import describe_checked_scenario
+    from dpbench.cli.ship.check_ship import describe_checked_scenario
     from dpbench.scenario.scenario import load_scenario
 
     return describe_checked_scenario(name, load_scenario(name), progress, quick=quick)

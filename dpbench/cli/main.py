@@ -492,7 +492,7 @@ def _print_listing(arguments: argparse.Namespace) -> None:
 
 def _write_own_ship(arguments: argparse.Namespace) -> None:
     """Write the files of the user's ship (`dpbench init`)."""
-    from dpbench.cli.own_ship import write_own_ship
+    from dpbench.cli.ship.own_ship import write_own_ship
     from dpbench.cli.terminal import print_wrapped
 
     print_wrapped(write_own_ship(arguments))
@@ -507,7 +507,7 @@ def _print_embedded_counts(arguments: argparse.Namespace) -> int:
 
 def _print_capability(arguments: argparse.Namespace) -> None:
     """Print the wind that a ship holds from each direction (`dpbench capability`)."""
-    from dpbench.cli.capability import describe_capability
+    from dpbench.cli.ship.capability import describe_capability
 
     print(describe_capability(arguments))
 

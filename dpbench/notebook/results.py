@@ -27,7 +27,7 @@ from dpbench.notebook.latex import escape_latex, make_tabular
 from dpbench.notebook.plots import ResultPlots
 from dpbench.report.commands_text import describe_disturbed_times
 from dpbench.report.formats import plural, strip_markdown
-from dpbench.report.ship_text import summarise_ships
+from dpbench.report.ship.ship_text import summarise_ships
 
 if TYPE_CHECKING:
     from dpbench.report.report import Report

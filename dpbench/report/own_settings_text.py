@@ -26,8 +26,8 @@ from dpbench.report.formats import (
     strip_markdown,
 )
 from dpbench.report.page.data import PageData
-from dpbench.report.tolerances_text import describe_tolerances_left
-from dpbench.report.verdict_text import (
+from dpbench.report.verdict.tolerances_text import describe_tolerances_left
+from dpbench.report.verdict.verdict_text import (
     describe_finding,
     describe_kinds_of_reasons,
     describe_scaled_p99,

@@ -8,7 +8,7 @@ import pytest
 from dpbench.bench.capability import frontier
 from dpbench.bench.capability.frontier import FROM_DEG, Capability, WindLimit
 from dpbench.bench.sequences.sequence_file import load_sequence
-from dpbench.cli.capability import format_wind_table
+from dpbench.cli.ship.capability import format_wind_table
 from dpbench.scenario.problem_files import find_problem_path
 from dpbench.scenario.scenario import load_vessel
 from dpbench.solvers import table

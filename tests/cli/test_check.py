@@ -9,7 +9,7 @@ import pytest
 from qpsolvers import Problem
 
 from dpbench.bench.sequences.source import read_sequence
-from dpbench.cli import check_ship
+from dpbench.cli.ship import check_ship
 from dpbench.scenario.problem_files import find_problem_path, list_shipped_problem_names
 from tests.cli.conftest import Say
 

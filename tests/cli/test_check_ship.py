@@ -12,8 +12,8 @@ from dpbench.bench.design import (
     find_bracket_in_still_water,
     find_bracket_of_recovery,
 )
-from dpbench.cli import check_ship
 from dpbench.cli.check import check_file
+from dpbench.cli.ship import check_ship
 from dpbench.scenario.own_ship import compute_mean_force_of_dp_number
 from dpbench.scenario.problem_files import find_problem_path, list_shipped_problem_names
 from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.cli.ideal_sensors import describe_ideal_sensors
+from dpbench.cli.ship.ideal_sensors import describe_ideal_sensors
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.cli.main import main
-from dpbench.cli.own_ship import (
+from dpbench.cli.ship.own_ship import (
     OwnShip,
     render_scenario_file,
     render_suite_file,

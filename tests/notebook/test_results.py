@@ -13,7 +13,7 @@ from dpbench import InputError, compare, load_results
 from dpbench.analysis.verdict.requirements import MISSED, STATES
 from dpbench.errors import ResultsError
 from dpbench.notebook.results import Results
-from dpbench.report.ship_text import BANNER
+from dpbench.report.ship.ship_text import BANNER
 
 
 @pytest.fixture(scope="module")

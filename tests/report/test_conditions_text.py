@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.verdict.ship_results import ShipResult, find_ship_results
-from dpbench.report.conditions_text import (
+from dpbench.report.ship.conditions_text import (
     describe_conditions_of_ships,
     list_conditions,
 )

@@ -14,7 +14,7 @@ from dpbench.bench.plan.suite import FormulationName, RandomTable, RouteName
 from dpbench.bench.record import schema
 from dpbench.bench.record.cell import OUTCOMES, Units
 from dpbench.bench.run.backup import FALLBACKS
-from dpbench.cli.check_ship import format_limits_by_axis
+from dpbench.cli.ship.check_ship import format_limits_by_axis
 from dpbench.qp.random_sequence import FAMILIES
 from dpbench.qp.referee.optimum import Kind
 from dpbench.qp.solution import Status

@@ -23,9 +23,9 @@ from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.bench.capability.frontier import FROM_DEG
 from dpbench.report import report
 from dpbench.report.documents.markdown import make_report_markdown
-from dpbench.report.open_losses import OpenLosses, find_open_losses
 from dpbench.report.page.write import make_page_html
 from dpbench.report.report import Report
+from dpbench.report.ship.open_losses import OpenLosses, find_open_losses
 
 LONG = {"steps": 500, "exact_loss_offset_max_m": 0.3, "exact_loss_heading_max_deg": 0.1}
 """A run of 150 s, so of 60 s after the loss."""

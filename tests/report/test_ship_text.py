@@ -13,7 +13,7 @@ from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.cli.main import main
 from dpbench.report.documents.markdown import make_report_markdown
 from dpbench.report.report import Report
-from dpbench.report.ship_text import (
+from dpbench.report.ship.ship_text import (
     BANNER,
     LOST as NOT_HELD,
     NOT_RUN,

@@ -20,7 +20,7 @@ from dpbench.solvers.table import Availability, find_solver_availability
 AVX2, FMA = 0x2, 0x4
 
 IS_NAMED = (os.environ.get(VARIABLE) or CASADI) != CASADI
-"""Whether the variable names a file with a BLASFEO."""
+"""True if the variable names a file with a BLASFEO."""
 
 
 class Blasfeo:

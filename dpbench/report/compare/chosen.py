@@ -24,8 +24,8 @@ from dpbench.report.formats import (
     make_markdown_document,
     strip_markdown,
 )
-from dpbench.report.ship_text import summarise_ships
-from dpbench.report.verdict_text import describe_paired_times
+from dpbench.report.ship.ship_text import summarise_ships
+from dpbench.report.verdict.verdict_text import describe_paired_times
 
 NOTE = (
     "Ratio: time of the second divided by that of the first on the same steps, which were timed by "

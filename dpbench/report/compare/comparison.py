@@ -59,7 +59,7 @@ from dpbench.report.formats import (
     plural,
     significant,
 )
-from dpbench.report.ship_text import summarise_ships
+from dpbench.report.ship.ship_text import summarise_ships
 
 TIMES = (
     *("slower", "faster", "faster, not all verified"),

@@ -20,7 +20,7 @@ from dpbench.analysis.times.paired_times import (
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.time_findings import compute_p99_ns
 from dpbench.report.formats import MISSING, Table, format_interval, format_microseconds
-from dpbench.report.verdict_text import describe_main_reason
+from dpbench.report.verdict.verdict_text import describe_main_reason
 
 
 def make_verdicts_table(a: Records, b: Records, changes: Sequence[VerdictChange]) -> Table | None:

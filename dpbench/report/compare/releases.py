@@ -39,7 +39,7 @@ from dpbench.report.formats import (
     strip_markdown,
 )
 from dpbench.report.page.write import render_figure_markup, render_page
-from dpbench.report.ship_text import summarise_ships
+from dpbench.report.ship.ship_text import summarise_ships
 
 BUSY = 0.05
 """Relative change of the calibration workload that shows a busier machine."""

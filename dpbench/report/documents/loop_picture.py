@@ -14,7 +14,7 @@ from dpbench.bench.run.exact_loop import HEADING_DEG
 from dpbench.report.charts.style import ACCENT, FAIL, INK, SOFT
 from dpbench.report.formats import join_with_and, significant
 from dpbench.report.page.data import PageData
-from dpbench.report.ship_text import list_losses
+from dpbench.report.ship.ship_text import list_losses
 
 POINTS = 150  # Corners of a line, at most: one a point of a page
 GAP = 24.0  # Space between panels [points]

@@ -37,7 +37,18 @@ from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe
-from dpbench.report.capability_text import (
+from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
+from dpbench.report.commands_text import (
+    describe_commands,
+    describe_machine_states,
+    describe_turns,
+)
+from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
+from dpbench.report.formats import format_time, join_with_and, strip_markdown
+from dpbench.report.page.data import PageData
+from dpbench.report.page.recommendation import Recommendation, list_speed_margin_sentences
+from dpbench.report.page.terms import DRAG_MISMATCH
+from dpbench.report.ship.capability_text import (
     describe_answers_at_edge,
     describe_capability,
     describe_consequence_solver,
@@ -45,22 +56,16 @@ from dpbench.report.capability_text import (
     describe_unanswered_qps,
     describe_worst_loss,
 )
-from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
-from dpbench.report.commands_text import (
-    describe_commands,
-    describe_machine_states,
-    describe_turns,
+from dpbench.report.ship.controller_text import describe_controllers, list_model_gaps
+from dpbench.report.ship.open_losses import find_open_losses
+from dpbench.report.ship.ship_text import (
+    describe_ship,
+    describe_unmet,
+    list_losses,
+    summarise_ships,
 )
-from dpbench.report.controller_text import describe_controllers, list_model_gaps
-from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
-from dpbench.report.formats import format_time, join_with_and, strip_markdown
-from dpbench.report.open_losses import find_open_losses
-from dpbench.report.page.data import PageData
-from dpbench.report.page.recommendation import Recommendation, list_speed_margin_sentences
-from dpbench.report.page.terms import DRAG_MISMATCH
-from dpbench.report.ship_text import describe_ship, describe_unmet, list_losses, summarise_ships
-from dpbench.report.thrust_text import describe_thrust_after_loss
-from dpbench.report.verdict_text import (
+from dpbench.report.ship.thrust_text import describe_thrust_after_loss
+from dpbench.report.verdict.verdict_text import (
     describe_deployment,
     describe_hardest_wait,
     describe_judged_runs,

@@ -32,7 +32,6 @@ from dpbench.analysis.verdict.verdict import (
 from dpbench.bench.judge.rules import LEAST_STRETCH
 from dpbench.bench.record.cell import Configuration
 from dpbench.errors import InputError, format_allowed_names
-from dpbench.report.capability_text import describe_consequence_solver, describe_unanswered_qps
 from dpbench.report.commands_text import describe_machine, describe_turns
 from dpbench.report.embedded_text import list_embedded_cost_sentences
 from dpbench.report.formats import (
@@ -43,9 +42,10 @@ from dpbench.report.formats import (
     plural,
 )
 from dpbench.report.page.data import PageData
-from dpbench.report.ship_text import ShipSummary, summarise_ships
-from dpbench.report.tolerances_text import describe_tolerances_left
-from dpbench.report.verdict_text import (
+from dpbench.report.ship.capability_text import describe_consequence_solver, describe_unanswered_qps
+from dpbench.report.ship.ship_text import ShipSummary, summarise_ships
+from dpbench.report.verdict.tolerances_text import describe_tolerances_left
+from dpbench.report.verdict.verdict_text import (
     NOBODY,
     describe_deployment,
     describe_findings,

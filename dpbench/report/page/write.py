@@ -48,7 +48,7 @@ from dpbench.report.page.recommendation import Recommendation, format_python_cal
 from dpbench.report.page.section import Topic
 from dpbench.report.page.terms import GlossaryEntry, Terms, describe_experiments
 from dpbench.report.page.vendored import list_vendored_scripts, read_script
-from dpbench.report.verdict_text import (
+from dpbench.report.verdict.verdict_text import (
     describe_hardest_wait,
     describe_lateness,
     describe_longest_wait,

@@ -13,12 +13,6 @@ from dpbench.analysis.suites.capability import (
     build_capability_results,
     build_consequence_analyses,
 )
-from dpbench.report.capability_text import (
-    describe_answers_at_edge,
-    describe_capability,
-    describe_losses_held,
-    describe_required_force,
-)
 from dpbench.report.charts.capability import (
     ANSWERS,
     NOTHING,
@@ -32,6 +26,12 @@ from dpbench.report.charts.capability import (
 )
 from dpbench.report.formats import Table, format_sample_share, join_with_counts, plural
 from dpbench.report.page.section import Figure, Topic
+from dpbench.report.ship.capability_text import (
+    describe_answers_at_edge,
+    describe_capability,
+    describe_losses_held,
+    describe_required_force,
+)
 
 
 def build_capability_topic(records: Records, table: pd.DataFrame | None) -> Topic | None:

@@ -50,7 +50,7 @@ from dpbench.report.study_effects_table import (
     tabulate_effects,
     tabulate_interactions,
 )
-from dpbench.report.verdict_text import name_counts
+from dpbench.report.verdict.verdict_text import name_counts
 
 CHEAPER_THAN_EXACT = (
     "A cost below that of the reference loop is no error: an exact solution minimises the "

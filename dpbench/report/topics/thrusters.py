@@ -40,8 +40,8 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.page.section import Topic
-from dpbench.report.thrust_text import describe_thrust_after_loss
-from dpbench.report.verdict_text import describe_hardest_wait
+from dpbench.report.ship.thrust_text import describe_thrust_after_loss
+from dpbench.report.verdict.verdict_text import describe_hardest_wait
 
 MOST_ROWS = 8
 """Rows on the page, the most often right first; the file has all."""

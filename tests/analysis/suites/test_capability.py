@@ -15,8 +15,8 @@ from dpbench.analysis.suites.capability import (
 )
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
-from dpbench.report.capability_text import describe_capability, describe_worst_loss
 from dpbench.report.documents import statement
+from dpbench.report.ship.capability_text import describe_capability, describe_worst_loss
 from dpbench.report.topics.capability import build_capability_topic
 from tests.result_folder import StepsInMemory
 

@@ -19,8 +19,8 @@ from dpbench.analysis.suites.capability import (
 )
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_step_columns
-from dpbench.report import capability_text
-from dpbench.report.capability_text import (
+from dpbench.report.ship import capability_text
+from dpbench.report.ship.capability_text import (
     describe_consequence_solver,
     describe_losses_held,
     describe_unanswered_qps,

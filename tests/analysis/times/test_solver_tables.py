@@ -26,7 +26,7 @@ from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.report.documents.markdown import make_report_markdown
 from dpbench.report.formats import significant
 from dpbench.report.report import Report
-from dpbench.report.verdict_text import describe_paired_times
+from dpbench.report.verdict.verdict_text import describe_paired_times
 from dpbench.solvers.calibration import COPY_ONLY
 from dpbench.solvers.settings import has_distinct_tolerance_presets, list_preset_names
 from dpbench.solvers.table import find_solver_record

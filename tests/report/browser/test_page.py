@@ -15,7 +15,7 @@ from dpbench.analysis.verdict.requirements import LATE
 from dpbench.bench.record.cell import Configuration
 from dpbench.report.formats import format_rounded_down
 from dpbench.report.page.recommendation import format_python_call
-from dpbench.report.verdict_text import describe_lateness
+from dpbench.report.verdict.verdict_text import describe_lateness
 from dpbench.report.write import write_report
 from dpbench.scenario.scenario import load_scenario
 from tests.conftest import MadeRecords

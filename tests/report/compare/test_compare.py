@@ -23,7 +23,7 @@ from dpbench.report.compare.page import (
     make_lead_sentences,
     write_comparison,
 )
-from dpbench.report.ship_text import BANNER
+from dpbench.report.ship.ship_text import BANNER
 from tests.conftest import MadeRecords
 from tests.report.conftest import run_row
 from tests.result_folder import StepsInMemory, write_results

@@ -13,7 +13,7 @@ from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.report.compare.releases import releases, write_releases
-from dpbench.report.ship_text import BANNER
+from dpbench.report.ship.ship_text import BANNER
 from tests.report.conftest import run_row
 from tests.result_folder import StepsInMemory, write_results
 

@@ -17,7 +17,6 @@ import pytest
 import vl_convert as vlc
 
 from dpbench.cli.main import main
-from dpbench.report.controller_text import describe_controllers, list_model_gaps
 from dpbench.report.documents import statement
 from dpbench.report.documents.statement import (
     HEIGHT,
@@ -27,10 +26,11 @@ from dpbench.report.documents.statement import (
     make_statement_svg,
 )
 from dpbench.report.formats import format_error, format_time
-from dpbench.report.open_losses import OpenLosses
 from dpbench.report.page.recommendation import list_speed_margin_sentences
 from dpbench.report.report import Report
-from dpbench.report.ship_text import BANNER
+from dpbench.report.ship.controller_text import describe_controllers, list_model_gaps
+from dpbench.report.ship.open_losses import OpenLosses
+from dpbench.report.ship.ship_text import BANNER
 from dpbench.scenario.own_thrusters import (
     describe_own_wind_areas,
     list_assumptions_on_vessel,

@@ -31,7 +31,7 @@ from dpbench.report.page.recommendation import (
 )
 from dpbench.report.page.write import make_page_document
 from dpbench.report.report import Report
-from dpbench.report.verdict_text import format_p99_interval
+from dpbench.report.verdict.verdict_text import format_p99_interval
 
 
 def _facts(records: Any) -> PageData:

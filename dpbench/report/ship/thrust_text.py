@@ -5,7 +5,7 @@ import numpy as np
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
-from dpbench.report.ship_text import list_losses
+from dpbench.report.ship.ship_text import list_losses
 
 TAIL_S = 60.0
 """End of a run over which the used thrust is averaged [s]."""

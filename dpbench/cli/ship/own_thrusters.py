@@ -17,7 +17,7 @@ from dpbench.bench.capability.frontier import (
     compute_capability,
 )
 from dpbench.bench.capability.utilisation import ThrusterReach
-from dpbench.cli.capability import (
+from dpbench.cli.ship.capability import (
     caution_on_rudders,
     floor_to_tenth,
     format_notation,

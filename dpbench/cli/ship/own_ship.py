@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dpbench.cli.ideal_sensors import SENSOR_TABLES, describe_missing_tables
-from dpbench.cli.own_thrusters import (
+from dpbench.cli.ship.ideal_sensors import SENSOR_TABLES, describe_missing_tables
+from dpbench.cli.ship.own_thrusters import (
     HeldSea,
     OwnThrusters,
     WeakSide,

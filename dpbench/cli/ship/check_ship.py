@@ -16,15 +16,15 @@ from dpbench.bench.design import (
     find_bracket_in_still_water,
 )
 from dpbench.bench.progress import Progress, Silent
-from dpbench.cli.ideal_sensors import describe_ideal_sensors
+from dpbench.cli.ship.ideal_sensors import describe_ideal_sensors
 from dpbench.cli.terminal import WIDTH
-from dpbench.report.controller_text import describe_unused_turning
 from dpbench.report.formats import (
     format_rounded_down,
     format_rounded_up,
     join_with_and,
     significant,
 )
+from dpbench.report.ship.controller_text import describe_unused_turning
 from dpbench.scenario.own_ship import SPARE
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.ship import characteristics as ships

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.run.exact_loop import HEADING_DEG
-from dpbench.report.conditions_text import describe_conditions_of_ships
 from dpbench.report.formats import format_share, join_with_and, plural, significant
+from dpbench.report.ship.conditions_text import describe_conditions_of_ships
 from dpbench.scenario.scenario import Scenario
 from dpbench.scenario.stability import describe_unstable_loop
 

@@ -22,7 +22,7 @@ from dpbench.analysis.suites.capability import (
 from dpbench.analysis.verdict.verdict import explain_deployment_blocker
 from dpbench.bench.capability.frontier import INTACT
 from dpbench.report.formats import format_rounded_down, join_with_and, plural, significant
-from dpbench.report.ship_text import find_weather_direction
+from dpbench.report.ship.ship_text import find_weather_direction
 from dpbench.ship.thrusters import ThrusterSet
 
 

@@ -16,9 +16,9 @@ from dpbench.analysis.records.run_record import group_by_key
 from dpbench.analysis.suites.capability import LOST, CapabilityResult, ConsequenceAnalysis
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.capability.frontier import FROM_DEG, INTACT
-from dpbench.report.capability_text import describe_analysed_window, describe_time_held
 from dpbench.report.formats import format_rounded_down, join_with_and, plural, significant
-from dpbench.report.ship_text import MOST_NAMED, list_losses
+from dpbench.report.ship.capability_text import describe_analysed_window, describe_time_held
+from dpbench.report.ship.ship_text import MOST_NAMED, list_losses
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import ThrusterSet
 

@@ -52,7 +52,7 @@ from dpbench.report.formats import (
     significant,
     strip_markdown,
 )
-from dpbench.report.late_times_text import describe_late_times, group_late_times
+from dpbench.report.verdict.late_times_text import describe_late_times, group_late_times
 from dpbench.report.words import read_words
 from dpbench.solvers.contract import DEFAULT
 

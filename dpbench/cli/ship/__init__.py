@@ -1,0 +1,1 @@
+"""Commands on a ship: written from its particulars, checked, its capability plot."""

@@ -1,0 +1,1 @@
+"""The ship in words: station keeping, conditions, controller, thrust left, capability."""

@@ -1,0 +1,1 @@
+"""Verdicts in words: reasons, late times, custom settings, tolerances."""
