@@ -47,6 +47,10 @@ from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.commands_text import describe_machine_states
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import Table, escape_markdown, strip_markdown
+from dpbench.report.own_settings_text import (
+    describe_own_settings,
+    describe_own_settings_in_si,
+)
 from dpbench.report.page.data import PageData
 from dpbench.report.page.live import draw_section_charts, select_static_charts
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
@@ -56,10 +60,6 @@ from dpbench.report.study_effects_table import build_effects_table, build_intera
 from dpbench.report.topics.all import build_topics
 from dpbench.report.topics.embedded import tabulate_counts
 from dpbench.report.topics.study import yield_disturbance_sentences
-from dpbench.report.verdict.own_settings_text import (
-    describe_own_settings,
-    describe_own_settings_in_si,
-)
 from dpbench.report.verdict.verdict_text import (
     describe_calibration,
     describe_which_solvers_pass,

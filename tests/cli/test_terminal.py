@@ -14,8 +14,9 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
+from dpbench.cli import doctor
 from dpbench.cli.main import _CALLS, main
-from dpbench.cli.ship import check_ship, doctor
+from dpbench.cli.ship import check_ship
 from dpbench.cli.terminal import (
     WIDTH,
     ProgressBar,

@@ -41,13 +41,13 @@ from dpbench.report.formats import (
     one_line,
     plural,
 )
+from dpbench.report.own_settings_text import describe_failing_settings_and_grids
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
 from dpbench.report.ship.ship_text import ShipSummary
 from dpbench.report.topics.study import yield_disturbance_sentences
-from dpbench.report.verdict.own_settings_text import describe_failing_settings_and_grids
 from dpbench.report.verdict.verdict_text import (
     describe_answer,
     describe_findings,

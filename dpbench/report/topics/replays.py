@@ -48,8 +48,8 @@ from dpbench.report.formats import (
     plural,
     significant,
 )
+from dpbench.report.own_settings_text import describe_best_of_grids
 from dpbench.report.page.section import Topic
-from dpbench.report.verdict.own_settings_text import describe_best_of_grids
 from dpbench.report.verdict.verdict_text import (
     describe_answer,
     describe_paired_times,

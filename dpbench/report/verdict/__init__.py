@@ -1,1 +1,1 @@
-"""Verdicts in words: reasons, late times, custom settings, tolerances."""
+"""Verdicts in words: reasons, late times, tolerances left at a default."""

@@ -7,9 +7,9 @@ from typing import Any
 from dpbench.analysis.suites.anytime import group_limited_runs
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
+from dpbench.report.own_settings_text import describe_own_settings
 from dpbench.report.report import Report
 from dpbench.report.topics.anytime import build_anytime_topic
-from dpbench.report.verdict.own_settings_text import describe_own_settings
 from dpbench.solvers.settings import find_options_of_preset
 
 COSTS = {
