@@ -62,6 +62,9 @@ def test_conditions_follow_from_the_scenario() -> None:
     assert "passive observer without wave filter" in list_conditions(_ship("a", observer).run)
     losses = {"plant": {"thrust_loss_percent": [10.0, 0.0, 5.0]}}
     assert _text(_ship("a", losses)).endswith("thrust loss 10/0/5 %")
+    linear = _ship("a", {})
+    linear.run.scenario_documents["vessel"] = {"drag": "linear"}
+    assert _text(linear) == IDEAL
 
 
 def test_scenarios_with_equal_conditions_are_named_together() -> None:

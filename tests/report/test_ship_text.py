@@ -253,6 +253,12 @@ def test_each_condition_is_unmet_until_a_scenario_contains_it(condition: str) ->
     assert "gusts" in describe_unmet([], [still])
 
 
+def test_a_table_of_wave_motion_without_keys_is_met() -> None:
+    """The motion is then that of the waves of the weather."""
+    moved = load_scenario("weather").with_keys({"environment.waves.motion": {}})
+    assert "first-order wave motion" not in describe_unmet([], [moved])
+
+
 def test_a_ship_with_cross_flow_drag_has_another_damping_than_its_model() -> None:
     plain, other = load_scenario("weather"), load_scenario("weather@osv")
     assert plain.files["vessel"].get("drag", "linear") == "linear"

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dpbench.report.formats import join_with_and
+from dpbench.scenario.conditions import read_conditions
 
 SENSOR_TABLES = {
     "motion": "first-order wave motion ([environment.waves.motion])",
@@ -15,14 +16,13 @@ SENSOR_TABLES = {
 
 def describe_ideal_sensors(scenario: Mapping[str, Any]) -> str:
     """Return a sentence on what a scenario in waves lacks of sensors and estimator, or ""."""
-    weather, estimator = scenario.get("environment") or {}, scenario.get("estimator") or {}
-    waves = weather.get("waves") or {}
+    known = read_conditions(scenario)
     has = {
-        "motion": waves.get("motion") is not None,
-        "noise": any((weather.get("noise") or {}).values()),
-        "estimator": estimator.get("kind", "measured") != "measured",
+        "motion": known.has_motion,
+        "noise": any(known.noise),
+        "estimator": known.estimator != "measured",
     }
-    return describe_missing_tables([name for name in has if waves and not has[name]])
+    return describe_missing_tables([name for name in has if known.has_waves and not has[name]])
 
 
 def describe_missing_tables(names: Sequence[str]) -> str:

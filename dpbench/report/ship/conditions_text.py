@@ -1,12 +1,12 @@
 """Text on the conditions of each ship result: sensors, estimator, lag, delay and mismatch."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.report.formats import join_with_and, plural
+from dpbench.scenario.conditions import Conditions, read_conditions
 
 MOST_LISTED = 12
 """Scenarios of equal conditions that are named; more are counted."""
@@ -45,41 +45,34 @@ def describe_conditions_of_ships(ships: Sequence[ShipResult]) -> str:
 def list_conditions(run: RunRecord) -> tuple[str, ...]:
     """Return sensors, estimator, lag, delay and mismatch of a run's scenario as texts."""
     documents = run.scenario_documents or {}
-    scenario, vessel = documents.get("scenario") or {}, documents.get("vessel") or {}
-    plant = scenario.get("plant") or {}
-    return *_list_sensors(scenario), *_list_differences(plant, vessel)
+    known = read_conditions(documents.get("scenario") or {}, documents.get("vessel"))
+    return *_list_sensors(known), *_list_differences(known)
 
 
-def _list_sensors(scenario: Mapping[str, Any]) -> Iterator[str]:
+def _list_sensors(known: Conditions) -> Iterator[str]:
     """Yield what the controller measures and how it is filtered, as text."""
-    weather, estimator = scenario.get("environment") or {}, scenario.get("estimator") or {}
-    noise, waves = weather.get("noise") or {}, weather.get("waves") or {}
-    has_motion = waves.get("motion") is not None
-    kind = estimator.get("kind", "measured")
-    if any(noise.values()):
-        yield f"measurement noise ({noise['position_m']:g} m, {noise['heading_deg']:g}°)"
+    if any(known.noise):
+        yield "measurement noise ({:g} m, {:g}°)".format(*known.noise)
     else:
         yield "exact sensors"
-    yield "first-order wave motion" if has_motion else "no first-order wave motion"
-    unfiltered = kind != "measured" and not estimator.get("wave_filter", True)
-    yield ESTIMATORS.get(kind, str(kind)) + " without wave filter" * unfiltered
+    yield "first-order wave motion" if known.has_motion else "no first-order wave motion"
+    unfiltered = known.estimator != "measured" and not known.has_wave_filter
+    yield ESTIMATORS.get(known.estimator, known.estimator) + " without wave filter" * unfiltered
 
 
-def _list_differences(plant: Mapping[str, Any], vessel: Mapping[str, Any]) -> Iterator[str]:
+def _list_differences(known: Conditions) -> Iterator[str]:
     """Yield how the simulated ship differs from the controller's model, as text."""
-    lag_s, delay = plant.get("thruster_lag_s"), plant.get("delay_samples")
-    is_fmu = bool(plant.get("fmu"))
-    if lag_s or not is_fmu:
-        yield f"thruster lag {lag_s:g} s" if lag_s else "no thruster lag"
-    yield f"delay of {plural(delay, 'sample')}" if delay else "no delay"
-    if is_fmu:
+    if known.lag_s or not known.is_fmu:
+        yield f"thruster lag {known.lag_s:g} s" if known.lag_s else "no thruster lag"
+    yield f"delay of {plural(known.delay_samples, 'sample')}" if known.delay_samples else "no delay"
+    if known.is_fmu:
         yield "the ship is an FMU with its own lag and mismatch"
         return
-    shares = {what: plant.get(f"{what}_percent") for what in ("mass", "damping")}
+    shares = {"mass": known.mass_percent, "damping": known.damping_percent}
     found = [f"{what} {share:+g} %" for what, share in shares.items() if share]
-    if any(plant.get("thrust_loss_percent") or ()):
-        losses = "/".join(f"{share:g}" for share in plant["thrust_loss_percent"])
+    if any(known.thrust_loss_percent):
+        losses = "/".join(f"{share:g}" for share in known.thrust_loss_percent)
         found.append(f"thrust loss {losses} %")
-    if vessel.get("drag"):
+    if known.has_drag:
         found.append("cross-flow drag against a linear model")
     yield f"mismatch: {', '.join(found)}" if found else "no model mismatch"

@@ -9,6 +9,7 @@ from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.run.exact_loop import HEADING_DEG
 from dpbench.report.formats import format_share, join_with_and, plural, significant
 from dpbench.report.ship.conditions_text import describe_conditions_of_ships
+from dpbench.scenario.conditions import read_conditions
 from dpbench.scenario.scenario import Scenario
 from dpbench.scenario.stability import describe_unstable_loop
 
@@ -208,23 +209,25 @@ def _list_conditions(scenario: Scenario) -> dict[str, bool]:
     An FMU may have any mass, damping and lag.
     """
     document = scenario.files["scenario"]
-    weather, plant = document.get("environment") or {}, document.get("plant") or {}
-    waves, fmu = weather.get("waves") or {}, plant.get("fmu")
-    has_drag = scenario.vessel.drag is not None
+    weather, known = (
+        document.get("environment") or {},
+        read_conditions(document, scenario.files["vessel"]),
+    )
     return {
         "a loss of thrusters or limits": bool(document.get("faults")),
-        "waves": bool(waves),
-        "first-order wave motion": bool(waves.get("motion")),
+        "waves": known.has_waves,
+        "first-order wave motion": known.has_motion,
         "gusts": (weather.get("wind") or {}).get("gusts", "none") != "none",
         "squalls": bool(weather.get("squalls")),
-        "measurement noise": bool(weather.get("noise")),
-        "a state estimator": (document.get("estimator") or {}).get("kind", "measured")
-        != "measured",
-        "thruster lag": bool(plant.get("thruster_lag_s") or fmu),
-        "actuator delay": bool(plant.get("delay_samples")),
-        "thrust below that commanded": any(plant.get("thrust_loss_percent") or ()),
-        "a model mismatch of the mass": bool(plant.get("mass_percent") or fmu),
-        "a model mismatch of the damping": bool(plant.get("damping_percent") or fmu or has_drag),
+        "measurement noise": any(known.noise),
+        "a state estimator": known.estimator != "measured",
+        "thruster lag": known.lag_s > 0.0 or known.is_fmu,
+        "actuator delay": known.delay_samples > 0,
+        "thrust below that commanded": any(known.thrust_loss_percent),
+        "a model mismatch of the mass": known.mass_percent != 0.0 or known.is_fmu,
+        "a model mismatch of the damping": known.damping_percent != 0.0
+        or known.has_drag
+        or known.is_fmu,
     }
 
 
