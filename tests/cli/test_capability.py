@@ -118,7 +118,7 @@ def test_solvers_are_asked_at_the_edge_and_judged(
     say: Say, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(frontier, "DIRECTIONS", 4)
-    for module in ("bench.capability.frontier", "bench.capability.edge_qps", "cli.capability"):
+    for module in ("bench.capability.frontier", "bench.capability.edge_qps", "cli.ship.capability"):
         monkeypatch.setattr(f"dpbench.{module}.FROM_DEG", (20.0, 110.0, 200.0, 290.0))
     words = "capability osv --sides 12 --solver quadprog --out edge"
     table = say(*words.split()).split("static allocations")[1]
