@@ -71,7 +71,7 @@ def states(faults: Sequence[str], folder: Path) -> dict[str, tuple[str, str]]:
     from dpbench import load_results, run_campaign
     from dpbench.analysis.verdict.verdict import list_best_verdict_of_each_solver
     from dpbench.report.report import Report
-    from dpbench.report.verdict.verdict_text import describe_findings
+    from dpbench.report.verdict.findings_text import describe_findings
     from dpbench.solvers.table import load_plugin_solver_from_file
 
     shutil.rmtree(Path(tempfile.gettempdir()) / f"dpbench-dishonest-{os.getuid()}", True)

@@ -21,7 +21,7 @@ from dpbench.errors import InputError, SituationError
 from dpbench.notebook.runs import Run, replay
 from dpbench.qp.program import ARRAYS, QPSequence, QPStep, QuadraticProgram
 from dpbench.report.formats import format_error, plural
-from dpbench.report.verdict.verdict_text import describe_caching_sign
+from dpbench.report.verdict.findings_text import describe_caching_sign
 from dpbench.solvers.contract import Workspace
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import load_plugin_solver_from_file

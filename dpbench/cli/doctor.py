@@ -6,7 +6,7 @@ from dpbench.bench.record.energy import find_energy_counters
 from dpbench.bench.record.machine import describe_machine
 from dpbench.cli.terminal import wrap_paragraph
 from dpbench.report.formats import MISSING
-from dpbench.report.verdict import verdict_text as verdict
+from dpbench.report.verdict import machine_text as verdict
 from dpbench.solvers.releases import find_newer_releases
 from dpbench.solvers.table import find_solver_availability, list_all_solver_names
 

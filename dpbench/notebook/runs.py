@@ -50,7 +50,7 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.ship.ship_text import ShipSummary, summarise_ships
-from dpbench.report.verdict.verdict_text import describe_caching_sign
+from dpbench.report.verdict.findings_text import describe_caching_sign
 from dpbench.scenario.plants.contract import PlantMaker
 from dpbench.scenario.plants.linear_mpc import LinearMPC
 from dpbench.scenario.scenario import Scenario, resolve_to_scenario

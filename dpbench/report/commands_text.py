@@ -9,7 +9,7 @@ from dpbench.analysis.times.machine import select_timed_replays, sum_disturbance
 from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import SuiteDescription
 from dpbench.report.formats import join_with_and, plural
-from dpbench.report.verdict.verdict_text import describe_disturbance
+from dpbench.report.verdict.machine_text import describe_disturbance
 from dpbench.solvers.calibration import CALIBRATION
 
 MOST_COMMANDS = 3

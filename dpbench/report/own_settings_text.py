@@ -26,9 +26,9 @@ from dpbench.report.formats import (
     strip_markdown,
 )
 from dpbench.report.page.data import PageData
+from dpbench.report.verdict.findings_text import describe_finding
 from dpbench.report.verdict.tolerances_text import describe_tolerances_left
 from dpbench.report.verdict.verdict_text import (
-    describe_finding,
     describe_kinds_of_reasons,
     describe_scaled_p99,
     format_usual_time,

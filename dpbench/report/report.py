@@ -60,10 +60,8 @@ from dpbench.report.study_effects_table import build_effects_table, build_intera
 from dpbench.report.topics.all import build_topics
 from dpbench.report.topics.embedded import tabulate_counts
 from dpbench.report.topics.study import yield_disturbance_sentences
-from dpbench.report.verdict.verdict_text import (
-    describe_calibration,
-    describe_which_solvers_pass,
-)
+from dpbench.report.verdict.machine_text import describe_calibration
+from dpbench.report.verdict.verdict_text import describe_which_solvers_pass
 from dpbench.report.words import read_words, render_document
 
 TERMINAL_NOTES = (

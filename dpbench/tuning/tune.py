@@ -32,7 +32,7 @@ from dpbench.report.formats import (
     significant,
     strip_markdown,
 )
-from dpbench.report.verdict.verdict_text import describe_finding
+from dpbench.report.verdict.findings_text import describe_finding
 from dpbench.solvers.contract import Options, Policy, Route
 from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.solvers.settings import find_options_of_preset, format_library_call

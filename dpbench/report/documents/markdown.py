@@ -48,16 +48,15 @@ from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
 from dpbench.report.ship.ship_text import ShipSummary
 from dpbench.report.topics.study import yield_disturbance_sentences
+from dpbench.report.verdict.findings_text import describe_findings, name_experiment
 from dpbench.report.verdict.verdict_text import (
     describe_answer,
-    describe_findings,
     describe_hardest_wait,
     describe_paired_times,
     describe_requirements,
     describe_short_times,
     describe_which_solvers_pass,
     format_p99_interval,
-    name_experiment,
 )
 
 MOST_BYTES = 9000

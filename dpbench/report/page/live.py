@@ -34,7 +34,7 @@ from dpbench.report.page.data import (
     select_tiles,
 )
 from dpbench.report.page.section import Section
-from dpbench.report.verdict.verdict_text import shorten_findings
+from dpbench.report.verdict.findings_text import shorten_findings
 
 Charts = dict[str, Any]
 

@@ -44,11 +44,11 @@ from dpbench.report.formats import (
 from dpbench.report.page.data import PageData
 from dpbench.report.ship.capability_text import describe_consequence_solver, describe_unanswered_qps
 from dpbench.report.ship.ship_text import ShipSummary, summarise_ships
+from dpbench.report.verdict.findings_text import describe_findings
 from dpbench.report.verdict.tolerances_text import describe_tolerances_left
 from dpbench.report.verdict.verdict_text import (
     NOBODY,
     describe_deployment,
-    describe_findings,
     describe_hardest_wait,
     describe_judged_runs,
     describe_longest_wait,

@@ -48,12 +48,12 @@ from dpbench.report.page.recommendation import Recommendation, format_python_cal
 from dpbench.report.page.section import Topic
 from dpbench.report.page.terms import GlossaryEntry, Terms, describe_experiments
 from dpbench.report.page.vendored import list_vendored_scripts, read_script
+from dpbench.report.verdict.findings_text import name_experiment
 from dpbench.report.verdict.verdict_text import (
     describe_hardest_wait,
     describe_lateness,
     describe_longest_wait,
     describe_p99_interval,
-    name_experiment,
 )
 from dpbench.report.words import topics as glossary
 

@@ -31,7 +31,7 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.page.section import Figure, Topic
-from dpbench.report.verdict.verdict_text import (
+from dpbench.report.verdict.machine_text import (
     list_disturbance_facts,
     list_machine_facts,
     list_switching_solvers,

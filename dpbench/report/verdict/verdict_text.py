@@ -11,14 +11,11 @@ from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_fir
 from dpbench.analysis.records.run_steps import RunSteps
 from dpbench.analysis.statistics import LEAST_STEPS, Interval
 from dpbench.analysis.times.machine import (
-    find_largest_by_name,
     find_shortest_wait_ns,
-    sum_disturbances,
 )
 from dpbench.analysis.times.paired_times import PairedComparison
 from dpbench.analysis.verdict.requirements import (
     LATE,
-    PERHAPS_BY_MACHINE,
     Finding,
     Requirements,
     State,
@@ -28,32 +25,26 @@ from dpbench.analysis.verdict.verdict import (
     SolverChoice,
     Verdict,
     Verdicts,
-    explain_outcome,
     find_solver_record_or_none,
     list_best_verdict_of_each_solver,
 )
-from dpbench.bench.judge.answer_caching import CachingSign
-from dpbench.bench.judge.calibration import is_within_tolerance
 from dpbench.bench.judge.rules import LEAST_STRETCH
 from dpbench.bench.record.cell import Configuration
-from dpbench.bench.record.disturbance import Disturbance
-from dpbench.bench.record.result_folder import MachineDescription
 from dpbench.qp.residuals import TRUE_TOL
 from dpbench.report.formats import (
-    MISSING,
-    describe_range_of_steps,
     describe_wait,
-    format_count,
     format_error,
-    format_share,
     format_time,
     join_with_and,
     plural,
     significant,
     strip_markdown,
 )
-from dpbench.report.verdict.late_times_text import describe_late_times, group_late_times
-from dpbench.report.words import read_words
+from dpbench.report.verdict.findings_text import (
+    describe_findings,
+    describe_machine_state,
+    name_experiment,
+)
 from dpbench.solvers.contract import DEFAULT
 
 MOST_NAMED = 3
@@ -200,7 +191,7 @@ def describe_first_finding(findings: Sequence[Finding]) -> str:
 
 def _describe_first(findings: Sequence[Finding]) -> str:
     """Return the first reason for a verdict, or all where a disturbed machine may be the first."""
-    shown = findings if _describe_machine_state(findings[:1]) else findings[:1]
+    shown = findings if describe_machine_state(findings[:1]) else findings[:1]
     return describe_findings(shown)
 
 
@@ -432,140 +423,6 @@ def describe_short_times(records: Records, compared: Sequence[Verdict]) -> str:
     )
 
 
-def describe_findings(findings: Sequence[Finding]) -> str:
-    """Return the reasons for a verdict as clauses joined by semicolons.
-
-    The machine's state comes first where it may be the reason of one of them. Times above one
-    limit are one clause.
-    """
-    clauses = [
-        describe_finding(alike[0]) if len(alike) == 1 else describe_late_times(alike)
-        for alike in group_late_times(findings)
-    ]
-    return "; ".join([*_describe_machine_state(findings), *clauses])
-
-
-def _describe_machine_state(findings: Sequence[Finding]) -> list[str]:
-    """Return a clause on disturbed rounds that may be the reason of a finding; none without any."""
-    perhaps = [f for f in findings if f.kind in PERHAPS_BY_MACHINE]
-    runs = {run.run_id: run for f in perhaps for run in f.runs if run.disturbed_rounds > 0}
-    if not runs:
-        return []
-    state, where = sum_disturbances([*runs.values()]), _name_experiments([*runs.values()])
-    of_all = f"{format_count(state.disturbed)} of {plural(state.rounds, 'round')}"
-    return [f"other work disturbed {of_all} of {where}"]
-
-
-_WORDS: dict[str, str] = read_words(__file__)["findings"]
-_SHORT_WORDS: dict[str, str] = read_words(__file__)["short"]
-_CACHING: dict[str, str] = read_words(__file__)["caching"]
-_ENDINGS: dict[str, str] = read_words(__file__)["endings"]
-
-
-def shorten_findings(kinds: str) -> str:
-    """Return kinds of findings, joined by commas as in the table of verdicts, in a few words."""
-    return "; ".join(_SHORT_WORDS[kind] for kind in kinds.split(", ") if kind)
-
-
-def _describe_ending(status: str, run: RunRecord) -> str:
-    """Return in words what ended failed steps of a run, and what is known of its solver's.
-
-    Of inaccurate answers, the iterations.
-    """
-    ending = _ENDINGS.get(status, f"the solver reports status {status}")
-    record = find_solver_record_or_none(run.configuration.solver)
-    known = (
-        {} if record is None else {key.name: text for key, text in record.known_failures.items()}
-    )
-    if status in known:
-        return f"{ending} (known of `{run.configuration.solver}`: {known[status]})"
-    if status == "INACCURATE" and not isnan(run.iterations_max):
-        return f"{ending} after at most {format_count(run.iterations_max)} iterations"
-    return ending
-
-
-def describe_caching_sign(solver: str, sign: CachingSign | None) -> str:
-    """Return in words what of a replay's times looks like cached answers; "" for none.
-
-    Cached answers are named as the cause only of a solver that may keep them.
-    """
-    if sign is None:
-        return ""
-    name, value = sign
-    text = _CACHING[name].format(value=significant(value, 2), share=format_share(value))
-    record = find_solver_record_or_none(solver)
-    known = record is not None and record.extra != "plugin" and not record.keeps_answers
-    return text if known else f"{text}: {_CACHING['cause']}"
-
-
-def describe_finding(finding: Finding) -> str:
-    """Return one reason for a verdict, as a late or wrong step, as a clause."""
-    words = {"value": finding.value, "steps": plural(finding.steps, "step")}
-    if not finding.runs:
-        return _WORDS[finding.kind].format(**words)
-    first, *others = finding.runs
-    window_of = first.scenario if first.steps_searched_for_hardest else ""
-    also = _name_experiments(others, window_of)
-    kind: str = finding.kind
-    if kind == "failed" and finding.steps:
-        kind = "failed steps"
-    elif kind == "failed" and first.mode == "replay":
-        # Failures in all rounds and the warm-up: their number may exceed that of steps.
-        kind = "failed answers"
-    all_steps = plural(first.steps_done, "step")
-    over = f", above the limit in {format_count(finding.steps)} of {all_steps}"
-    over *= finding.steps > 0
-    return _WORDS[kind].format(
-        **words,
-        where=name_experiment(first),
-        experiments=_name_experiments(finding.runs),
-        detail=explain_outcome(first),
-        number=format_count(finding.steps),
-        answers="answer" if finding.value == 1 else "answers",
-        fail="fails" if (finding.steps or finding.value) == 1 else "fail",
-        ending=_describe_ending(finding.status, first),
-        caching=describe_caching_sign(first.configuration.solver, first.caching_sign),
-        outcome=first.outcome,
-        planned=format_count(first.steps_planned),
-        done=plural(_count_steps(first, finding), "step"),
-        of_steps=f"the {format_count(_count_steps(first, finding))} hardest steps of `{window_of}`"
-        if window_of
-        else plural(_count_steps(first, finding), "step"),
-        in_where="" if window_of else f" in {name_experiment(first)}",
-        counted=plural(finding.value, "step"),
-        error=format_error(finding.value),
-        time=format_time(finding.value),
-        share=format_share(finding.value),
-        timings=plural(finding.steps, "timing"),
-        machine=format_share(finding.machine),
-        net=format_time(finding.machine),
-        net_range=_describe_uncertain_part(finding),
-        limit=format_time(finding.limit),
-        low=format_time(finding.value / finding.factor),
-        high=format_time(finding.value * finding.factor),
-        also=f" (also in {also})" if also else "",
-        some_also=f" (some also in {also})" if also else "",
-        over=over,
-        also_over=f" ({'' if over else 'above the limit '}also in {also})" if also else "",
-    )
-
-
-def _describe_uncertain_part(finding: Finding) -> str:
-    """Return why a time without waits beyond the limit proves nothing; "" where it is below."""
-    if not finding.machine > finding.limit:
-        return ""
-    low, high = finding.machine / finding.factor, finding.machine * finding.factor
-    return f", and rounds differ by more ({format_time(low)} to {format_time(high)})"
-
-
-def _count_steps(run: RunRecord, finding: Finding) -> int:
-    """Return the steps of a run that ended early, but all planned ones where more of them failed.
-
-    A step that fails in the warm-up of a replay is not among those of the counted rounds.
-    """
-    return run.steps_done if run.steps_done >= finding.steps else run.steps_planned
-
-
 def describe_hardest_wait(records: Records, run: RunRecord | None) -> str:
     """State how much of a replay's hardest step was a wait for the core; "" for hardly anything."""
     times = None if run is None else records.get_step_times(run)
@@ -595,110 +452,9 @@ def describe_answer(steps: RunSteps, at: int) -> str:
     return f"{reported}, not verified"
 
 
-def name_experiment(row: RunRecord) -> str:
-    """Return the name of the scenario, replay or hardest steps that a run solved."""
-    if row.steps_searched_for_hardest:
-        return f"the hardest steps of `{row.scenario}`"
-    if row.mode == "replay":
-        return f"the replay of {describe_range_of_steps(row.sequence)}"
-    return f"`{row.scenario}`"
-
-
-def _name_experiments(rows: Sequence[RunRecord], window_of: str = "") -> str:
-    """Return the names of scenarios and replays of some runs as one text.
-
-    window_of : scenario of a window that the text follows; its closed loop is not named again.
-    """
-    loops, windows, replays = list[str](), list[str](), list[str]()
-    for row in rows:
-        if row.steps_searched_for_hardest:
-            windows.append(f"`{row.scenario}`")
-        elif row.mode == "replay":
-            replays.append(describe_range_of_steps(row.sequence))
-        else:
-            loops.append("its closed loop" if row.scenario == window_of else f"`{row.scenario}`")
-    # A scenario may have several windows.
-    loops, windows, replays = (list(dict.fromkeys(names)) for names in (loops, windows, replays))
-    if replays:
-        word = "replay" if len(replays) == 1 else "replays"
-        loops.append(f"the {word} of {join_with_and(replays)}")
-    if windows:
-        loops.append(f"the hardest steps of {join_with_and(windows)}")
-    return join_with_and(loops)
-
-
 def describe_judged_runs(verdict: Verdict) -> str:
     """Return a text on how many closed loops and replays a configuration was judged by."""
     kinds = {"closed loop": verdict.loops, "replay": verdict.replays}
     wording = [plural(count, kind) for kind, count in kinds.items() if count]
     windows = f"{plural(verdict.windows, 'window')} of hardest steps"
     return join_with_and([*wording, *[windows] * (verdict.windows > 0)])
-
-
-def describe_disturbance(disturbance: Disturbance) -> str:
-    """Return words on whether other programs disturbed timing: "quiet", or disturbed by what."""
-    complaints = disturbance.complaints()
-    return f"disturbed: {join_with_and(complaints)}" if complaints else "quiet"
-
-
-def describe_calibration(p50_ns: dict[str, float]) -> str:
-    """Return words on how exactly the benchmark measured waits of known length."""
-    missed = [name for name, p50 in p50_ns.items() if is_within_tolerance(name, p50) is False]
-    wording = ", ".join(f"{name} {format_time(p50)}" for name, p50 in p50_ns.items())
-    verdict = "known waits were measured within tolerance"
-    if missed:
-        verdict = f"{join_with_and(missed)} not within tolerance"
-    return f"{verdict} (p50: {wording})"
-
-
-def list_machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
-    """Return label and text of a machine's processor, cores, frequency, BLAS and clock."""
-
-    def of(key: str, unit: str = "") -> str:
-        value = machine.get(key, "not recorded")
-        return f"{value} {unit}" if unit and isinstance(value, int | float) else str(value)
-
-    cores = [str(core) for core in machine.get("affinity") or []]
-    vectors = ", ".join(machine.get("vector_instructions", [])) or "not recorded"
-    return [
-        ("processor", f"{of('cpu_model')}, {of('cores')} cores"),
-        ("processor family", of("cpu_family")),
-        ("vector instructions", vectors),
-        ("cores allowed", ", ".join(cores) or "not recorded"),
-        ("frequency governor", of("governor")),
-        ("frequency at the start", of("frequency_MHz", "MHz")),
-        ("throttle counters", of("throttle_counters")),
-        ("BLAS", ", ".join(machine.get("blas") or ["none found"])),
-        ("time to read the clock", of("clock_read_ns", "ns")),
-        ("resolution of the clock", of("timer_resolution_ns", "ns")),
-    ]
-
-
-def list_disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
-    """Return label and text of what disturbed replays: switches, stolen time, throttling."""
-    disturbed = f"{format_count(disturbance.disturbed)} of {plural(disturbance.rounds, 'round')}"
-    throttled, steal_share = format_count(disturbance.throttled), disturbance.steal_share
-    stolen = "not visible" if isnan(steal_share) else format_share(steal_share)
-    return [
-        (
-            "rounds still disturbed after a repeat",
-            f"{disturbed}; {format_count(disturbance.rerun)} repeated",
-        ),
-        (
-            "involuntary context switches",
-            f"{significant(disturbance.switches_per_s, 3)} per second",
-        ),
-        ("time stolen by the host", stolen),
-        ("throttle events", "not visible" if throttled == MISSING else throttled),
-    ]
-
-
-def list_switching_solvers(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
-    """Return label and text of each solver that causes context switches itself."""
-    own = find_largest_by_name(
-        (f"{row.solver} ({row.route} {row.policy})", row.own_switches_a_step) for row in rows
-    )
-    wording = ", ".join(
-        f"{name}: {significant(a_step, 2)} per step" for name, a_step in own.items()
-    )
-    return [("further switches, caused by the solver itself", wording)] if own else []

@@ -22,7 +22,7 @@ from dpbench.analysis.verdict.time_findings import (
     find_work_in_other_threads,
     judge_replay_times,
 )
-from dpbench.report.verdict.verdict_text import describe_findings
+from dpbench.report.verdict.findings_text import describe_findings
 
 REQUIREMENTS = Requirements(p99_ms=1.0, deadline_ms=8.0)
 """Limits of 1e6 and 8e6 ns."""

@@ -17,10 +17,9 @@ from dpbench.analysis.verdict.requirements import MISSED, Finding, Requirements
 from dpbench.analysis.verdict.time_findings import compute_speed_margins
 from dpbench.analysis.verdict.verdict import judge_solvers, sort_fastest_first
 from dpbench.report.page.recommendation import Recommendation
+from dpbench.report.verdict.findings_text import describe_finding, describe_findings
 from dpbench.report.verdict.verdict_text import (
     describe_answer,
-    describe_finding,
-    describe_findings,
     describe_main_reason,
     describe_paired_times,
     describe_requirements,

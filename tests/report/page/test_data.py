@@ -13,7 +13,8 @@ from dpbench.report.page.data import PageData, convert_to_json_number, select_ti
 from dpbench.report.page.live import _explain_further_verdicts, _explain_verdict_grid
 from dpbench.report.page.terms import describe_experiments
 from dpbench.report.report import Report
-from dpbench.report.verdict.verdict_text import describe_lateness, shorten_findings
+from dpbench.report.verdict.findings_text import shorten_findings
+from dpbench.report.verdict.verdict_text import describe_lateness
 from dpbench.scenario.scenario import build_scenario_from_documents
 from tests.report.conftest import HEIGHTS, LOOSE, OFFSETS, SEAS, of_seas
 

@@ -1,0 +1,196 @@
+"""Findings that a verdict rests on as clauses."""
+
+from collections.abc import Sequence
+from math import isnan
+
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.times.machine import (
+    sum_disturbances,
+)
+from dpbench.analysis.verdict.requirements import (
+    PERHAPS_BY_MACHINE,
+    Finding,
+)
+from dpbench.analysis.verdict.verdict import (
+    explain_outcome,
+    find_solver_record_or_none,
+)
+from dpbench.bench.judge.answer_caching import CachingSign
+from dpbench.report.formats import (
+    describe_range_of_steps,
+    format_count,
+    format_error,
+    format_share,
+    format_time,
+    join_with_and,
+    plural,
+    significant,
+)
+from dpbench.report.verdict.late_times_text import describe_late_times, group_late_times
+from dpbench.report.words import read_words
+
+
+def describe_findings(findings: Sequence[Finding]) -> str:
+    """Return the reasons for a verdict as clauses joined by semicolons.
+
+    The machine's state comes first where it may be the reason of one of them. Times above one
+    limit are one clause.
+    """
+    clauses = [
+        describe_finding(alike[0]) if len(alike) == 1 else describe_late_times(alike)
+        for alike in group_late_times(findings)
+    ]
+    return "; ".join([*describe_machine_state(findings), *clauses])
+
+
+def describe_machine_state(findings: Sequence[Finding]) -> list[str]:
+    """Return a clause on disturbed rounds that may be the reason of a finding; none without any."""
+    perhaps = [f for f in findings if f.kind in PERHAPS_BY_MACHINE]
+    runs = {run.run_id: run for f in perhaps for run in f.runs if run.disturbed_rounds > 0}
+    if not runs:
+        return []
+    state, where = sum_disturbances([*runs.values()]), _name_experiments([*runs.values()])
+    of_all = f"{format_count(state.disturbed)} of {plural(state.rounds, 'round')}"
+    return [f"other work disturbed {of_all} of {where}"]
+
+
+_WORDS: dict[str, str] = read_words(__file__)["findings"]
+_SHORT_WORDS: dict[str, str] = read_words(__file__)["short"]
+_CACHING: dict[str, str] = read_words(__file__)["caching"]
+_ENDINGS: dict[str, str] = read_words(__file__)["endings"]
+
+
+def shorten_findings(kinds: str) -> str:
+    """Return kinds of findings, joined by commas as in the table of verdicts, in a few words."""
+    return "; ".join(_SHORT_WORDS[kind] for kind in kinds.split(", ") if kind)
+
+
+def _describe_ending(status: str, run: RunRecord) -> str:
+    """Return in words what ended failed steps of a run, and what is known of its solver's.
+
+    Of inaccurate answers, the iterations.
+    """
+    ending = _ENDINGS.get(status, f"the solver reports status {status}")
+    record = find_solver_record_or_none(run.configuration.solver)
+    known = (
+        {} if record is None else {key.name: text for key, text in record.known_failures.items()}
+    )
+    if status in known:
+        return f"{ending} (known of `{run.configuration.solver}`: {known[status]})"
+    if status == "INACCURATE" and not isnan(run.iterations_max):
+        return f"{ending} after at most {format_count(run.iterations_max)} iterations"
+    return ending
+
+
+def describe_caching_sign(solver: str, sign: CachingSign | None) -> str:
+    """Return in words what of a replay's times looks like cached answers; "" for none.
+
+    Cached answers are named as the cause only of a solver that may keep them.
+    """
+    if sign is None:
+        return ""
+    name, value = sign
+    text = _CACHING[name].format(value=significant(value, 2), share=format_share(value))
+    record = find_solver_record_or_none(solver)
+    known = record is not None and record.extra != "plugin" and not record.keeps_answers
+    return text if known else f"{text}: {_CACHING['cause']}"
+
+
+def describe_finding(finding: Finding) -> str:
+    """Return one reason for a verdict, as a late or wrong step, as a clause."""
+    words = {"value": finding.value, "steps": plural(finding.steps, "step")}
+    if not finding.runs:
+        return _WORDS[finding.kind].format(**words)
+    first, *others = finding.runs
+    window_of = first.scenario if first.steps_searched_for_hardest else ""
+    also = _name_experiments(others, window_of)
+    kind: str = finding.kind
+    if kind == "failed" and finding.steps:
+        kind = "failed steps"
+    elif kind == "failed" and first.mode == "replay":
+        # Failures in all rounds and the warm-up: their number may exceed that of steps.
+        kind = "failed answers"
+    all_steps = plural(first.steps_done, "step")
+    over = f", above the limit in {format_count(finding.steps)} of {all_steps}"
+    over *= finding.steps > 0
+    return _WORDS[kind].format(
+        **words,
+        where=name_experiment(first),
+        experiments=_name_experiments(finding.runs),
+        detail=explain_outcome(first),
+        number=format_count(finding.steps),
+        answers="answer" if finding.value == 1 else "answers",
+        fail="fails" if (finding.steps or finding.value) == 1 else "fail",
+        ending=_describe_ending(finding.status, first),
+        caching=describe_caching_sign(first.configuration.solver, first.caching_sign),
+        outcome=first.outcome,
+        planned=format_count(first.steps_planned),
+        done=plural(_count_steps(first, finding), "step"),
+        of_steps=f"the {format_count(_count_steps(first, finding))} hardest steps of `{window_of}`"
+        if window_of
+        else plural(_count_steps(first, finding), "step"),
+        in_where="" if window_of else f" in {name_experiment(first)}",
+        counted=plural(finding.value, "step"),
+        error=format_error(finding.value),
+        time=format_time(finding.value),
+        share=format_share(finding.value),
+        timings=plural(finding.steps, "timing"),
+        machine=format_share(finding.machine),
+        net=format_time(finding.machine),
+        net_range=_describe_uncertain_part(finding),
+        limit=format_time(finding.limit),
+        low=format_time(finding.value / finding.factor),
+        high=format_time(finding.value * finding.factor),
+        also=f" (also in {also})" if also else "",
+        some_also=f" (some also in {also})" if also else "",
+        over=over,
+        also_over=f" ({'' if over else 'above the limit '}also in {also})" if also else "",
+    )
+
+
+def _describe_uncertain_part(finding: Finding) -> str:
+    """Return why a time without waits beyond the limit proves nothing; "" where it is below."""
+    if not finding.machine > finding.limit:
+        return ""
+    low, high = finding.machine / finding.factor, finding.machine * finding.factor
+    return f", and rounds differ by more ({format_time(low)} to {format_time(high)})"
+
+
+def _count_steps(run: RunRecord, finding: Finding) -> int:
+    """Return the steps of a run that ended early, but all planned ones where more of them failed.
+
+    A step that fails in the warm-up of a replay is not among those of the counted rounds.
+    """
+    return run.steps_done if run.steps_done >= finding.steps else run.steps_planned
+
+
+def name_experiment(row: RunRecord) -> str:
+    """Return the name of the scenario, replay or hardest steps that a run solved."""
+    if row.steps_searched_for_hardest:
+        return f"the hardest steps of `{row.scenario}`"
+    if row.mode == "replay":
+        return f"the replay of {describe_range_of_steps(row.sequence)}"
+    return f"`{row.scenario}`"
+
+
+def _name_experiments(rows: Sequence[RunRecord], window_of: str = "") -> str:
+    """Return the names of scenarios and replays of some runs as one text.
+
+    window_of : scenario of a window that the text follows; its closed loop is not named again.
+    """
+    loops, windows, replays = list[str](), list[str](), list[str]()
+    for row in rows:
+        if row.steps_searched_for_hardest:
+            windows.append(f"`{row.scenario}`")
+        elif row.mode == "replay":
+            replays.append(describe_range_of_steps(row.sequence))
+        else:
+            loops.append("its closed loop" if row.scenario == window_of else f"`{row.scenario}`")
+    # A scenario may have several windows.
+    loops, windows, replays = (list(dict.fromkeys(names)) for names in (loops, windows, replays))
+    if replays:
+        word = "replay" if len(replays) == 1 else "replays"
+        loops.append(f"the {word} of {join_with_and(replays)}")
+    if windows:
+        loops.append(f"the hardest steps of {join_with_and(windows)}")
+    return join_with_and(loops)
