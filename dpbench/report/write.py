@@ -17,12 +17,9 @@ from dpbench.files.regular_files import (
     write_text_atomically,
 )
 from dpbench.report.charts.render import FORMATS, can_draw, encode_figure
-from dpbench.report.documents.markdown import (
-    compare_solver,
-    format_worst_steps,
-    make_report_markdown,
-)
+from dpbench.report.documents.markdown import make_report_markdown
 from dpbench.report.documents.sent import PAGE, prepare_sent_folder
+from dpbench.report.documents.solver_comparison import compare_solver, format_worst_steps
 from dpbench.report.documents.statement import write_statement
 from dpbench.report.page.write import make_page_html
 from dpbench.report.report import Report, write_tables

@@ -10,7 +10,7 @@ import pytest
 from dpbench.analysis.records.thinned_runs import find_worst_steps
 from dpbench.cli.main import main
 from dpbench.errors import InputError
-from dpbench.report.documents.markdown import COMMENT_BYTES, compare_solver
+from dpbench.report.documents.solver_comparison import COMMENT_BYTES, compare_solver
 from dpbench.report.report import Report
 
 

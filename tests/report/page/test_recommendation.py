@@ -16,12 +16,8 @@ from dpbench.analysis.verdict.verdict import (
     list_best_verdict_of_each_solver,
 )
 from dpbench.errors import InputError
-from dpbench.report.documents.markdown import (
-    MOST_BYTES,
-    compare_solver,
-    format_worst_steps,
-    make_report_markdown,
-)
+from dpbench.report.documents.markdown import MOST_BYTES, make_report_markdown
+from dpbench.report.documents.solver_comparison import compare_solver, format_worst_steps
 from dpbench.report.formats import MISSING, format_error, format_rounded_down, format_time
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import (
