@@ -7,6 +7,7 @@ machine's cores, and of its quiet, are files in a folder of this user in the tem
 
 import fcntl
 import json
+import math
 import os
 import pwd
 import stat
@@ -19,7 +20,7 @@ from pathlib import Path
 
 import psutil
 
-from dpbench.errors import SituationError
+from dpbench.errors import InputError, SituationError
 
 FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW  # Flags to open a lock
@@ -53,9 +54,13 @@ class Holder:
 
 @dataclass(frozen=True)
 class WaitLimit:
-    """Longest wait for a lock [s]: 0 for none, None without a limit."""
+    """Longest wait for a lock [s]: 0 for none, None without a limit; InputError below zero."""
 
     limit_s: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.limit_s is not None and not 0.0 <= self.limit_s < math.inf:
+            raise InputError("`wait_s`", "", self.limit_s, "a number of seconds, 0 or more")
 
 
 class BusyError(SituationError):

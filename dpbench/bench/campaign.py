@@ -4,7 +4,6 @@ An interrupted campaign loses at most the cells in flight.
 """
 
 import json
-import math
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -43,7 +42,7 @@ from dpbench.bench.tabulate import RequestedRuns, is_tabulated, refuse_other_sel
 from dpbench.bench.workers.jobs import CellJob, Result, count_steps, group_by_source
 from dpbench.bench.workers.scratch import clear_scratch_folders
 from dpbench.bench.workers.worker import make_source
-from dpbench.errors import InputError, ResultsError, require_lists_of_names, require_name_or_file
+from dpbench.errors import ResultsError, require_lists_of_names, require_name_or_file
 from dpbench.files.regular_files import write_text_atomically
 from dpbench.locks import WaitLimit
 from dpbench.solvers.table import find_solver_availability
@@ -372,16 +371,15 @@ def run_campaign(
         solver_module=None if solver_module is None else str(solver_module),
         **chosen,
     )
-    if wait_s is not None and not 0.0 <= wait_s < math.inf:
-        raise InputError("`wait_s`", "", wait_s, "a number of seconds, 0 or more")
+    patience = WaitLimit(wait_s)
     plan, some = asked.make_plan(), Shard.from_text(shard)
     designs = plan_stability_studies(plan) if some.index == 1 else []
     counts = plan_embedded_counts(plan) if some.index == 1 else []
     folder = choose_result_folder(plan, out)
     progress = choose_progress(progress)
     with (
-        open_engine(engine, jobs, scheduler, tls, WaitLimit(wait_s)) as opened,
-        lock_result_folder(folder, plan.name, WaitLimit(wait_s)),
+        open_engine(engine, jobs, scheduler, tls, patience) as opened,
+        lock_result_folder(folder, plan.name, patience),
     ):
         for remark in plan.remarks:
             progress.remark(remark)

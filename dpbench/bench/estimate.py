@@ -24,7 +24,8 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from dpbench.bench.campaign import choose_result_folder, make_jobs
-from dpbench.bench.engines.open_engine import count_slots
+from dpbench.bench.engines.engine import TlsFiles
+from dpbench.bench.engines.open_engine import check_engine_options
 from dpbench.bench.plan.cells import PlannedCell
 from dpbench.bench.plan.run_request import Plan, RunRequest
 from dpbench.bench.record.cell import (
@@ -42,7 +43,7 @@ from dpbench.bench.workers.child import has_compiled_kernels
 from dpbench.bench.workers.interleaved import FEWEST_ROUNDS
 from dpbench.bench.workers.jobs import CELL_S
 from dpbench.errors import InputError, ResultsError
-from dpbench.locks import find_machine_lock_holders
+from dpbench.locks import WaitLimit, find_machine_lock_holders
 from dpbench.scenario.problem_files import resolve_sequence_path
 from dpbench.scenario.scenario import build_scenario_from_documents
 
@@ -309,14 +310,22 @@ def estimate_campaign(
     *,
     jobs: int | None = None,
     engine: str = "local",
+    scheduler: str | None = None,
+    tls: TlsFiles | None = None,
+    wait_s: float | None = None,
     fresh: bool = False,
     **asked: Any,
 ) -> Estimate:
-    """Return a campaign's expected duration and table size on this machine, without running it."""
+    """Return a campaign's expected duration and table size on this machine, without running it.
+
+    Its options are checked as those of `run_campaign`.
+    """
     if engine != "local":
         raise InputError("--dry-run", "", f"--engine {engine}", "--engine local")
+    WaitLimit(wait_s)
+    slots = check_engine_options(engine, jobs, scheduler, tls)
     plan = RunRequest(None if suite is None else str(suite), **asked).make_plan()
-    return estimate_plan(plan, choose_result_folder(plan, out), count_slots(jobs), fresh=fresh)
+    return estimate_plan(plan, choose_result_folder(plan, out), slots, fresh=fresh)
 
 
 def estimate_step_s(solver: str, route: str, size: int) -> float:

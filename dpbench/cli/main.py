@@ -181,8 +181,7 @@ def _print_estimate(arguments: argparse.Namespace) -> int:
     """Print a campaign's cells, time and size without running it (`run --dry-run`); return 0."""
     from dpbench.bench.estimate import estimate_campaign
 
-    unused = ("dry_run", "scheduler", "tls", "wait_s")
-    estimate = estimate_campaign(**_collect_options(arguments, *unused, *HOW_TO_END))
+    estimate = estimate_campaign(**_collect_options(arguments, "dry_run", *HOW_TO_END))
     print(json.dumps(vars(estimate), indent=2) if arguments.json else "\n".join(estimate.lines))
     return 0
 
@@ -443,8 +442,10 @@ def _tune_solver(arguments: argparse.Namespace) -> int:
     from dpbench.cli.terminal import ProgressBar, make_console, make_report_table, print_wrapped
 
     if arguments.dry_run:
+        from dpbench.locks import WaitLimit
         from dpbench.tuning.request import estimate_tuning
 
+        WaitLimit(arguments.wait_s)
         print_wrapped(estimate_tuning(**_collect_options(arguments, "dry_run", "wait_s")).lines)
         return 0
     from dpbench.tuning.tune import tune_solver

@@ -358,6 +358,18 @@ class RouteRecord:
     faults: Mapping[str, str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Range:
+    """Allowed values of a numeric option, in words and as a test."""
+
+    text: str
+    contains: Callable[[float], bool]
+
+
+ABOVE_ZERO = Range("above 0", lambda value: value > 0)
+ZERO_OR_MORE = Range("0 or more", lambda value: value >= 0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class SolverRecord:
     """All facts about one solver: method, package, interfaces, option presets, project.
@@ -377,6 +389,7 @@ class SolverRecord:
         "" without one; limits_outer_iterations : whether that counts the outer ones alone.
     adapted : options that are only the first value of what the solver adapts while another option
         is on, by that other option's name.
+    ranges : options whose range the library checks only in its set-up, where it names no option.
     known_failures : what is known of failing steps by the status reported, SOLVED for claims that
         do not hold; shown where such a step is.
     keeps_answers : whether it keeps what it found for a QP it may meet again; unknown of a plug-in.
@@ -401,6 +414,7 @@ class SolverRecord:
     iteration_limit: str = ""
     limits_outer_iterations: bool = False
     adapted: Mapping[str, str] = field(default_factory=dict)
+    ranges: Mapping[str, Range] = field(default_factory=dict)
     known_failures: Mapping[Status, str] = field(default_factory=dict)
     keeps_answers: bool = False
     choose_instead: str = ""

@@ -18,6 +18,7 @@ from dpbench.solvers.contract import (
     TOLERANCES,
     Options,
     Policy,
+    Range,
     Settings,
 )
 from dpbench.solvers.table import find_solver_record, get_native_adapter
@@ -53,6 +54,7 @@ def resolve_settings_to_options(
         refuse_unknown_option_names(name, settings, list_public_settings_attributes(target))
     if target is not None:
         _set_options_or_refuse_values(name, settings, target)
+    _refuse_values_out_of_range(name, settings, adapter.record.ranges)
     return resolve_settings_with_fixed_options(settings, name)
 
 
@@ -193,6 +195,16 @@ def _refuse_text_and_limits_below_zero(
         if isinstance(value, str) or below:
             allowed = "0 or more" if below else "a number"
             raise SettingsError(f"settings of {solver}", key, repr(value)[:80], allowed)
+
+
+def _refuse_values_out_of_range(
+    solver: str, settings: Mapping[str, object], ranges: Mapping[str, Range]
+) -> None:
+    """Raise SettingsError for a number outside the range that the solver's record has for it."""
+    for key in settings.keys() & ranges.keys():
+        value, allowed = settings[key], ranges[key]
+        if isinstance(value, Real) and not allowed.contains(float(value)):
+            raise SettingsError(f"settings of {solver}", key, value, allowed.text)
 
 
 def _set_options_or_refuse_values(solver: str, settings: Mapping[str, object], target: Any) -> None:

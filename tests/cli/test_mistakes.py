@@ -69,6 +69,13 @@ def test_a_ship_in_other_units_is_none(
         (["report", "no/such/folder"], ["no/such/folder", "dpbench run"]),
         (["check", "no/such/file.toml"], ["no/such/file.toml", "no such file"]),
         (["run"], ["suite"]),
+        (["run", "smoke", "--dry-run", "--wait", "-1"], ["dpbench: --wait: found -1.0; allowed"]),
+        (["run", "smoke", "--dry-run", "--scheduler", "tcp://[::1]:1"], ["allowed: --engine dask"]),
+        (["tune-solver", "osqp", "--dry-run", "--wait", "nan"], ["dpbench: --wait: found nan"]),
+        (
+            ["run", "smoke", "--dry-run", "--solver", "osqp[rho=[1,-1]]"],
+            ["dpbench: --solver: osqp[rho]: found -1; allowed: above 0"],
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_exit_2(words: list[str], parts: list[str], refuse: Say) -> None:

@@ -1,5 +1,8 @@
 """The tolerance levels and the validation of a solver's own keys."""
 
+from contextlib import nullcontext
+from importlib import import_module
+
 import numpy as np
 import pytest
 from scipy.sparse import csc_matrix
@@ -10,6 +13,7 @@ from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
 from dpbench.solvers.contract import LEVELS, TOLERANCES
 from dpbench.solvers.libraries import NATIVE, THROUGH_QPSOLVERS
+from dpbench.solvers.libraries.osqp import make_default_settings_of_library
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.settings import (
     describe_option_presets,
@@ -203,6 +207,39 @@ def test_a_value_that_fails_each_solve_is_refused_at_opening(route, key, value, 
     """By its defaults where the library has no settings object."""
     with pytest.raises(SettingsError, match=f"daqp: {key}: found {value!r}; allowed: {allowed}"):
         open_workspace("daqp", route=route, settings={key: value})
+
+
+@pytest.mark.parametrize("key", TABLE["osqp"].ranges)
+def test_the_ranges_of_osqp_are_those_of_the_library(key, sequence):
+    """It refuses all values outside in its set-up, as error 2, and takes those inside."""
+    library = import_module("osqp.ext_builtin")
+    allowed = TABLE["osqp"].ranges[key]
+    kind = type(getattr(make_default_settings_of_library(), key))
+    tried = {kind(x) for x in (-1.0, 0.0, 1e-9, 0.5, 0.999, 1.0, 1.999, 2.0, 3.0, 1e3)}
+    assert 0 < sum(map(allowed.contains, tried)) < len(tried)
+    low, high = np.zeros(1), np.ones(1)
+    for value in sorted(tried):
+        settings = make_default_settings_of_library()
+        settings.verbose = False
+        setattr(settings, key, value)
+        one = library.CSC(csc_matrix([[1.0]]))
+        known = nullcontext() if allowed.contains(value) else pytest.raises(ValueError, match="2")
+        with known:
+            library.OSQPSolver(one, low, one, low, high, 1, 1, settings)
+
+
+@pytest.mark.parametrize("route", ["native", "qpsolvers"])
+@pytest.mark.parametrize(
+    ("key", "value", "allowed"),
+    [
+        ("rho", -1, "above 0"),
+        ("eps_abs", -1e-6, "0 or more"),
+        ("alpha", 2.0, "above 0 and below 2.*"),
+    ],
+)
+def test_a_value_out_of_range_is_refused_at_opening(route, key, value, allowed):
+    with pytest.raises(SettingsError, match=f"osqp: {key}: found {value}; allowed: {allowed}"):
+        open_workspace("osqp", route=route, settings={key: value})
 
 
 def test_a_tolerance_is_no_text_where_the_library_has_no_defaults():

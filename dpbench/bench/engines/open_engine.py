@@ -88,19 +88,7 @@ def open_engine(
     other campaigns on it. InputError for a bad option, without the extra of dask, and for a
     scheduler that does not answer or whose workers cannot run cells.
     """
-    if name not in ENGINES:
-        raise InputError("`engine`", "", repr(name), " or ".join(ENGINES))
-    if name == "local" and scheduler is not None:
-        raise InputError("`scheduler`", "", f"{scheduler} with engine local", "`engine` dask")
-    if tls is not None and scheduler is None:
-        raise InputError("`tls`", "", "files without `scheduler`", "`scheduler` tls://HOST:8786")
-    if scheduler is not None and jobs is not None:
-        found, allowed = (
-            f"{jobs} with `scheduler`",
-            "one of the two, as a scheduler has its own workers",
-        )
-        raise InputError("`jobs`", "", found, allowed)
-    slots = count_slots(jobs)
+    slots = check_engine_options(name, jobs, scheduler, tls)
     # Before anything is written: a folder that cannot be trusted refuses.
     find_safe_lock_folder()
     if name == "local":
@@ -119,6 +107,25 @@ def open_engine(
         )
         raise InputError("`engine`", "", found, allowed) from error
     return open_dask_engine(scheduler, slots, tls)
+
+
+def check_engine_options(
+    name: str, jobs: int | None, scheduler: str | None, tls: TlsFiles | None
+) -> int:
+    """Return how many runs to do at a time; InputError for options that do not fit an engine."""
+    if name not in ENGINES:
+        raise InputError("`engine`", "", repr(name), " or ".join(ENGINES))
+    if name == "local" and scheduler is not None:
+        raise InputError("`scheduler`", "", f"{scheduler} with engine local", "`engine` dask")
+    if tls is not None and scheduler is None:
+        raise InputError("`tls`", "", "files without `scheduler`", "`scheduler` tls://HOST:8786")
+    if scheduler is not None and jobs is not None:
+        found, allowed = (
+            f"{jobs} with `scheduler`",
+            "one of the two, as a scheduler has its own workers",
+        )
+        raise InputError("`jobs`", "", found, allowed)
+    return count_slots(jobs)
 
 
 def count_slots(jobs: int | None) -> int:

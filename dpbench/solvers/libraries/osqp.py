@@ -17,12 +17,15 @@ from dpbench.solvers.adapter import (
     make_reader_of_qpsolvers_status,
 )
 from dpbench.solvers.contract import (
+    ABOVE_ZERO,
     DEFAULT,
     HIGH,
+    ZERO_OR_MORE,
     Build,
     CSettings,
     Options,
     Policy,
+    Range,
     RouteRecord,
     SolverRecord,
     make_project_facts,
@@ -41,6 +44,15 @@ _LEVELS = make_tolerance_presets(
     max_iter=200_000,
     always={"adaptive_rho": 1, "adaptive_rho_interval": 50},
 )
+# As in `validate_settings` of OSQP 1.0.
+_RANGES = {
+    **dict.fromkeys(("rho", "sigma", "delta", "max_iter", "time_limit"), ABOVE_ZERO),
+    **dict.fromkeys(("eps_prim_inf", "eps_dual_inf", "adaptive_rho_fraction"), ABOVE_ZERO),
+    **dict.fromkeys(("eps_abs", "eps_rel", "scaling", "check_termination"), ZERO_OR_MORE),
+    **dict.fromkeys(("adaptive_rho_interval", "polish_refine_iter"), ZERO_OR_MORE),
+    "adaptive_rho_tolerance": Range("1 or more", lambda value: value >= 1),
+    "alpha": Range("above 0 and below 2", lambda value: 0 < value < 2),
+}
 # Polishing is a second algorithm with silent failures, so it has names of its own.
 _POLISHED = {f"{name}_polished": {**_LEVELS[name], "polishing": True} for name in (DEFAULT, HIGH)}
 
@@ -75,6 +87,7 @@ RECORD = SolverRecord(
     ),
     iteration_limit="max_iter",
     adapted={"rho": "adaptive_rho"},
+    ranges=_RANGES,
     build=lambda: Build(f"algebra {import_module('osqp').default_algebra()}"),
     time_limit="time_limit",
 )
