@@ -40,6 +40,15 @@ def test_runs_are_those_of_the_parquet_file(written: Any) -> None:
             assert [str(x) for x in found] == expected, name
 
 
+def test_the_first_failed_step_is_that_of_the_run_with_most(records: Any) -> None:
+    records.loop("daqp", failed=0)
+    records.replay("daqp", steps=20, failed=4, lost=(3, 5))
+    records.replay("daqp", "turn", steps=20, failed=2, lost=(1,))
+    records.loop("osqp")
+    table = Report.from_results(records.results()).tables["verdicts"].set_index("solver")
+    assert table["first_failed_step"].to_dict() == {"daqp": "paper, k 3", "osqp": ""}
+
+
 def test_verdicts_are_those_of_the_analysis(written: Any) -> None:
     verdicts = written.report.data.verdicts.all_verdicts
     table = _table(written.folder, "verdicts")

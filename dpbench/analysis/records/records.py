@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import NamedTuple
 
 import pandas as pd
 
@@ -43,6 +44,17 @@ def count_inaccurate_steps(steps: pd.DataFrame, limit: float) -> int:
     `error_move_max`. steps : the run's step rows with `INACCURACY_COLUMNS`.
     """
     return int(steps["k"][steps["error_move"] > limit].nunique())
+
+
+class FailedSteps(NamedTuple):
+    """Steps that fail in any round of a run: number, status of most, and the first of them."""
+
+    steps: int
+    status: str
+    first: int
+
+
+NO_FAILED_STEPS = FailedSteps(0, "", -1)
 
 
 class Records:
@@ -136,14 +148,15 @@ class Records:
                 yield run_id, steps, rows.iloc[first:end]
 
     @cached_property
-    def failed_steps_by_run(self) -> dict[str, tuple[int, str]]:
-        """Number of steps that fail in any round of a run, and the status of most, by run id."""
-        found: dict[str, tuple[int, str]] = {}
+    def failed_steps_by_run(self) -> dict[str, FailedSteps]:
+        """The steps that fail in any round of a run, by run id."""
+        found: dict[str, FailedSteps] = {}
         failing = [run for run in self.runs if run.failed_steps > 0]
         for table in self.yield_step_tables(failing, FAILURE_COLUMNS):
             failed = table[mask_failed_steps(table)]
             for run_id, steps in failed.groupby("run_id", observed=True):
-                found[str(run_id)] = steps["k"].nunique(), str(steps["status"].mode()[0])
+                k, status = steps["k"], str(steps["status"].mode()[0])
+                found[str(run_id)] = FailedSteps(k.nunique(), status, int(k.min()))
         return found
 
     def count_inaccurate_steps(self, run: RunRecord, limit: float) -> int:

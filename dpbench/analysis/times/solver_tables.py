@@ -66,6 +66,7 @@ def tabulate_verdicts(matrix: RunMatrix) -> pd.DataFrame:
                 "steps": v.steps,
                 "error_move": v.error_move,
                 "failed_steps": v.failed_steps,
+                "first_failed_step": _name_first_failed_step(v),
                 "p50_us": v.p50_ns / 1e3,
                 "replay_p99_us": v.replay_p99_ns / 1e3,
                 "raw_p99_us": v.raw_p99_ns / 1e3,
@@ -81,6 +82,13 @@ def tabulate_verdicts(matrix: RunMatrix) -> pd.DataFrame:
             for v in matrix.verdicts.all_verdicts
         ]
     )
+
+
+def _name_first_failed_step(verdict: Verdict) -> str:
+    """Return scenario and index of the first failed step of the run with most; "" if unknown."""
+    failed = (f for f in verdict.causes if f.kind == "failed" and f.first >= 0)
+    texts = (f"{f.runs[0].scenario or f.runs[0].sequence}, k {f.first}" for f in failed)
+    return next(texts, "")
 
 
 def _make_margin_columns(matrix: RunMatrix, verdict: Verdict) -> dict[str, Any]:

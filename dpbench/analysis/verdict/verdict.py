@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.records import NO_FAILED_STEPS, Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.statistics import UNKNOWN, Interval
 from dpbench.analysis.verdict import time_findings
@@ -318,15 +318,15 @@ def find_wrong_answers(
     no_answer = [Finding("no answer", silent)] if silent else []
     failing = [run for run in runs if run.failed_steps > requirements.failed_steps]
     failed = make_finding_on_worst_runs("failed", failing, lambda run: run.failed_steps)
-    counts = [records.failed_steps_by_run.get(f.runs[0].run_id, (0, "")) for f in failed]
+    known = [records.failed_steps_by_run.get(f.runs[0].run_id, NO_FAILED_STEPS) for f in failed]
     inaccurate = make_finding_on_worst_runs("inaccurate", wrong, lambda run: run.error_move_max)
     limit = requirements.error_move
     return [
         *no_answer,
         *(replace(f, steps=records.count_inaccurate_steps(f.runs[0], limit)) for f in inaccurate),
         *(
-            replace(f, steps=n, status=status)
-            for f, (n, status) in zip(failed, counts, strict=True)
+            replace(f, steps=own.steps, status=own.status, first=own.first)
+            for f, own in zip(failed, known, strict=True)
         ),
     ]
 

@@ -239,6 +239,7 @@ class PageData(RunMatrix):
 
     def _describe_run(self, c: int, p: int, run: RunRecord) -> dict[str, Any]:
         """Return the facts of a run that the page's script needs: verdict, outcome, errors."""
+        known = self.records.failed_steps_by_run.get(run.run_id)
         return {
             "c": c,
             "p": p,
@@ -253,6 +254,7 @@ class PageData(RunMatrix):
             "planned": run.steps_planned,
             "error": convert_to_json_number(run.error_move_max),
             "failed": convert_to_json_number(run.failed_steps),
+            "first_failed": known.first if known is not None else None,
             "untrue": convert_to_json_number(run.claimed_not_true),
             "off_m": convert_to_json_number(run.dev_position_max_m),
             "settle_s": convert_to_json_number(run.settle_s),

@@ -58,6 +58,8 @@ _WORDS: dict[str, str] = read_words(__file__)["findings"]
 _SHORT_WORDS: dict[str, str] = read_words(__file__)["short"]
 _CACHING: dict[str, str] = read_words(__file__)["caching"]
 _ENDINGS: dict[str, str] = read_words(__file__)["endings"]
+MOST_QUOTED = 100
+"""Characters of a library's message."""
 
 
 def shorten_findings(kinds: str) -> str:
@@ -77,9 +79,18 @@ def _describe_ending(status: str, run: RunRecord) -> str:
     )
     if status in known:
         return f"{ending} (known of `{run.configuration.solver}`: {known[status]})"
+    if status == "ERROR":
+        return f"{ending}{_quote_library(run)}"
     if status == "INACCURATE" and not isnan(run.iterations_max):
         return f"{ending} after at most {format_count(run.iterations_max)} iterations"
     return ending
+
+
+def _quote_library(run: RunRecord) -> str:
+    """Return the most frequent message of a run's failed steps, in brackets; "" without one."""
+    _, times, message = run.outcome_message.partition(" × ")
+    words = " ".join(message.partition("; ")[0].replace("`", "'").split())
+    return f" (most frequent message: {words[:MOST_QUOTED]})" if times else ""
 
 
 def describe_caching_sign(solver: str, sign: CachingSign | None) -> str:
@@ -120,6 +131,7 @@ def describe_finding(finding: Finding) -> str:
         detail=explain_outcome(first),
         number=format_count(finding.steps),
         answers="answer" if finding.value == 1 else "answers",
+        first=_name_first_step(finding) * (window_of == ""),
         fail="fails" if (finding.steps or finding.value) == 1 else "fail",
         ending=_describe_ending(finding.status, first),
         caching=describe_caching_sign(first.configuration.solver, first.caching_sign),
@@ -146,6 +158,13 @@ def describe_finding(finding: Finding) -> str:
         over=over,
         also_over=f" ({'' if over else 'above the limit '}also in {also})" if also else "",
     )
+
+
+def _name_first_step(finding: Finding) -> str:
+    """Return the first of the failed steps of a finding, as a clause; "" where it is not known."""
+    if finding.first < 0:
+        return ""
+    return f", {'first ' if finding.steps > 1 else ''}at step {finding.first}"
 
 
 def _describe_uncertain_part(finding: Finding) -> str:

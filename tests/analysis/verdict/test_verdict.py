@@ -69,7 +69,12 @@ CAUSES = [
     (
         {},
         {"failed": 8, "lost": (3, 5)},
-        "2 of 1\u202f000 steps fail in the replay of `paper`, as the solver reaches its iteration ",
+        "2 of 1\u202f000 steps fail in the replay of `paper`, first at step 3, as the solver ",
+    ),
+    (
+        {},
+        {"failed": 4, "lost": (5,)},
+        "1 of 1\u202f000 steps fails in the replay of `paper`, at step 5, as the solver reaches ",
     ),
     ({}, {"error": 0.2}, "times the maximum increment in the replay of `paper`"),
 ]
@@ -84,6 +89,28 @@ def test_causes_in_words(
     verdict = _verdict(records, "daqp")
     assert verdict.state in MISSED
     assert clause in _why(verdict)
+
+
+def test_an_error_of_the_library_is_quoted(records: Any) -> None:
+    """Without marks of Markdown, on one line and cut."""
+    detail = f"20 × ValueError:\n`2`{'!' * 200}; 3 × Other"
+    records.replay("osqp", outcome_detail=detail)
+    records.replay("osqp", outcome_detail="stopped after 60 s")
+    quoted, plain = (
+        describe_finding(Finding("failed", (run,), 8.0, 2, status="ERROR"))
+        for run in records.view().runs
+    )
+    words = f"ValueError: '2'{'!' * 85}"
+    assert quoted.endswith(f"as the library reports an error (most frequent message: {words})")
+    assert len(words) == 100 and plain.endswith("as the library reports an error")
+
+
+def test_the_first_failed_step_of_a_window_is_not_named(records: Any) -> None:
+    """Its steps are not those of the scenario."""
+    source = {"kind": "hardest", "name": "paper hardest 15", "of": 450}
+    records.replay("osqp", "paper hardest 15", steps=15, cell=json.dumps({"source": source}))
+    finding = Finding("failed", tuple(records.view().runs), 8.0, 2, first=3)
+    assert describe_finding(finding).startswith("2 of the 15 hardest steps of `paper` fail, as ")
 
 
 @pytest.mark.parametrize(

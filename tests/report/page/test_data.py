@@ -33,6 +33,9 @@ def test_a_cell_holds_the_figures_of_its_run(records: Any) -> None:
     cells = {facts.configurations[cell["c"]].solver: cell for cell in facts.cells()}
     daqp, scs = cells["daqp"], cells["scs"]
     assert (daqp["steps"], daqp["planned"], daqp["error"], daqp["failed"]) == (50, 50, 1e-6, 2)
+    assert daqp["first_failed"] is None  # no step fails in the table of steps
+    records.replay("daqp", steps=20, failed=4, lost=(3, 5))
+    assert [cell["first_failed"] for cell in _facts(records).cells()] == [None, None, 3]
     by_time, by_iterations, by_error = daqp["hard"]
     assert len(by_time) == len(by_error) == 5 and by_iterations == []
     assert by_error[0][:2] == [49, 1e-6], "the largest error is planted in the last step"

@@ -67,7 +67,8 @@ function notKept() {
 function wrongOf(run) {
   // Of a replay the failures are those of all rounds.
   const once = run.answers === run.steps, were = (count) => (count === 1 ? "was" : "were");
-  const found = [[run.inaccurate ?? 0, "step", (count) => `${were(count)} inaccurate`], [run.failed, once ? "step" : "answer", () => "failed"],
+  const found = [[run.inaccurate ?? 0, "step", (count) => `${were(count)} inaccurate`], 
+    [run.failed, once ? "step" : "answer", (count) => `failed${run.first_failed === null ? "" : ` (${count === 1 ? "" : "first "}at step ${run.first_failed})`}`],
     [run.untrue, once ? "step" : "answer", (count) => `${were(count)} reported as solved but not verified${once ? "" : ` (of ${grouped(run.answers)})`}`]]
     .filter(([count]) => count !== 0)
     .map(([count, word, what], i) => `${i ? grouped(count) : many(count, word)} ${what(count)}`);
