@@ -1,6 +1,7 @@
 """Answers stopped early: runs of a configuration by its limit of iterations or time."""
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
@@ -129,7 +130,7 @@ def group_limited_runs(records: Records) -> list[LimitedGroup]:
     alike = group_by_key(limits, lambda run: (limits[run][0], run.mode, run.problem))
     for (limit_of, mode, problem), runs in alike.items():
         by_limit = {
-            configuration: {limits[run][1]: run for run in own}
+            _name_as_in_runs(configuration, own, limit_of): {limits[run][1]: run for run in own}
             for configuration, own in group_by_key(
                 runs, lambda run: _remove_limit(run, limits[run][0])
             ).items()
@@ -165,3 +166,22 @@ def _remove_limit(run: RunRecord, limit_of: LimitOf) -> Configuration:
     names = (n for n in presets if remove(find_options_of_preset(n, run.solver)) == rest)
     name = next(names, "") or format_options_as_toml(rest)
     return replace(run.configuration, settings=name, options="")
+
+
+def _name_as_in_runs(
+    configuration: Configuration, runs: Sequence[RunRecord], limit_of: LimitOf
+) -> Configuration:
+    """Return a configuration under the one name that its runs have apart from their limits.
+
+    That of `mine[max_iter=5]` is `mine`; of names without the limit there is none.
+    """
+    key = re.escape(_find_key_of_limit(configuration.solver, limit_of))
+    entry = re.compile(rf"(?<![^\[,]){key}=[^,\]]*,?")
+    names = {
+        entry.sub("", run.settings).replace(",]", "]").replace("[]", "").rstrip(",")
+        for run in runs
+        if entry.search(run.settings)
+    }
+    if len(names) != 1 or not all(entry.search(run.settings) for run in runs):
+        return configuration
+    return replace(configuration, settings=names.pop() or configuration.settings)

@@ -4,6 +4,8 @@ import json
 import math
 from typing import Any
 
+import pytest
+
 from dpbench.analysis.suites.anytime import group_limited_runs
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
@@ -179,3 +181,28 @@ def test_limits_alone_have_no_best_settings(records: Any) -> None:
         records.loop("osqp", settings=f"{rho} {iterations}", options=options)
     lines = describe_own_settings(judge_solvers(records.view(), Requirements()))
     assert [line[:9] for line in lines if line.startswith("Best of")] == ["Best of 4"]
+
+
+@pytest.mark.parametrize(
+    ("names", "name"),
+    [
+        (("mine[max_iter=5]", "mine[max_iter=50]"), "mine"),
+        (("mine[max_iter=5,rho=1]", "mine[max_iter=50,rho=1]"), "mine[rho=1]"),
+        (("mine[alpha=1,max_iter=5]", "mine[alpha=1,max_iter=50]"), "mine[alpha=1]"),
+        (("max_iter=5,rho=1", "max_iter=50,rho=1"), "rho=1"),
+        (("mine[rho=1][max_iter=5]", "mine[rho=1][max_iter=50]"), "mine[rho=1]"),
+        (("mine[max_iter=5]", "other"), "high"),
+        (("max_iter=5", "max_iter=50"), "high"),
+        (("a[max_iter=5]", "b[max_iter=50]"), "high"),
+        (("my_max_iter=5", "my_max_iter=50"), "high"),
+    ],
+)
+def test_a_curve_has_the_name_of_its_settings(
+    records: Any, names: tuple[str, str], name: str
+) -> None:
+    """That of a preset with equal options where the runs have no common name."""
+    for iterations, own in zip((5, 50), names, strict=True):
+        records.loop("osqp", **{**limit("osqp", iterations), "settings": own})
+    (group,) = group_limited_runs(records.view())
+    (one,) = group.configurations
+    assert one.configuration.settings == name and list(one.runs) == [5, 50]
