@@ -291,9 +291,9 @@ COMMANDS: dict[str, CommandHelp] = {
         ("tune-solver osqp", "tune-solver 'osqp[rho=1.6]' --range 'rho=[0.1,10]'"),
         f"0 settings found; 1 none is accurate on every training sequence; {_BUSY}; "
         "130 interrupted",
-        "Find the fastest settings of a solver that are accurate on the training sequences, and "
-        "measure them on test sequences of other loops. Ctrl-C writes the best settings so far; "
-        "the same command continues the search.",
+        "Search in N trials for the fastest settings of a solver that are accurate on the training "
+        "sequences. Measure the best of them, which is not an optimum, on test sequences of other "
+        "loops. Ctrl-C writes the best settings so far; the same command continues the search.",
     ),
     "init": CommandHelp(
         _SHIP,

@@ -395,7 +395,7 @@ def add_tune_solver_options(tune: Command) -> None:
         "(default: 0.01)"
     )
     _option(search, "--error", "X", error, type=float, default=0.01, dest="error_move")
-    trials = "number of settings to try (default: 48)"
+    trials = "number of settings to try (default: 48); more may find better ones"
     _option(search, "--trials", "N", trials, type=int, default=48)
     _option(search, "--seed", "N", "seed of the search (default: 1)", type=int, default=1)
     _flag(search, "--dry-run", "estimate the time, then exit")

@@ -29,6 +29,7 @@ from dpbench.report.formats import (
     format_error,
     format_time,
     join_with_and,
+    plural,
     significant,
     strip_markdown,
 )
@@ -197,7 +198,12 @@ class Tuning:
                 *self._not_done,
             ]
         found = "best so far, of" if self.is_interrupted else "best of"
-        lines = [f"{found} {self.trials} settings of {self._call}: {self.best.name}", *edges]
+        lines = [
+            f"{found} {self.trials} settings of {self._call}: {self.best.name}",
+            f"this is a search with {plural(self.trials, 'trial')}, not an optimum; a higher "
+            "--trials or another --seed may find better settings",
+            *edges,
+        ]
         if self.best.score.late:
             lines.append(
                 "no accurate settings that were tried are in time on the training sequences"

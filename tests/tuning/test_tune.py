@@ -205,6 +205,8 @@ def test_iterations_near_their_limit_are_named(
     line = "iterations of the best: up to 3886 of max_iter = 4000, in calm"
     for text in ("\n".join(found.lines), found.toml):
         assert (line in text) == shown
+    # With one's own and the three presets.
+    assert "this is a search with 7 trials, not an optimum; " in found.lines[1]
 
 
 def test_the_file_ends_with_the_call_of_the_library(
