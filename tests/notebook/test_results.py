@@ -14,6 +14,7 @@ from dpbench.analysis.verdict.requirements import MISSED, STATES
 from dpbench.errors import ResultsError
 from dpbench.notebook.results import Results
 from dpbench.report.ship.ship_text import BANNER
+from dpbench.report.write import write_report
 
 
 @pytest.fixture(scope="module")
@@ -232,6 +233,9 @@ def test_a_folder_without_steps_has_the_tables_of_its_report(
         stored.paired_ratios("daqp", "osqp")
     with pytest.raises(ResultsError, match=r"study\.csv.*required: .*verdicts"):
         stored.tables["study"]
+    required = r"this one was published without them: open its report\.html, .* `dpbench run SUITE`"
+    with pytest.raises(ResultsError, match=rf"steps\.parquet: no such file; .*{required}"):
+        write_report(part)
 
 
 @pytest.mark.slow

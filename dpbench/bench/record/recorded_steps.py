@@ -34,6 +34,10 @@ STEPS_NEEDED = (
     "`ships()`, `to_latex()` and `to_csv()` are available"
 )
 """Remedy in a folder without steps, and the data that are available there."""
+_NOT_PUBLISHED = (
+    "a folder with its steps; this one was published without them: open its report.html, or make "
+    "one with steps by `dpbench run SUITE`"
+)
 CACHED_GROUPS = 2
 """Number of row groups, with the columns requested, that are kept for the next request."""
 
@@ -49,6 +53,8 @@ class StepsOnDisk:
         if is_optional and not self._path.exists():
             self.rows, self._row_ranges_by_group_and_run, self.is_missing = 0, [], True
             return
+        if (folder / "runs.parquet").exists() and not self._path.exists():
+            raise ResultsError(str(self._path), "", "no such file", _NOT_PUBLISHED)
         with (
             convert_table_errors(self._path),
             open_untrusted_parquet_table(self._path, error=ResultsError) as file,
