@@ -14,7 +14,7 @@ stated by the size of the QP. Judging and sources take longer with the size, too
 import math
 import os
 import tomllib
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -98,7 +98,8 @@ class Estimate:
     `cells` are to run; `finished` ones have been, `refused` ones leave rows without running;
     `unmeasured` ones are in no figure of time and size. `time_s` is that on `slots` closed loops at
     a time, with `report_s` for the report and `compile_s` for kernels; `size_bytes` that of the
-    tables with finished runs. `is_lower_bound`: whether exact loops may take much longer.
+    tables with finished runs. `refusals` are the refused cells by reason and solver.
+    `is_lower_bound`: whether exact loops may take much longer.
     """
 
     cells: int
@@ -114,6 +115,16 @@ class Estimate:
     rates: str
     remarks: Sequence[str] = ()
     is_lower_bound: bool = False
+    refusals: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+
+    @property
+    def refusal_lines(self) -> list[str]:
+        """Lines to print for `--dry-run`: the refused cells by reason, most first."""
+        totals = {reason: sum(cells.values()) for reason, cells in self.refusals.items()}
+        return [
+            f"{totals[reason]} refused, of {', '.join(self.refusals[reason])}: {reason}"
+            for reason in sorted(totals, key=lambda reason: -totals[reason])
+        ]
 
     @property
     def lines(self) -> list[str]:
@@ -184,6 +195,15 @@ def _estimate_sources_s(cells: Iterable[Cell]) -> float:
     return sum(seconds.values())
 
 
+def count_refusals(planned: Sequence[PlannedCell]) -> dict[str, dict[str, int]]:
+    """Return the number of refused planned runs by reason and solver."""
+    refusals: dict[str, dict[str, int]] = {}
+    for cell, reason in ((p.cell, p.refused) for p in planned if p.refused):
+        solvers = refusals.setdefault(reason, {})
+        solvers[cell.solver] = solvers.get(cell.solver, 0) + 1
+    return refusals
+
+
 def estimate_time_and_size(
     planned: Sequence[PlannedCell],
     slots: int,
@@ -219,6 +239,7 @@ def estimate_time_and_size(
         slots=slots,
         rates=rates.origin,
         is_lower_bound=any(_commands_thrusters(p.cell) for p in measured),
+        refusals=count_refusals(planned),
     )
 
 

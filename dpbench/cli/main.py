@@ -182,7 +182,8 @@ def _print_estimate(arguments: argparse.Namespace) -> int:
     from dpbench.bench.estimate import estimate_campaign
 
     estimate = estimate_campaign(**_collect_options(arguments, "dry_run", *HOW_TO_END))
-    print(json.dumps(vars(estimate), indent=2) if arguments.json else "\n".join(estimate.lines))
+    lines = [*estimate.lines, *estimate.refusal_lines]
+    print(json.dumps(vars(estimate), indent=2) if arguments.json else "\n".join(lines))
     return 0
 
 

@@ -159,11 +159,20 @@ def test_what_does_not_run_takes_nothing() -> None:
     cells = [cell("daqp", 20, **random), refused, cell("daqp", 9, **edge)]
     found = estimate_time_and_size(cells, 1, STATED_RATES)
     assert (found.cells, found.refused, found.unmeasured) == (2, 1, 1)
+    assert found.refusal_lines == ["1 refused, of osqp: no such policy"]
     of_first = estimate_time_and_size(cells[:1], 1, STATED_RATES)
     assert found.time_s - found.report_s == pytest.approx(of_first.time_s - of_first.report_s)
     assert of_first.time_s - of_first.report_s > START_S
     alone = estimate_time_and_size([refused], 1, STATED_RATES)
     assert alone.time_s == alone.report_s == REPORT_S + REPORT_CELL_S
+
+
+def test_refused_cells_are_grouped_by_reason() -> None:
+    reasons = [("osqp", "b"), ("daqp", "a"), ("osqp", "a"), ("osqp", "a"), ("scs", "")]
+    cells = [PlannedCell(cell(solver, 400).cell, reason) for solver, reason in reasons]
+    found = estimate_time_and_size(cells, 1, STATED_RATES)
+    assert found.refusal_lines == ["3 refused, of daqp, osqp: a", "1 refused, of osqp: b"]
+    assert found.refusals == {"b": {"osqp": 1}, "a": {"daqp": 1, "osqp": 2}}
 
 
 def test_finished_cells_take_nothing_but_have_rows() -> None:
@@ -220,7 +229,8 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     assert main(["run", "tiny.toml", "--dry-run"]) == 0
     said = capsys.readouterr()
     assert said.err == ""
-    cells, cost, rates, *others, remark = said.out.splitlines()
+    cells, cost, rates, *others, remark, refusal = said.out.splitlines()
+    assert refusal.startswith("1 refused, of quadprog: policy warm: ")
     assert cells == "83 cells to run and 1 refused; 1 089 steps to record"
     assert "s on this machine" in cost and "MB of tables" in cost
     assert rates.startswith("estimated from rates of another machine") and "for a p99" in remark

@@ -33,6 +33,7 @@ from dpbench.solvers.own_settings import (
     expand_choice_over_option_grid,
     split_into_solver_and_options_text,
 )
+from dpbench.solvers.settings import has_preset_or_tolerance
 from dpbench.solvers.table import find_solver_record, load_plugin_solver_from_file
 
 NO_P99 = "no replay has enough steps for a p99"
@@ -119,6 +120,9 @@ class RunRequest:
             if self.routes or self.policies:
                 solvers = choose_solvers(document, self.solvers)
                 remarks = check_call_modes(document, solvers, "routes" in keys)
+            if self.settings:
+                chosen_solvers = choose_solvers(document, self.solvers)
+                remarks += list_solvers_without_settings(document, chosen_solvers, self.settings)
             is_timed = document.requirements.deadline_ms > 0.0
             if not is_timed and self.sequence is not None:
                 remarks += [WITHOUT_SAMPLE]
@@ -366,6 +370,22 @@ def check_call_modes(suite: SuiteFile, solvers: Sequence[str], has_routes: bool)
             raise PolicyError(argument, "", found, f"{allowed} for {name}")
         raise PolicyError(argument, "", f"{found}, which {name} does not have", allowed)
     return [f"{name} does not run: it has no {found}" for name, (found, _) in missing.items()]
+
+
+def list_solvers_without_settings(
+    suite: SuiteFile, solvers: Sequence[str], settings: Sequence[str]
+) -> list[str]:
+    """Return a remark on each of the chosen settings that some of the solvers do not have."""
+    own = (BASELINE_LAW, *CALIBRATION)
+    named = [name for name in solvers if "[" not in name and name not in own]
+    remarks = []
+    for name in dict.fromkeys(settings):
+        table = suite.settings[name].options_by_solver if name in suite.settings else {}
+        lacking = [s for s in named if s not in table and not has_preset_or_tolerance(s, name)]
+        if lacking:
+            text = f"not run, because the solver has no settings {name}: {_name_a_few(lacking)}"
+            remarks.append(text)
+    return remarks
 
 
 def _explain_lack(

@@ -44,6 +44,19 @@ def test_a_chosen_call_mode_replaces_those_of_every_table(suite: str) -> None:
     assert plan.remarks[0] == "quadprog does not run: it has no native warm"
 
 
+def test_solvers_without_chosen_settings_are_named(suite: str) -> None:
+    text = Path(suite).read_text()
+    Path(suite).write_text(f"{text}\n[settings.mine.osqp]\nrho = 1.0\n")
+    chosen = ["default", "high_polished", "mine"]
+    plan = RunRequest(suite, settings=chosen, solvers=["osqp", "quadprog"]).make_plan()
+    assert [text for text in plan.remarks if text.startswith("not run")] == [
+        "not run, because the solver has no settings high_polished: quadprog",
+        "not run, because the solver has no settings mine: quadprog",
+    ]
+    alone = RunRequest(suite, settings=["default", "high_polished"], solvers=["osqp"]).make_plan()
+    assert not [text for text in alone.remarks if text.startswith("not run")]
+
+
 @pytest.mark.parametrize(
     ("steps", "hardest", "judged"),
     [
