@@ -129,20 +129,36 @@ def describe_best_of_grids(verdicts: Verdicts) -> list[str]:
     Also the options of which it has the least or largest value that was tried. Limits of iterations
     or time alone have a topic of their own.
     """
-    own = list_best_verdict_of_own_settings(verdicts)
-    grids = group_by_key(own, lambda v: (v.configuration.solver, tuple(_format_options_by_name(v))))
     best = [
         _describe_best_of_grid(points, choose_best_settings(verdicts, points))
-        for points in grids.values()
-        if len(points) >= LEAST_POINTS and not _differ_in_limit_alone(points)
+        for points in list_grids(verdicts)
     ]
-    adapted = (_describe_adapted_options(points) for points in grids.values())
+    adapted = map(_describe_adapted_options, _group_by_names_of_options(verdicts))
     return [*best, *dict.fromkeys(filter(None, adapted))]
 
 
-def _list_varied_options(points: Sequence[Verdict]) -> set[str]:
+def _group_by_names_of_options(verdicts: Verdicts) -> list[list[Verdict]]:
+    """Return the best verdicts on custom settings, grouped by solver and the options they set."""
+    own = list_best_verdict_of_own_settings(verdicts)
+    alike = group_by_key(own, lambda v: (v.configuration.solver, tuple(format_options_by_name(v))))
+    return [*alike.values()]
+
+
+def list_grids(verdicts: Verdicts) -> list[list[Verdict]]:
+    """Return the best verdict on each point of each grid: of settings that set the same options.
+
+    Limits of iterations or time alone are no grid.
+    """
+    return [
+        points
+        for points in _group_by_names_of_options(verdicts)
+        if len(points) >= LEAST_POINTS and not _differ_in_limit_alone(points)
+    ]
+
+
+def list_varied_options(points: Sequence[Verdict]) -> set[str]:
     """Return the names of the options in which settings differ that set the same options."""
-    options = [_format_options_by_name(verdict) for verdict in points]
+    options = [format_options_by_name(verdict) for verdict in points]
     return {name for name in options[0] if len({own[name] for own in options}) > 1}
 
 
@@ -152,7 +168,7 @@ def _describe_adapted_options(points: Sequence[Verdict]) -> str:
     record = find_solver_record_or_none(c.solver)
     if record is None:
         return ""
-    varied = sorted(_list_varied_options(points) & set(record.adapted))
+    varied = sorted(list_varied_options(points) & set(record.adapted))
     set_to = [
         resolve_settings_with_fixed_options(v.configuration.solver_settings, c.solver)
         for v in points
@@ -169,7 +185,7 @@ def _differ_in_limit_alone(points: Sequence[Verdict]) -> bool:
     """Return whether settings of a solver are the same but for its limit of iterations or time."""
     record = find_solver_record_or_none(points[0].configuration.solver)
     limits = () if record is None else (record.iteration_limit, record.time_limit)
-    varied = _list_varied_options(points)
+    varied = list_varied_options(points)
     return any(varied == {limit} for limit in limits)
 
 
@@ -178,11 +194,11 @@ def _changes_result(option: str, best: Verdict, points: Sequence[Verdict]) -> bo
 
     True also where no settings differ in this option alone.
     """
-    own = _format_options_by_name(best)
+    own = format_options_by_name(best)
     others = [
         verdict
         for verdict in points
-        if {name for name, value in _format_options_by_name(verdict).items() if value != own[name]}
+        if {name for name, value in format_options_by_name(verdict).items() if value != own[name]}
         == {option}
     ]
     return not others or any(not _has_same_result(best, verdict) for verdict in others)
@@ -202,7 +218,7 @@ def _has_same_result(one: Verdict, other: Verdict) -> bool:
     return not abs(one.p99_ns - other.p99_ns) > ALIKE * one.p99_ns
 
 
-def _format_options_by_name(verdict: Verdict) -> dict[str, str]:
+def format_options_by_name(verdict: Verdict) -> dict[str, str]:
     """Return the options of a verdict's configuration as text, by name."""
     return format_each_option_as_toml(decode_options_from_json(verdict.configuration.options))
 
@@ -224,15 +240,15 @@ def _name_first_of(names: Sequence[str]) -> str:
 def _list_edges(best: Verdict, points: Sequence[Verdict], equals: Sequence[Verdict]) -> list[str]:
     """Return the options of which a wider grid may have a better value than the best has."""
     edges = []
-    for option, value in _format_options_by_name(best).items():
-        numbers = (as_float(_format_options_by_name(verdict)[option]) for verdict in points)
+    for option, value in format_options_by_name(best).items():
+        numbers = (as_float(format_options_by_name(verdict)[option]) for verdict in points)
         tried = {number for number in numbers if math.isfinite(number)}
         at = as_float(value)
         # No option takes a value below zero: a zero is the least that is allowed.
         ends = {min(tried), max(tried)} if len(tried) >= LEAST_POINTS else set()
         is_bound = at == min(tried, default=at) <= 0.0
         # Another value that is as fast shows that the time does not fall towards this end.
-        is_flat = any(_format_options_by_name(other)[option] != value for other in equals)
+        is_flat = any(format_options_by_name(other)[option] != value for other in equals)
         if at in ends and not is_bound and not is_flat and _changes_result(option, best, points):
             edges.append(option)
     return edges

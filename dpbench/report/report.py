@@ -55,6 +55,7 @@ from dpbench.report.page.data import PageData
 from dpbench.report.page.live import draw_section_charts, select_static_charts
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
 from dpbench.report.page.section import Topic
+from dpbench.report.settings_grids import tabulate_settings_grids
 from dpbench.report.ship.open_losses import find_open_losses
 from dpbench.report.study_effects_table import build_effects_table, build_interactions_table
 from dpbench.report.topics.all import build_topics
@@ -199,6 +200,7 @@ def build_tables(
         "hard_steps": tabulate_hard_steps(data, data.thinned_runs),
         "ladder": ladder.rename(columns={n: f"{n.removesuffix('_ms')}_us" for n in times}),
         "paired_ratios": tabulate_time_ratios(data),
+        "settings_grids": tabulate_settings_grids(data.verdicts),
         "study_excess": tabulate_differences_from_reference(data.studies),
         "study_points": tabulate_study_points(data.studies),
         "study_effects": build_effects_table(data.studies),

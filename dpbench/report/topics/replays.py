@@ -50,6 +50,7 @@ from dpbench.report.formats import (
 )
 from dpbench.report.own_settings_text import describe_best_of_grids
 from dpbench.report.page.section import Topic
+from dpbench.report.settings_grids import make_grid_tables
 from dpbench.report.verdict.verdict_text import (
     describe_answer,
     describe_paired_times,
@@ -211,7 +212,7 @@ def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
         "Two settings of one solver",
         (" ".join(texts), *grids, note),
         (),
-        (table,),
+        (*make_grid_tables(verdicts), table),
         short="Settings",
     )
 
