@@ -31,7 +31,7 @@ def test_a_grid_over_two_options_has_one_down_and_one_across(records: Any) -> No
 
 
 def test_the_points_of_a_grid_have_a_column_per_varied_option(records: Any) -> None:
-    """Of three options, too, as numbers or text; settings that are no grid are left out."""
+    """A grid of three options has numbers and text; settings that are no grid are left out."""
     for rho, alpha, kind in ((1, 1.5, "a"), (2, 1.5, "b"), (1, 1.6, "b")):
         add(records, 0.3, rho=rho, alpha=alpha, linsys=kind)
     add(records, 0.3, sigma=1e-5)

@@ -200,7 +200,7 @@ def test_limits_alone_have_no_best_settings(records: Any) -> None:
 def test_a_curve_has_the_name_of_its_settings(
     records: Any, names: tuple[str, str], name: str
 ) -> None:
-    """That of a preset with equal options where the runs have no common name."""
+    """Without a common name of the runs, it is that of a preset with equal options."""
     for iterations, own in zip((5, 50), names, strict=True):
         records.loop("osqp", **{**limit("osqp", iterations), "settings": own})
     (group,) = group_limited_runs(records.view())
