@@ -264,8 +264,29 @@ def test_the_weak_side_is_simulated_in_a_scenario_of_its_own(
     assert f"{math.floor(10 * winds[worst]) / 10:.1f} m/s from {FROM_DEG[worst]:g}°" in said
     assert "my_ship_weak_side.toml" in said
     assert [fault["lost"] for fault in faults] == ([["board A"]] if astern else [])
-    (table,) = load_path_and_suite(FILES[3])[1].closed_loop[2:]
-    assert table.scenarios == ["my_ship_weak_side.toml"]
+    tables = load_path_and_suite(FILES[3])[1].closed_loop
+    assert ["my_ship_weak_side.toml"] in [table.scenarios for table in tables]
+
+
+def test_the_intact_ship_is_simulated_in_the_sea_of_her_capability_number(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Without a loss, in the largest sea held off the bow: above that of the losses."""
+    assert init(TABLE) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    intact = load_scenario("my_ship_intact.toml")
+    document = intact.files["scenario"]
+    wind, faults = document["environment"]["wind"], document["faults"]
+    plot = CapabilityPlot(load_vessel(FILES[0]))
+    limit = plot.find_wind_limit(plot.intact_and_failure_cases[0], math.radians(wind["from_deg"]))
+    assert wind == {"speed_mps": DP_NUMBERS[limit.number][0], "from_deg": 30.0, "gusts": "norsok"}
+    assert limit.number > 5 and not faults
+    assert intact.steps * intact.sample_s >= 600.0
+    assert f"DP number {limit.number}, wind {wind['speed_mps']:g} m/s from 30°" in said
+    tables = load_path_and_suite(FILES[3])[1].closed_loop
+    assert ["my_ship_intact.toml"] in [table.scenarios for table in tables]
+    assert main(["init", "my_ship", "--sea", str(limit.number)]) == 0
+    assert not Path(f"my_ship_sea{limit.number}_intact.toml").exists()
 
 
 def test_the_worst_group_is_lost_where_the_others_hold(capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,7 +7,7 @@ import os
 import re
 import shlex
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -54,7 +54,7 @@ LOST_FROM = 0.6  # Share of these steps after which thrusters are lost
 SETTLED_S = 180.0
 """Earliest loss [s]: the weather has grown and the ship, which starts at rest, has settled."""
 AFTER_LOSS_S = 420.0
-"""Time simulated after a loss [s]: a ship may leave its station slowly."""
+"""Time simulated after a loss [s], and as long without one: a ship may leave its station slowly."""
 SAMPLE_S = 0.3
 START_M = (1.2, 1.3)  # North and east; sample and start are the paper's
 YAW_WEIGHT = 3000.0
@@ -167,6 +167,8 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
         paths = {group: folder / file for group, file in files.items()}
         remarks += describe_losses(held, number, _find_time_of_loss(vessel), paths)
         remarks.append(held.weak_side.describe(number, _name_weak_side_file(stem)))
+        if _name_intact_file(stem) in texts:
+            remarks.append(held.describe_intact_sea(_name_intact_file(stem)))
     harder = _suggest_harder_sea(folder, vessel, number, held)
     written = _list_files_and_commands(folder, texts, vessel, number, held, remarks)
     return [*drawn, *written, *harder]
@@ -179,7 +181,7 @@ def _render_sea_files(
     stem = name if chosen else f"{name}_sea{number}"
     weather = f"{name}_weather.toml" if chosen else f"{stem}.toml"
     texts = {weather: render_scenario_file(name, vessel, number, held, chosen=chosen)}
-    steered, left_out, weak_file = [], "", ""
+    steered, apart, left_out = [], {}, ""
     if held is not None:
         losses = _name_loss_files(stem, held, number)
         groups = {file: group for group, file in losses.items()}
@@ -190,16 +192,31 @@ def _render_sea_files(
             )
         left_out = describe_losses_left_out(held, [*losses])
         weak = held.weak_side
-        texts[weak_file := _name_weak_side_file(stem)] = render_scenario_file(
+        apart[_name_weak_side_file(stem)] = (
+            "The weak side: weather from the direction of least wind held."
+        )
+        texts[_name_weak_side_file(stem)] = render_scenario_file(
             name, vessel, number, held, chosen=chosen, steered=True, lost=weak.lost, weak=weak
         )
-    suite = render_suite_file(name, weather, vessel, number, steered, left_out, weak_file)
+        if chosen and held.intact_number > number:
+            apart[_name_intact_file(stem)] = (
+                "The intact ship in the largest sea that it holds off the bow."
+            )
+            texts[_name_intact_file(stem)] = render_scenario_file(
+                name, vessel, held.intact_number, held, chosen=chosen, steered=True
+            )
+    suite = render_suite_file(name, weather, vessel, number, steered, left_out, apart)
     return texts | {f"{stem}_suite.toml": suite}
 
 
 def _name_weak_side_file(stem: str) -> str:
     """Return the file name of the scenario with weather from the weak side."""
     return f"{stem}_weak_side.toml"
+
+
+def _name_intact_file(stem: str) -> str:
+    """Return the file name of the scenario with the intact ship in the largest sea it holds."""
+    return f"{stem}_intact.toml"
 
 
 def _name_loss_files(stem: str, held: HeldSea, number: int) -> dict[str, str]:
@@ -365,16 +382,24 @@ def _list_files_and_commands(
 def _suggest_harder_sea(
     folder: Path, vessel: Vessel, number: int, held: HeldSea | None
 ) -> list[str]:
-    """Return lines with the command for the hardest sea the ship holds; none where this is it."""
+    """Return lines with the command for the largest sea the ship holds; none where this is it."""
     harder = find_hardest_sea(vessel, held)
     # A loss that is not held here is not held in a larger sea either.
     if harder <= number or (held is not None and held.list_groups_not_held(number)):
         return []
     share, whole = find_mean_share(vessel, harder, held)
     where = "" if folder == Path() else f" --out {folder}"
+    wind_mps = scaling.DP_NUMBERS[harder][0]
+    from_deg = scaling.FROM_DEG if held is None else held.from_deg
+    about = (
+        f"(more wind from the same direction: {wind_mps:g} m/s from {from_deg:g}°; level-1 mean "
+        f"force: {share:.0%} of {whole}"
+    )
+    lost = held is not None and held.list_groups_not_held(harder)
+    about += "; not held after every loss)" if lost else ")"
     return [
         f"harder: dpbench init {vessel.id} --sea {harder}{where}",
-        f"      (level-1 mean force: {share:.0%} of {whole}; limits are active more often)",
+        *textwrap.wrap(about, WIDTH, initial_indent="      ", subsequent_indent="      "),
     ]
 
 
@@ -487,13 +512,12 @@ def render_scenario_file(
     """
     longer = scaling.compute_froude_time_scale(vessel.length_m) ** 2
     step_s = choose_sample_s(vessel)
-    why = _explain_sea_choice(find_mean_share(vessel, number, held)[0], held, chosen=chosen)
+    why = _explain_sea_choice(vessel, number, held, chosen=chosen)
     from_deg = held.from_deg if held else scaling.FROM_DEG
     if weak is not None:
         why, from_deg = weak.explain_sea(number), weak.from_deg
         number = weak.find_number(number)
     wind_mps, hs_m, *_ = scaling.DP_NUMBERS[number]
-    after = math.ceil(AFTER_LOSS_S / step_s) if lost else STEPS - round(LOST_FROM * STEPS)
     return render_document(
         "own_scenario.toml",
         comment=_wrap_as_comment,
@@ -515,7 +539,7 @@ def render_scenario_file(
         off_bow_deg=min(from_deg, 360.0 - from_deg),
         step_s=step_s,
         scaled_s=_scale_sample_s(vessel),
-        steps=_find_step_of_loss(vessel) + after if steered else STEPS,
+        steps=_find_step_of_loss(vessel) + math.ceil(AFTER_LOSS_S / step_s) if steered else STEPS,
         start=[round(metres * longer, 2) for metres in START_M],
         sea=scaling.make_environment_of_dp_number(number, from_deg),
         lag_s=round(LAG_S * scaling.compute_froude_time_scale(vessel.length_m), 2),
@@ -535,12 +559,13 @@ def _find_time_of_loss(vessel: Vessel) -> float:
     return round(_find_step_of_loss(vessel) * choose_sample_s(vessel), 2)
 
 
-def _explain_sea_choice(share: float, held: HeldSea | None, *, chosen: bool) -> str:
+def _explain_sea_choice(vessel: Vessel, number: int, held: HeldSea | None, *, chosen: bool) -> str:
     """Return a sentence on why this sea was chosen for a new ship's scenario."""
     if not chosen:
         return "as requested"
     if held is not None:
-        return held.reason
+        return held.explain_sea(number)
+    share, _ = find_mean_share(vessel, number)
     limit = f"whose mean force takes at most {scaling.SPARE:.0%} of the limits"
     if share <= scaling.SPARE:
         return f"the largest {limit}"
@@ -554,20 +579,20 @@ def render_suite_file(
     number: int,
     steered: Sequence[str] = (),
     left_out: str = "",
-    weak_side: str = "",
+    apart: Mapping[str, str] | None = None,
 ) -> str:
     """Return the text of a suite file that compares solvers in a new ship's scenarios.
 
     steered : files of the scenarios whose controller steers thrusters; the first is replayed, too;
-    left_out : the losses that none of them simulates, and why; weak_side : file of the scenario
-    with weather from the weak side; "" for none.
+    left_out : the losses that none of them simulates, and why; apart : by file of a scenario with
+    another sea, the sentence on it.
     """
     lost_from = _find_step_of_loss(vessel)
     return render_document(
         "own_suite.toml",
         steered=steered,
         left_out=left_out,
-        weak_side=weak_side,
+        apart=apart or {},
         comment=_wrap_as_comment,
         toml_strings=partial(json.dumps, ensure_ascii=False),
         name=name,

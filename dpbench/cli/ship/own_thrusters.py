@@ -319,6 +319,26 @@ class HeldSea:
     remedies: dict[str, str]
     weak_side: WeakSide
 
+    @property
+    def intact_number(self) -> int:
+        """Largest DP number whose wind the intact ship holds off the bow, at least 1."""
+        winds = scaling.DP_NUMBERS.items()
+        return max((n for n, (mps, *_) in winds if mps <= self.intact_mps), default=1)
+
+    def explain_sea(self, number: int) -> str:
+        """Return text on the choice of a DP number, that of the ship or of the intact ship."""
+        if number == self.number:
+            return self.reason
+        return f"the largest that the intact ship holds by level 1 from {self.from_deg:g}°"
+
+    def describe_intact_sea(self, file: str) -> str:
+        """Return a sentence on the scenario of a file with the intact ship in its largest sea."""
+        wind_mps = scaling.DP_NUMBERS[self.intact_number][0]
+        return (
+            f"intact ship, without a loss: DP number {self.intact_number}, wind {wind_mps:g} m/s "
+            f"from {self.from_deg:g}°, the largest held there by level 1 ({file})"
+        )
+
     def list_groups_not_held(self, number: int) -> list[str]:
         """Return the groups after whose loss a DP number is not held, the worst first."""
         return [group for group, held_number in self.losses.items() if held_number < number]
@@ -517,12 +537,10 @@ def _name_groups_lost_one_by_one(groups: Sequence[str]) -> str:
 
 def find_hardest_sea(vessel: Vessel, held: HeldSea | None) -> int:
     """Return the largest DP number that the intact ship holds, by `held` or else its limits."""
-    if held is None:
-        held_numbers = (n for n in scaling.DP_NUMBERS if find_mean_share(vessel, n)[0] <= 1.0)
-    else:
-        winds = scaling.DP_NUMBERS.items()
-        held_numbers = (n for n, (wind_mps, *_) in winds if wind_mps <= held.intact_mps)
-    return max(held_numbers, default=1)
+    if held is not None:
+        return held.intact_number
+    shares = {n: find_mean_share(vessel, n)[0] for n in scaling.DP_NUMBERS}
+    return max((n for n, share in shares.items() if share <= 1.0), default=1)
 
 
 def find_mean_share(vessel: Vessel, number: int, held: HeldSea | None = None) -> tuple[float, str]:
