@@ -24,7 +24,7 @@ from dpbench.analysis.records.run_steps import (
     yield_merged_steps_by_run,
     yield_step_times_by_run,
 )
-from dpbench.analysis.records.windows import relate_windows_to_closed_loops
+from dpbench.analysis.records.untimed_iterations import relate_replays_to_closed_loops
 from dpbench.bench.judge.rules import has_comparable_times, mask_failed_steps
 from dpbench.bench.record.cell import COMMON_FORMULATION
 from dpbench.bench.record.recorded_steps import ALL_COLUMNS, find_row_ranges_by_label
@@ -87,7 +87,7 @@ class Records:
             for run in runs
         ]
         self._steps = results.recorded
-        self.all_runs = relate_windows_to_closed_loops(self.all_runs)
+        self.all_runs = relate_replays_to_closed_loops(self.all_runs)
         if self.has_steps:
             self.all_runs = compare_loops_over_replayed_steps(
                 self.all_runs, lambda run: self.read_counting_step_table(run, SOLVE_TIME_COLUMNS)

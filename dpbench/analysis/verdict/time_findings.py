@@ -217,7 +217,7 @@ def compute_p99_ns(run: RunRecord, algo_ns: Floats) -> float:
     """Return a replay's p99 step time, of each step's fastest repetition [ns], or NaN.
 
     Of a window, one in a hundred steps of its stretch exceeds it if those beyond are all in the
-    window; see `windows.py` for how far they are not.
+    window; see `untimed_iterations.py` for how far they are not.
     """
     if not run.steps_searched_for_hardest:
         return percentile_or_nan(algo_ns, 99)
@@ -299,7 +299,7 @@ class _ReplayTimes:
 
     @property
     def bound_ns(self) -> float:
-        """The p99 [ns], of a window as much longer as the closed loop has more iterations."""
+        """The p99 [ns], as much longer as the closed loop has more iterations than the replay."""
         return self.algo.p99_ns * self.run.untimed_iterations
 
     def doubt(self, waits: Doubt, few: Doubt, time_ns: float, own_ns: float) -> Finding:
@@ -400,7 +400,7 @@ class SpeedMargin:
 
     @property
     def limiting_p99_ns(self) -> float:
-        """The p99 that limits the speed margin [ns]; that of a window is scaled up."""
+        """The p99 that limits the speed margin [ns], scaled up to the closed loop's iterations."""
         return self.p99.time_ns * self.p99.run.untimed_iterations
 
     @property

@@ -57,7 +57,7 @@ class Verdict:
     p99_ns : largest p99 of the algorithmic step time, in the replay or window `p99_run`, with
         `p99_interval` [ns]; unknown in a window, whose other steps were not timed.
     p99_bound_ns : the largest of these, a window's by as much longer as the closed loop of its
-        solver has more iterations (`windows.py`), in `p99_bound_run` [ns].
+        solver has more iterations (`untimed_iterations.py`), in `p99_bound_run` [ns].
     p50_ns : on the sequence `timed_on`, of those replayed whole one that all timed configurations
         have in common, else that of the worst p99, or of the worst p50 where none supports a p99.
     rounds_ns, replay_p99_ns, raw_p99_ns : there, median of the fastest and of the slowest round,

@@ -213,7 +213,7 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
         return ""
     requirements = data.requirements
     is_scaled = any(margin.p99.run.untimed_iterations > 1.0 for margin in margins)
-    scaled = ", that of a window scaled up to the iterations of its closed loop" * is_scaled
+    scaled = ", scaled up to the iterations of the closed loop" * is_scaled
     return (
         f"Limiting p99: the largest p99 of all replays and windows{scaled}; without a p99, the "
         "longest step. Speed margin: factor by which the computer may be slower, the smaller of "

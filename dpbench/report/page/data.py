@@ -340,7 +340,7 @@ LABELS = {
 """Labels of columns on the page; others are their names with spaces."""
 COLUMNS = {
     **RUN_COLUMNS,
-    "limiting_p99_ns": ("float64", "p99 for the speed margin; that of a window is scaled up"),
+    "limiting_p99_ns": ("float64", "p99 for the speed margin, scaled up by iterations of the loop"),
 }
 """Type and meaning of the columns of runs, with that which only the page has."""
 MOST_TILES = 1000
@@ -407,10 +407,10 @@ def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
 
 
 def _compute_limiting_p99_ns(data: PageData, runs: pd.DataFrame) -> "pd.Series[float]":
-    """Return the p99 of each replay and window (R,) [ns], that of a window scaled up; or NaN."""
+    """Return the p99 of each replay and window (R,) [ns], scaled up to its loop; or NaN."""
     factors = {run.run_id: run.untimed_iterations for run in data.records.runs}
     scale = runs["run_id"].astype(str).map(factors).astype(np.float64).fillna(1.0)
-    return runs["algo_p99_ns"].fillna(runs["window_p99_ns"] * scale)
+    return runs["algo_p99_ns"].fillna(runs["window_p99_ns"]) * scale
 
 
 def _find_configuration_indices(data: PageData, runs: pd.DataFrame) -> list[int | None]:

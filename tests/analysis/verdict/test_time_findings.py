@@ -421,6 +421,20 @@ def test_a_window_that_leaves_out_slow_steps_does_not_pass(
     assert margin.p99_limit == pytest.approx(1e6 / bound_ns)
 
 
+def test_a_replay_of_a_part_is_bounded_by_the_iterations_of_the_whole_loop(records: Any) -> None:
+    """Its p99 of 400 µs has 4 iterations, the loop 9: 800 µs, a margin of 1.25 instead of 2.5."""
+    records.loop("daqp", "turn", iterations_p99=9.0)
+    _even_replay(
+        records, 400_000, 1000, sequence="turn[0:1000]", scenario="turn", iterations_p99=4.0
+    )
+    findings, figures = _judged(records)
+    assert not [one for one in findings if one.kind != "short slow loop"]
+    assert (figures["p99_ns"], figures["p99_bound_ns"]) == (4e5, pytest.approx(8e5))
+    (margin,) = compute_speed_margins(records.view(), REQUIREMENTS).values()
+    assert margin.limiting_p99_ns == pytest.approx(8e5)
+    assert margin.p99_limit == pytest.approx(1.25)
+
+
 def test_a_loop_without_iterations_leaves_a_window_as_it_was_timed(records: Any) -> None:
     records.loop("daqp", "turn")
     _window(records, 450, 400_000, scenario="turn", iterations_p99=4.0)

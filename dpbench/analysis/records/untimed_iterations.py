@@ -1,0 +1,40 @@
+"""Replays beside the closed loops of their solvers, by iterations.
+
+A window holds the steps with the most active limits, another replay often a part of the scenario. A
+solver may take longer over other steps: one that starts from its last answer where the active set
+changes most, a first-order method where it converges slowly. The iterations of its closed loop,
+which passes through all steps, say how much the replay leaves out.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from dpbench.analysis.records.run_record import RunRecord
+
+
+def relate_replays_to_closed_loops(runs: Sequence[RunRecord]) -> list[RunRecord]:
+    """Return runs, each replay with its `untimed_iterations`; those of other runs stay 1."""
+    loops = {
+        (run.scenario, run.configuration): run.iterations_p99
+        for run in runs
+        if run.mode == "closed_loop" and not run.study and not run.slowdown > 0.0
+    }
+    # QPs outside verdicts, as of a consequence analysis, are not those of the loop.
+    return [
+        replace(run, untimed_iterations=_compute_excess(run, loops.get(key, math.nan)))
+        if run.mode == "replay"
+        and not run.is_outside_verdicts
+        and (key := (run.scenario, run.configuration)) in loops
+        else run
+        for run in runs
+    ]
+
+
+def _compute_excess(replay: RunRecord, of_loop: float) -> float:
+    """Return the iterations of a closed loop over those of a replay; 1 where either is unknown.
+
+    A solver without an iteration in the replay still makes a step there, which counts as one.
+    """
+    excess = (1.0 + of_loop) / (1.0 + replay.iterations_p99)
+    return max(1.0, excess) if math.isfinite(excess) else 1.0
