@@ -68,6 +68,20 @@ def format_rounded_down(value: float, digits: int = 3) -> str:
     return _round_significant(value, digits, ROUND_DOWN)
 
 
+def floor_to_tenth(wind_mps: float) -> float:
+    """Return a wind rounded down: 10.68 m/s, short of the 10.7 of number 5, is no "10.7"."""
+    return math.floor(10.0 * wind_mps + 1e-6) / 10.0
+
+
+def format_wind_held(wind_mps: float) -> str:
+    """Return a largest wind held as text, rounded down to 0.1 m/s.
+
+    >>> format_wind_held(8.08)
+    '8.0 m/s'
+    """
+    return f"{floor_to_tenth(wind_mps):.1f} m/s"
+
+
 def format_rounded_up(value: float, digits: int = 3) -> str:
     """Return a number as text in significant digits, rounded up: a bound that still holds."""
     return _round_significant(value, digits, ROUND_UP)

@@ -46,6 +46,16 @@ def test_ahead_is_up_and_starboard_to_the_right(chart: Any) -> None:
     assert points[0]["x"] == points[4]["x"] and points[0]["y"] == points[4]["y"]
 
 
+def test_the_worst_failure_comes_first_after_the_intact_ship() -> None:
+    """By the least wind over all directions; winds are shown rounded down to 0.1 m/s."""
+    winds = {"board A": (30.0, 9.0), "intact": (30.0, 12.0), "board B": (29.0, 8.08)}
+    rows = [(case, 90.0 * i, mps, 5) for case, of in winds.items() for i, mps in enumerate(of)]
+    made = draw_capability_rose(pd.DataFrame(rows, columns=list(COLUMNS)), "Some ship").to_dict()
+    points = next(t for t in made["datasets"].values() if "case" in t[0] and "from_deg" in t[0])
+    assert list(dict.fromkeys(p["case"] for p in points)) == ["intact", "board B", "board A"]
+    assert [p["shown_mps"] for p in points if p["case"] == "board B"][1] == 8.0
+
+
 def test_rings_are_named_where_no_line_runs(chart: Any) -> None:
     clear, rows = 135.0, []
     for from_deg in range(0, 360, 15):

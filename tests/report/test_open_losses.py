@@ -61,8 +61,8 @@ def test_a_loss_that_level_1_does_not_hold_is_not_held_though_another_is_simulat
     found = find(records, [plot(board_A=14.0, board_B=1.29)])
     assert found.summary == (
         "Loss of board B in `thrusters_loss` (wind 13.8 m/s from 40°): not held by level 1 of "
-        "DNV-ST-0111, by which the thrusters then hold at most 1.29 m/s from 40° off the bow; not "
-        "simulated in this weather."
+        "DNV-ST-0111, by which the thrusters then hold at most 1.2 m/s from 40° off the bow to "
+        "starboard; not simulated in this weather."
     )
 
 
@@ -99,11 +99,11 @@ def test_a_ship_on_station_until_a_short_run_ends_is_not_held(records: Any) -> N
     records.loop("daqp", "thrusters_loss", **LONG)
     (sentence,) = find(records, [plot(board_A=2.0)]).not_held
     assert sentence.endswith(
-        "hold at most 2.00 m/s from 40° off the bow; simulated: on station for 60.0 s after the "
-        "loss."
+        "hold at most 2.0 m/s from 40° off the bow to starboard; simulated: on station for 60.0 s "
+        "after the loss."
     )
     (sentence,) = find(records, [plot(board_A=0.0)]).not_held
-    assert "by which the thrusters then hold no wind from 40° off the bow;" in sentence
+    assert "by which the thrusters then hold no wind from 40° off the bow to starboard;" in sentence
 
 
 def test_a_loss_has_one_verdict_in_each_weather(records: Any) -> None:
@@ -123,9 +123,36 @@ def test_a_loss_has_one_verdict_in_each_weather(records: Any) -> None:
     found = find_open_losses(view, ships, [plot(board_A=14.0)], [analysis([(0.0, 30.0, HELD)])])
     assert found.not_held == (
         "Loss of board A in `other_weather` (wind 20.7 m/s from 30°): not held by level 1 of "
-        "DNV-ST-0111, by which the thrusters then hold at most 13.0 m/s from 30° off the bow; not "
-        "simulated in this weather.",
+        "DNV-ST-0111, by which the thrusters then hold at most 13.0 m/s from 30° off the bow to "
+        "starboard; not simulated in this weather.",
     )
+
+
+@pytest.mark.parametrize(
+    ("from_deg", "text"),
+    [
+        (0.0, "from ahead"),
+        (30.0, "from 30° off the bow to starboard"),
+        (180.0, "from astern"),
+        (250.0, "from 110° off the bow to port"),
+        (330.0, "from 30° off the bow to port"),
+    ],
+)
+def test_a_direction_off_the_bow_has_a_side_and_at_most_180_degrees(
+    from_deg: float, text: str, records: Any
+) -> None:
+    """The plot counts clockwise from ahead; the ship heads north."""
+    records.loop("daqp", "thrusters_loss", **LONG)
+    view = records.view()
+    quiet = view.build_scenario("thrusters_loss")
+    scenario = quiet.files["scenario"]
+    wind = scenario["environment"]["wind"] | {"from_deg": from_deg}
+    scenario = scenario | {"environment": scenario["environment"] | {"wind": wind}}
+    view._scenarios["thrusters_loss"] = replace(quiet, files=quiet.files | {"scenario": scenario})
+    weak = plot(board_A=2.0)
+    weak = replace(weak, edges=weak.edges.assign(wind_mps=2.0))
+    (sentence,) = find_open_losses(view, find_ship_results(view), [weak], []).not_held
+    assert f"hold at most 2.0 m/s {text};" in sentence
 
 
 def test_a_ship_that_leaves_after_the_loss_has_its_own_banner(records: Any) -> None:

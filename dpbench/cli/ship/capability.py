@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,7 +26,7 @@ from dpbench.bench.record.result_folder import load_results
 from dpbench.bench.sequences.capability_boundary import write_capability_suite
 from dpbench.cli.terminal import WIDTH, ProgressBar
 from dpbench.errors import InputError
-from dpbench.report.formats import format_time, join_with_and
+from dpbench.report.formats import floor_to_tenth, format_time, join_with_and
 from dpbench.scenario.own_ship import DP_NUMBERS
 from dpbench.scenario.own_thrusters import (
     describe_own_wind_areas,
@@ -211,11 +210,6 @@ def _explain_planned(planned: Capability | None, vessel: Vessel) -> list[str]:
         f"planned: the wind held with the half turn of each azimuth that controllers plan with, "
         f"as their QPs need convex sets of forces: {', '.join(halves)}; {planned.notation}."
     ]
-
-
-def floor_to_tenth(wind_mps: float) -> float:
-    """Return a wind rounded down: 10.68 m/s, short of the 10.7 of number 5, is no "10.7"."""
-    return math.floor(10.0 * wind_mps + 1e-6) / 10.0
 
 
 def _format_wind_limit(held: WindLimit) -> str:

@@ -19,14 +19,13 @@ from dpbench.bench.capability.frontier import (
 from dpbench.bench.capability.utilisation import ThrusterReach
 from dpbench.cli.ship.capability import (
     caution_on_rudders,
-    floor_to_tenth,
     format_notation,
     save_rose_figure,
 )
 from dpbench.cli.terminal import WIDTH, ProgressBar
 from dpbench.errors import InputError, SituationError
 from dpbench.mpc.thrusters.attainable_set import build_attainable_force_polytope
-from dpbench.report.formats import format_rounded_down, join_with_and
+from dpbench.report.formats import floor_to_tenth, format_wind_held, join_with_and
 from dpbench.scenario import own_ship as scaling
 from dpbench.scenario.own_thrusters import (
     ASSUMED,
@@ -283,9 +282,9 @@ class WeakSide:
     def describe(self, number: int, file: str) -> str:
         """Return a sentence on the scenario of a file with a sea up to a DP number."""
         from_deg, limit = self.intact
-        winds = [f"{floor_to_tenth(limit.wind_mps):.1f} m/s from {from_deg:g}° intact"]
+        winds = [f"{format_wind_held(limit.wind_mps)} from {from_deg:g}° intact"]
         if self.lost is not None:
-            wind = f"{floor_to_tenth(self.limit.wind_mps):.1f} m/s"
+            wind = format_wind_held(self.limit.wind_mps)
             winds.append(f"{wind} from {self.from_deg:g}° {self.when}")
         held = "" if self.limit.number else ", not held"
         sea = f"DP number {self.find_number(number)}{held}"
@@ -446,7 +445,7 @@ def _find_remedy(thrusters: ThrusterSet, lost: str, free_mps: float) -> str:
         return (
             f"bow and stern have thrusters left, too weak even without barred zones; add {others}"
         )
-    wind = f"{format_rounded_down(free_mps)} m/s"
+    wind = format_wind_held(free_mps)
     return f"without barred zones {wind} would be held; narrow them, or add {others}"
 
 
@@ -484,7 +483,7 @@ def describe_losses(
     if wind_mps > held.intact_mps:
         lines.append(
             f"CAUTION: the wind of {wind_mps:g} m/s is beyond the "
-            f"{format_rounded_down(held.intact_mps)} m/s that the thrusters hold from "
+            f"{format_wind_held(held.intact_mps)} that the thrusters hold from "
             f"{held.from_deg:g}° by level 1."
         )
     # In the sea that is held, not where each loss is simulated whatever it leaves.

@@ -9,7 +9,9 @@ import pandas as pd
 
 from dpbench.analysis.suites.capability import HELD, LOST, UNKNOWN
 from dpbench.arrays import Floats
+from dpbench.bench.capability.frontier import INTACT
 from dpbench.report.charts import style
+from dpbench.report.formats import floor_to_tenth
 from dpbench.ship.capability.loads import DP_CONDITIONS
 
 COLUMNS = ("case", "from_deg", "wind_mps", "number")
@@ -29,10 +31,15 @@ _CLEAR_MPS = 1.8
 def draw_capability_rose(table: pd.DataFrame, title: str) -> Any:
     """Return a polar chart of the largest wind a ship holds by direction, a curve per failure.
 
-    table : columns `COLUMNS`, directions clockwise from ahead; cases in the order of the legend.
-        Points are hollow where an optional column `untrue` counts solvers with an untrue claim.
+    table : columns `COLUMNS`, directions clockwise from ahead. Points are hollow where an optional
+        column `untrue` counts solvers with an untrue claim. The legend has the intact ship first,
+        then the worst failure.
     """
-    cases = list(dict.fromkeys(table["case"]))
+    table = table.assign(shown_mps=table["wind_mps"].map(floor_to_tenth))
+    least = table.groupby("case", sort=False)["shown_mps"].min()
+    cases = sorted(
+        least.index, key=lambda case: (not case.startswith(INTACT), case != INTACT, least[case])
+    )
     rings = []
     for case in cases:
         own = table[table["case"] == case]
@@ -85,7 +92,7 @@ def _draw_points(closed: pd.DataFrame, place: Place) -> list[Any]:
     tooltips = style.tooltips(
         "case:N",
         style.tooltip("from_deg:Q", "from [°]"),
-        style.tooltip("wind_mps:Q", "wind held [m/s]"),
+        alt.Tooltip("shown_mps:Q", title="wind held [m/s]", format=".1f"),
         alt.Tooltip("number:Q", title="DP capability number"),
     )
     untrue = closed["untrue"] if "untrue" in closed else pd.Series(0, closed.index)

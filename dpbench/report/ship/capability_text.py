@@ -21,7 +21,7 @@ from dpbench.analysis.suites.capability import (
 )
 from dpbench.analysis.verdict.verdict import explain_deployment_blocker
 from dpbench.bench.capability.frontier import INTACT
-from dpbench.report.formats import format_rounded_down, join_with_and, plural, significant
+from dpbench.report.formats import format_wind_held, join_with_and, plural, significant
 from dpbench.report.ship.ship_text import find_weather_direction
 from dpbench.ship.thrusters import ThrusterSet
 
@@ -93,7 +93,7 @@ def _format_least_wind(edges: pd.DataFrame) -> str:
         return "no wind" if is_alike else f"no wind from {least['from_deg']:.0f}°"
     weakest = f"in its weakest direction, from {least['from_deg']:.0f}°"
     where = "from every direction" if is_alike else weakest
-    return f"{format_rounded_down(least['wind_mps'])} m/s of wind {where}"
+    return f"{format_wind_held(least['wind_mps'])} of wind {where}"
 
 
 def describe_time_held(of_group: pd.DataFrame) -> str:

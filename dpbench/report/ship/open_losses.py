@@ -16,7 +16,7 @@ from dpbench.analysis.records.run_record import group_by_key
 from dpbench.analysis.suites.capability import LOST, CapabilityResult, ConsequenceAnalysis
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.capability.frontier import FROM_DEG, INTACT
-from dpbench.report.formats import format_rounded_down, join_with_and, plural, significant
+from dpbench.report.formats import format_wind_held, join_with_and, plural, significant
 from dpbench.report.ship.capability_text import describe_analysed_window, describe_time_held
 from dpbench.report.ship.ship_text import MOST_NAMED, list_losses
 from dpbench.scenario.scenario import Scenario
@@ -138,11 +138,11 @@ class _WeatherLoss:
             relative_deg = wind["from_deg"] - math.degrees(float(scenario.reference[2]))
             from_deg = min(held_mps, key=lambda at: abs((at - relative_deg + 180.0) % 360 - 180.0))
             if held_mps[from_deg] < wind["speed_mps"]:
-                most = f"{format_rounded_down(held_mps[from_deg])} m/s"
+                most = format_wind_held(held_mps[from_deg])
                 least = "no wind" if held_mps[from_deg] == 0.0 else f"at most {most}"
                 yield (
-                    f"level 1 of DNV-ST-0111, by which the thrusters then hold {least} from "
-                    f"{from_deg:g}° off the bow"
+                    f"level 1 of DNV-ST-0111, by which the thrusters then hold {least} "
+                    f"{_describe_direction(from_deg)}"
                 )
 
     def _analysis_findings(self) -> Iterator[str]:
@@ -154,6 +154,14 @@ class _WeatherLoss:
                 f"the consequence analysis of {describe_analysed_window(analysis)}{lost}, by which "
                 f"it can be held {when}"
             )
+
+
+def _describe_direction(from_deg: float) -> str:
+    """Return a direction clockwise from the bow [°] as text: up to 180° to starboard or port."""
+    if from_deg % 180.0 == 0.0:
+        return "from astern" if from_deg % 360.0 else "from ahead"
+    side = "starboard" if from_deg < 180.0 else "port"
+    return f"from {min(from_deg, 360.0 - from_deg):g}° off the bow to {side}"
 
 
 def _make_weather_key(scenario: Scenario) -> str:

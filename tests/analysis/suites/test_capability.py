@@ -141,7 +141,7 @@ def test_a_loss_after_which_nothing_is_held_is_so_from_every_direction(records: 
     table = pd.DataFrame(rows, columns=["case", "from_deg", "edge_mps"])
     table = table.assign(k=range(6), sequence="plot", vessel="osv", sides=8, lost="", number=1)
     (plot,) = build_capability_results(records.view(), table)
-    said = "9.00 m/s of wind from every direction; after the loss of board A no wind ("
+    said = "9.0 m/s of wind from every direction; after the loss of board A no wind ("
     assert said in " ".join(describe_capability(records.view(), plot))
 
 
@@ -150,7 +150,7 @@ def test_the_worst_loss_is_named_with_the_least_wind_held_after_it(records: Any)
     rows = [("intact", 2.0, 0.0), ("board A", 9.0, 0.0), ("board A", 3.0, 90.0)]
     rows += [("board B", 5.0, from_deg) for from_deg in (0.0, 90.0)]
     edges = pd.DataFrame(rows, columns=["case", "wind_mps", "from_deg"])
-    said = "After the worst loss, of board A, osv holds 3.00 m/s of wind in its weakest direction, "
+    said = "After the worst loss, of board A, osv holds 3.0 m/s of wind in its weakest direction, "
     plot, view = CapabilityResult("osv", 8, edges, ()), records.view()
     assert describe_worst_loss(view, plot) == f"{said}from 90° (level 1)."
     assert describe_worst_loss(view, CapabilityResult("osv", 8, edges[:1], ())) == ""
@@ -161,7 +161,7 @@ def test_of_equal_winds_the_starboard_direction_is_named(records: Any) -> None:
     rows = [("intact", 9.0, 0.0), ("board A", 3.00004, 70.0), ("board A", 3.00001, 290.0)]
     edges = pd.DataFrame(rows, columns=["case", "wind_mps", "from_deg"])
     said = describe_worst_loss(records.view(), CapabilityResult("osv", 8, edges, ()))
-    assert "3.00 m/s of wind in its weakest direction, from 70°" in said
+    assert "3.0 m/s of wind in its weakest direction, from 70°" in said
 
 
 def test_a_plot_says_that_it_has_more_directions_than_controllers_plan_with(records: Any) -> None:
