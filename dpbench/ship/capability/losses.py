@@ -14,7 +14,8 @@ dead one (3.11.4) or a skeg (3.11.5); α is where it pushes to, clockwise from a
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 from statistics import NormalDist
 
 from dpbench.ship.capability.loads import CapabilityHull, Condition, mirror_angle_to_one_side
@@ -75,7 +76,7 @@ def find_forbidden_thrust_directions(
 
 
 def list_thruster_cautions(thrusters: ThrusterSet) -> list[str]:
-    """Return sentences on rudders that do not count, and on barred zones that leave the race."""
+    """Return sentences on rudders that do not count, and on races that hit other thrusters."""
     rudders = thrusters.caution_on_rudders
     return [*([rudders] if rudders else []), *list_zone_cautions(thrusters)]
 
@@ -93,8 +94,8 @@ def describe_unused_turning_rates(thrusters: ThrusterSet) -> str:
 
 
 def list_zone_cautions(thrusters: ThrusterSet) -> list[str]:
-    """Return sentences on zones that bar the push towards a thruster and leave the race to it."""
-    cautions = []
+    """Return sentences on azimuths whose race no zone, or a zone of the push, keeps off others."""
+    cautions = _caution_on_wash(thrusters)
     for thruster in thrusters.thrusters:
         hit = [
             other.name
@@ -111,6 +112,45 @@ def list_zone_cautions(thrusters: ThrusterSet) -> list[str]:
                 f"{format_directions(end, start)}."
             )
     return cautions
+
+
+def _caution_on_wash(thrusters: ThrusterSet) -> list[str]:
+    """Return a sentence on azimuths whose wash controllers may send at each other; none without.
+
+    The capability plot bars such directions of azimuths with a known propeller only.
+    """
+    pairs = [
+        (one, other)
+        for one, other in combinations(thrusters.thrusters, 2)
+        if _may_hit_azimuth(one, other) or _may_hit_azimuth(other, one)
+    ]
+    if not pairs:
+        return []
+    apart = "; ".join(
+        f"{a.name} and {b.name}, {math.hypot(a.x_m - b.x_m, a.y_m - b.y_m):.3g} m apart"
+        for a, b in pairs
+    )
+    is_barred = all(thruster.screw is not None for pair in pairs for thruster in pair)
+    plot = (
+        "the capability plot bars these directions" if is_barred else "nor does the capability plot"
+    )
+    return [
+        f"CAUTION: closed loops do not model the wash of one azimuth on another ({apart}); {plot}. "
+        "To bar the wash in closed loop, enter barred_deg (in a table barred_from_deg and "
+        "barred_to_deg)."
+    ]
+
+
+def _may_hit_azimuth(thruster: Thruster, other: Thruster) -> bool:
+    """Return whether an azimuth's race may hit another one in the directions of controllers.
+
+    Without a known propeller every other azimuth is within reach.
+    """
+    if thruster.kind != "azimuth" or other.kind != "azimuth":
+        return False
+    planned = replace(thruster, sector_rad=thruster.convex_sector_rad, controller_sector_rad=None)
+    is_near = thruster.screw is None or _is_within_reach_of_race(thruster, other)
+    return is_near and planned.may_push(_direction_hitting_other_thruster(thruster, other))
 
 
 def _is_within_reach_of_race(thruster: Thruster, other: Thruster) -> bool:

@@ -1,6 +1,7 @@
 """Losses of thrust: the published factors of a ship, hand-worked cases of the standard's rules."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -18,6 +19,7 @@ from dpbench.ship.capability.losses import (
     find_forbidden_thrust_directions,
     list_losses_at_dead_thrusters,
     list_losses_at_skegs,
+    list_zone_cautions,
 )
 from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet
 
@@ -136,3 +138,25 @@ def test_a_skeg_right_beside_a_thruster_is_no_division_by_zero() -> None:
             loss.thrust_share_in_direction(angle) for angle in np.linspace(-np.pi, np.pi, 361)
         ]
         assert 0.0 <= min(shares) <= max(shares) == 1.0
+
+
+def test_azimuths_that_may_hit_each_other_are_cautioned_of() -> None:
+    """Until a zone bars the race of both: to port the push of one, to starboard that of the other.
+
+    A propeller of 2 m reaches 30 m. One of unknown size is not barred in the capability plot.
+    """
+    port, starboard = azimuth(-30.0, -3.0), azimuth(-30.0, 3.0)
+    (caution,) = list_zone_cautions(ThrusterSet((port, starboard, azimuth(30.0, 0.0))))
+    assert "(at -30.0 -3.0 and at -30.0 3.0, 6 m apart); the capability plot bars" in caution
+    push_to_starboard = replace(port, sector_rad=(0.0, math.pi))
+    push_to_port = replace(starboard, sector_rad=(math.pi, 2.0 * math.pi))
+    assert list_zone_cautions(ThrusterSet((push_to_starboard, starboard)))
+    assert not list_zone_cautions(ThrusterSet((port, azimuth(0.5, 0.0))))
+    away = (
+        replace(port, sector_rad=(math.radians(-60.0), math.radians(60.0))),
+        replace(starboard, sector_rad=(math.radians(-60.0), math.radians(60.0))),
+    )
+    assert not list_zone_cautions(ThrusterSet(away))
+    assert list_zone_cautions(ThrusterSet((push_to_starboard, push_to_port))) == []
+    (caution,) = list_zone_cautions(ThrusterSet((replace(port, screw=None), starboard)))
+    assert "nor does the capability plot" in caution
