@@ -327,12 +327,13 @@ COMMANDS: dict[str, CommandHelp] = {
         _SHIP,
         "Search for weights and horizons that hold a ship",
         options.add_tune_options,
-        ("tune my_ship_weather.toml", "tune my_ship_weather.toml --seas 4,5"),
+        ("tune my_ship_weather.toml --seas 4,5", "tune my_ship_weak_side.toml my_ship_intact.toml"),
         "0 a controller within the margin was found; 1 the best controller exceeds the "
         f"margin in the search or in the test; {_BAD_INPUT}",
         "Find weights and horizons that hold the ship with a margin and little thruster wear, test "
-        "them in other realisations of the sea, and write the scenario with them. After an "
-        "interruption, run the same command again.",
+        "them in other realisations of the sea, and write the scenario with them. Of several "
+        "scenarios, the one with the largest offset counts. After an interruption, run the same "
+        "command again.",
     ),
     "capability": CommandHelp(
         _SHIP,

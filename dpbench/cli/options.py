@@ -409,7 +409,8 @@ def add_tune_solver_options(tune: Command) -> None:
 
 def add_tune_options(tune: Command) -> None:
     """Add the options of `dpbench tune` to its parser."""
-    tune.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or a TOML file")
+    scenarios = "scenario by name or TOML file; several need one ship and controller"
+    tune.add_argument("scenarios", nargs="+", metavar="SCENARIO", help=scenarios)
     seas = "DP numbers, such as 4,5 (default: the scenario's own weather)"
     _option(tune, "--seas", "N,N", seas, default="")
     search = tune.add_argument_group("search")
@@ -422,7 +423,9 @@ def add_tune_options(tune: Command) -> None:
     _option(search, "--steps", "N", "run at most N steps (default: all)", type=int, default=0)
     _option(search, "--seed", "N", "seed of the search (default: 1)", type=int, default=1)
     output = tune.add_argument_group("output")
-    _option(output, "--out", "DIR", "folder to write to (default: results/tune-SCENARIO)")
+    _option(
+        output, "--out", "DIR", "folder to write to (default: results/tune-SCENARIO, by the first)"
+    )
 
 
 def add_paper_options(paper: Command) -> None:

@@ -8,7 +8,8 @@ controller meets the same seas: common random numbers.
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from dpbench.errors import InputError, SituationError, require_integer_at_least
 from dpbench.files.regular_files import read_bytes, write_text_atomically
 from dpbench.report.charts.render import save_figure
 from dpbench.report.charts.study import draw_tuning_front
-from dpbench.report.formats import plural, significant
+from dpbench.report.formats import join_with_and, plural, significant
 from dpbench.scenario.own_ship import DP_NUMBERS, make_environment_of_dp_number
 from dpbench.scenario.problem_files import read_toml_as_dict
 from dpbench.scenario.scenario import Scenario, load_scenario
@@ -58,10 +59,12 @@ class LoopScore:
 
 @dataclass(frozen=True, eq=False)
 class Realisation:
-    """One sea of a DP number (None: the scenario's own weather) by its seed, drawn once."""
+    """One sea of a DP number (None: its scenario's own weather) by its seed, drawn once."""
 
+    scenario: Scenario
     number: int | None
     seed: int
+    steps: int
     drawn: WeatherDraw = field(default_factory=dict, repr=False)
 
 
@@ -121,17 +124,22 @@ def _scale_weight(weight: float, factor: float) -> float:
 
 
 def draw_realisations(
-    scenario: Scenario, seas: Sequence[int], first: int, count: int, steps: int
+    scenarios: Sequence[Scenario], seas: Sequence[int], first: int, count: int, steps: int
 ) -> list[Realisation]:
-    """Return `count` realisations of each sea, from the `first` after the scenario's own on."""
-    seed = scenario.files["scenario"]["environment"]["seed"] + first
+    """Return `count` realisations of each scenario and sea, from the `first` after its own on.
+
+    steps : of each, at most those of its scenario; 0 for all of them.
+    """
     found = []
     numbers: Sequence[int | None] = seas or [None]
-    for number in numbers:
+    for scenario, number in product(scenarios, numbers):
+        seed = scenario.files["scenario"]["environment"]["seed"] + first
+        own = min(steps or scenario.steps, scenario.steps)
         for at in range(seed, seed + count):
-            env = change_sea_of_scenario(scenario, Realisation(number, at)).environment
-            drawn = env.draw_wind_and_waves_at_stages(steps, scenario.sample_s, SUBSTEPS)
-            found.append(Realisation(number, at, drawn))
+            sea = Realisation(scenario, number, at, own)
+            env = change_sea_of_scenario(scenario, sea).environment
+            drawn = env.draw_wind_and_waves_at_stages(own, scenario.sample_s, SUBSTEPS)
+            found.append(replace(sea, drawn=drawn))
     return found
 
 
@@ -146,14 +154,12 @@ def change_sea_of_scenario(scenario: Scenario, sea: Realisation) -> Scenario:
     return copy_scenario_with_values(scenario, values, f"scenario {scenario.name}")
 
 
-def rate_controller(
-    scenario: Scenario, options: Options, seas: Iterable[Realisation], steps: int
-) -> LoopScore:
+def rate_controller(options: Options, seas: Iterable[Realisation]) -> LoopScore:
     """Run a closed loop with other weights and horizons in each sea; return the score."""
-    changed = change_controller(scenario, options)
     shares, wear = [], []
     for sea in seas:
-        loop = change_sea_of_scenario(changed, sea).truncate(steps)
+        changed = change_controller(sea.scenario, options)
+        loop = change_sea_of_scenario(changed, sea).truncate(sea.steps)
         share, travel = _run_loop_in_sea(loop, sea.drawn)
         shares.append(share)
         wear.append(travel * 3600.0 / (loop.steps * loop.sample_s))
@@ -309,7 +315,7 @@ class _KeptTrials:
 
 
 def tune_controller(
-    scenario: str | Path,
+    scenarios: str | Path | Sequence[str | Path],
     *,
     seas: str = "",
     trials: int = TRIALS,
@@ -322,12 +328,14 @@ def tune_controller(
 ) -> ControllerTuning:
     """Search a controller's weights and horizons; write the best, return it with all trials.
 
-    Finished trials are kept: the same call goes on after an interruption.
+    In several scenarios the largest offset of all counts, and the mean wear. Finished trials are
+    kept: the same call goes on after an interruption.
 
     Parameters
     ----------
-    scenario : by name or a TOML file; of a vessel file NAME.toml, its NAME_weather.toml.
-    seas : DP numbers such as "4,5"; "" for the scenario's own weather.
+    scenarios : by name or a TOML file, one or several with one ship and controller; of a vessel
+        file NAME.toml, its NAME_weather.toml.
+    seas : DP numbers such as "4,5"; "" for each scenario's own weather.
     trials : controllers to try; realisations : of each sea.
     margin : largest offset wanted, as a share of the station's limits.
     steps : of each loop, 0 for all of the scenario; seed : of the search.
@@ -337,29 +345,30 @@ def tune_controller(
     ------
     InputError : for bad input, or a folder with the trials of another search.
     """
-    base = load_scenario(_find_scenario_of_ship(scenario))
+    names = [scenarios] if isinstance(scenarios, str | Path) else scenarios
+    bases = [load_scenario(_find_scenario_of_ship(name)) for name in names]
+    _refuse_other_controllers(bases)
     numbers = _parse_seas(seas)
     _refuse_bad_numbers(trials, realisations, margin, steps, seed)
-    steps = min(steps or base.steps, base.steps)
+    base = bases[0]
     name = base.name.replace("@", "_")
     folder = Path("results") / f"tune-{name}" if out is None else Path(out)
-    for number in numbers:
-        change_sea_of_scenario(base, Realisation(number, 0))
+    searched = draw_realisations(bases, numbers, 0, realisations, steps)
+    other = draw_realisations(bases, numbers, realisations, realisations, steps)
     kept = _KeptTrials(
-        folder / "trials.jsonl", _compute_search_digest(base, numbers, realisations, steps)
+        folder / "trials.jsonl", _compute_search_digest(bases, numbers, realisations, steps)
     )
     bar = progress or Silent()
-    searched = draw_realisations(base, numbers, 0, realisations, steps)
-    other = draw_realisations(base, numbers, realisations, realisations, steps)
-    bar.start((trials + 3) * len(searched) * steps)
+    total = sum(sea.steps for sea in searched)
+    bar.start((trials + 3) * total)
 
     def rate(options: Options, at: Sequence[Realisation], role: str) -> LoopScore:
         name = f"{role}{format_options_as_toml(options)}"
         score = kept.find_stored_score(name)
         if score is None:
-            score = rate_controller(base, options, at, steps)
+            score = rate_controller(options, at)
             kept.store_score(name, score)
-        bar.advance(len(at) * steps, f"{role}{_describe_score(score)}")
+        bar.advance(total, f"{role}{_describe_score(score)}")
         return score
 
     own = make_unchanged_options(base)
@@ -374,26 +383,34 @@ def tune_controller(
     found = [first, *search.trials]
     chosen = choose_controller(found, margin)
     fresh, own_fresh = (rate(options, other, "fresh: ") for options in (chosen.options, own))
-    seas_text = f"DP {', '.join(map(str, numbers))}" if numbers else "the scenario's weather"
+    weather = "the scenario's weather" if len(bases) == 1 else "the weather of each scenario"
+    seas_text = f"DP {', '.join(map(str, numbers))}" if numbers else weather
     seas_text += f", {plural(realisations, 'realisation')} each"
+    if len(bases) > 1:
+        seas_text = f"{len(bases)} scenarios, {seas_text}"
     tuning = ControllerTuning(found, chosen, fresh, own_fresh, margin, seas_text, ())
-    return _write_tuning(tuning, base, folder, name)
+    return _write_tuning(tuning, bases, folder)
 
 
 def _write_tuning(
-    tuning: ControllerTuning, base: Scenario, folder: Path, name: str
+    tuning: ControllerTuning, bases: Sequence[Scenario], folder: Path
 ) -> ControllerTuning:
-    """Write a tuned scenario, table of trials and figure; return the result with their paths."""
-    changed = change_controller(base, tuning.chosen.options)
+    """Write tuned scenarios, table of trials and figure; return the result with their paths."""
     comment = "\n".join(("Controller found by `dpbench tune`.", *tuning.lines))
-    paths = write_scenario_and_own_ship_files(changed.files, folder / f"{name}_tuned.toml", comment)
+    paths: dict[Path, None] = {}
+    for base in bases:
+        changed = change_controller(base, tuning.chosen.options)
+        file = folder / f"{base.name.replace('@', '_')}_tuned.toml"
+        paths |= dict.fromkeys(write_scenario_and_own_ship_files(changed.files, file, comment))
     table = tuning.table
     write_text_atomically(folder / "tune.csv", table.to_csv(index=False))
     drawn = table[["share", "wear_per_h", "kind"]].copy()
     drawn["options"] = [trial.name for trial in tuning.trials]
     # A logarithmic axis has no zero, and a ship that is lost no place on it.
     drawn[["share", "wear_per_h"]] = drawn[["share", "wear_per_h"]].clip(1e-3, 1e4)
-    chart = draw_tuning_front(drawn, f"{base.name}: offset and wear", tuning.margin)
+    chart = draw_tuning_front(
+        drawn, f"{join_with_and([base.name for base in bases])}: offset and wear", tuning.margin
+    )
     figure = save_figure(chart, folder / "front.svg")
     fields: dict[str, Any] = vars(tuning) | {"paths": [*paths, folder / "tune.csv", figure]}
     return ControllerTuning(**fields)
@@ -411,6 +428,25 @@ def _find_scenario_of_ship(scenario: str | Path) -> str | Path:
         sentence = f"this is a vessel, without {weather.name} beside it; name a scenario of it"
         raise SituationError(str(path), sentence)
     return weather
+
+
+def _refuse_other_controllers(bases: Sequence[Scenario]) -> None:
+    """Raise InputError for scenarios of several ships or controllers, or with one name."""
+    first, names = bases[0], {base.name for base in bases}
+    if len(names) < len(bases):
+        found = join_with_and([base.name for base in bases])
+        raise InputError("SCENARIO", "", found, "scenarios with different names")
+    for base in bases:
+        for part, own, known in (
+            ("vessel", base.files["vessel"], first.files["vessel"]),
+            *(
+                (key, base.files["scenario"][key], first.files["scenario"][key])
+                for key in ("controller", "sample_s")
+            ),
+        ):
+            if own != known:
+                found = f"another {part} than in {first.name}"
+                raise InputError("SCENARIO", base.name, found, "one ship and controller for all")
 
 
 def _parse_seas(text: str) -> list[int]:
@@ -435,8 +471,9 @@ def _refuse_bad_numbers(
 
 
 def _compute_search_digest(
-    base: Scenario, seas: Sequence[int], realisations: int, steps: int
+    bases: Sequence[Scenario], seas: Sequence[int], realisations: int, steps: int
 ) -> str:
     """Return a digest of everything that the score of a trial depends on."""
-    content = json.dumps([base.files, list(seas), realisations, steps], sort_keys=True)
+    files = [base.files for base in bases]
+    content = json.dumps([files, list(seas), realisations, steps], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()

@@ -11,6 +11,7 @@ from dpbench.bench.run.exact_loop import compute_station_metrics, solve_loop_exa
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_scenario
+from dpbench.scenario.variation import copy_scenario_with_values, write_scenario_and_own_ship_files
 from dpbench.tuning.search import Trial
 from dpbench.tuning.tune_controller import (
     NO_PROMISE,
@@ -57,15 +58,69 @@ def test_factors_of_one_leave_the_controller_as_it_is(name: str) -> None:
 def test_a_larger_increment_weight_wears_less_in_the_same_sea() -> None:
     """The offset is that of the reference loop; a slower controller lets the ship off more."""
     scenario = load_scenario("weather")
-    seas = draw_realisations(scenario, [], 0, 1, 200)
+    seas = draw_realisations([scenario], [], 0, 1, 200)
     own = make_unchanged_options(scenario)
-    first = rate_controller(scenario, own, seas, 200)
+    first = rate_controller(own, seas)
     exact = compute_station_metrics(scenario, solve_loop_exactly(scenario.truncate(200)), 200)
     assert first.share == pytest.approx(
         max(exact["exact_offset_max_m"] / 5.0, exact["exact_heading_max_deg"] / 5.0), rel=1e-4
     )
-    slow = rate_controller(scenario, {**own, "increment_weight": 1000.0}, seas, 200)
+    slow = rate_controller({**own, "increment_weight": 1000.0}, seas)
     assert slow.wear_per_h < first.wear_per_h and slow.share > first.share
+
+
+def _write_calm(folder: Path) -> Path:
+    """Write `weather` without wind, waves and current, 40 steps long."""
+    weather = load_scenario("weather")
+    values: dict[str, Any] = {f"environment.{part}": None for part in ("wind", "waves", "current")}
+    values |= {"duration_s": 40 * weather.sample_s}
+    calm = copy_scenario_with_values(weather, values, "calm")
+    write_scenario_and_own_ship_files(calm.files, folder / "calm.toml")
+    return folder / "calm.toml"
+
+
+def test_of_several_scenarios_the_largest_offset_counts_and_the_mean_wear(tmp_path: Path) -> None:
+    """In any order; each loop is as long as its scenario."""
+    scenarios = [load_scenario("weather"), load_scenario(_write_calm(tmp_path))]
+    own = make_unchanged_options(scenarios[0])
+    alone = [rate_controller(own, draw_realisations([s], [], 0, 1, 60)) for s in scenarios]
+    assert alone[0].share > alone[1].share
+    for order in (scenarios, scenarios[::-1]):
+        seas = draw_realisations(order, [], 0, 1, 60)
+        assert sorted(sea.steps for sea in seas) == [40, 60]
+        both = rate_controller(own, seas)
+        assert both.share == alone[0].share
+        assert both.wear_per_h == pytest.approx(np.mean([one.wear_per_h for one in alone]))
+
+
+@pytest.mark.slow
+def test_several_scenarios_are_written_with_one_controller(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calm = str(_write_calm(tmp_path))
+    command = ["tune", "weather", calm, "--trials", "2", "--steps", "20", "--realisations", "1"]
+    assert main([*command, "--out", str(tmp_path)]) in (0, 1)
+    assert "search in 2 scenarios, the weather of each" in " ".join(capsys.readouterr().out.split())
+    tuned = [load_scenario(tmp_path / f"{name}_tuned.toml") for name in ("weather", "calm")]
+    first, second = (one.files["scenario"] for one in tuned)
+    assert first["controller"] == second["controller"]
+    assert second["environment"]["wind"] is None and first["environment"]["wind"]
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ("weather", "SCENARIO: found weather and weather; allowed: scenarios with different names"),
+        ("thrusters", "SCENARIO: thrusters: found another vessel than in weather; allowed: one"),
+        ("paper_tight", "SCENARIO: paper_tight: found another "),
+    ],
+)
+def test_scenarios_of_several_ships_or_controllers_are_refused(
+    other: str, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=message):
+        tune_controller(["weather", other], out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
