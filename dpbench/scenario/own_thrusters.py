@@ -19,7 +19,7 @@ from typing import Any
 from dpbench.errors import InputError, SituationError, format_allowed_names
 from dpbench.files.regular_files import read_csv_rows
 from dpbench.scenario.problem_files import validate_settings_as_model
-from dpbench.scenario.tables.vessel_file import ThrusterTable, build_thruster_set
+from dpbench.scenario.tables.vessel_file import MOST_X, ThrusterTable, build_thruster_set
 from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather import Windage
@@ -56,8 +56,8 @@ HULL_WORDS = {
 """Words for the keys of `[capability]` that a vessel file may leave out."""
 ASSUMED = ("rise_s", "diameter_m", "propeller", "astern")
 """Keys that get a value where a row leaves them out."""
-MOST_X, MOST_Y = 0.6, 0.6
-"""Largest distance of a thruster from midships over the length, and over the breadth."""
+MOST_Y = 0.6
+"""Largest distance of a thruster from the centre line over the breadth."""
 
 
 @dataclass(frozen=True)

@@ -410,6 +410,10 @@ def build_scenario_from_documents(
     if not 1 <= spec.steps <= MAX_STEPS:
         allowed = f"1 to {MAX_STEPS} samples of {spec.sample_s:g} s"
         raise InputError(where, "duration_s", spec.duration_s, allowed)
+    for number, fault in enumerate(spec.faults):
+        if fault.at_s >= spec.duration_s:
+            allowed = f"a time before the end of the run, {spec.duration_s:g} s (duration_s)"
+            raise InputError(where, f"faults.{number}.at_s", f"{fault.at_s:g}", allowed)
     true_ship = replace(vessel, where=f"{where}: plant").copy_with_model_mismatch(
         plant.mass_percent, plant.damping_percent
     )

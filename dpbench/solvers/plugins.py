@@ -33,6 +33,7 @@ from dpbench.files.regular_files import is_plain_file_name
 from dpbench.solvers.adapter import NativeAdapter, OpenWorkspace
 from dpbench.solvers.contract import (
     NO_PROJECT_FACTS,
+    POLICIES,
     Build,
     Family,
     Form,
@@ -244,6 +245,10 @@ def _check_and_register_plugin(
         raise InputError(where, "RECORD.name", repr(record.name), f"a name not in {owner}")
     if set(record.routes) != {"native"}:
         raise InputError(where, "RECORD.routes", sorted(record.routes), "route native only")
+    policies = record.routes["native"].policies
+    if not policies or not set(policies) <= set(POLICIES):
+        allowed = f"one or more of {', '.join(POLICIES)}"
+        raise InputError(where, "RECORD.policies", repr(policies), allowed)
     if record.family not in get_args(Family):
         raise InputError(where, "RECORD.family", repr(record.family), " | ".join(get_args(Family)))
     row = replace(

@@ -106,6 +106,10 @@ BAD_SCENARIOS = [
 ]
 
 
+LATE_FAULT = "[controller]", "[[faults]]\nat_s = 300.0\nlimit_share = [0.5, 0.5, 0.5]\n[controller]"
+BAD_SCENARIOS += [(*LATE_FAULT, "faults.0.at_s", "300", "before the end of the run, 300 s")]
+
+
 BAD_VESSELS = [
     ("3.7454e9]]", "3.7454e9], [1.0, 1.0, 1.0]]", "inertia", "[1.0, 1.0, 1.0]", "3 entries"),
     ("[[5.3122e6", "[[-5.3122e6", ": inertia:", "-5.31e+06", "positive definite"),
@@ -138,6 +142,23 @@ def test_a_mistake_in_a_file_is_one_line(
         assert text.startswith(str(path)) and key in text.removeprefix(str(path))
         assert found in str(error.found) and allowed in error.allowed
         assert f"found {' '.join(str(error.found).split())}; allowed: " in text
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("x_m = 37.0", "x_m = 60.0", "thruster bow 1: x_m"),
+        ("[capability]", "[capability]\nlateral_x_m = 60.0", "capability.lateral_x_m"),
+        ("[capability]", "[capability]\nskegs = [[60.0, 0.0], [-30.0, 0.0]]", "capability.skegs"),
+    ],
+)
+def test_a_place_ahead_of_the_ship_is_one_line(
+    old: str, new: str, key: str, write: Callable[..., Path]
+) -> None:
+    """`osv` is 83 m long: 49.8 m from midships are 0.6 of it."""
+    path = write("vessels", "osv", old, new)
+    with pytest.raises(InputError, match=rf"{key}: found 60; allowed: -49.8 to 49.8 m from"):
+        load_vessel(path)
 
 
 @pytest.mark.parametrize(

@@ -121,6 +121,10 @@ def test_what_a_plugin_raises_is_an_answer(sequence):
                     TEXT.replace("first order", "first ordre"),
                     "family: found 'first ordre'; allowed: act",
                 ),
+                (
+                    TEXT.replace("method=", 'policies=("warmest",), method=', 1),
+                    r"policies: found \('warmest',\); allowed: one or more of fresh, reuse, warm",
+                ),
                 ("raise SystemExit(0)", "SystemExit: 0"),
                 ("raise type('Own', (BaseException,), {})('two\\nlines')", "Own: two lines"),
                 (

@@ -21,6 +21,9 @@ from dpbench.ship.vessel import (
 )
 from dpbench.ship.weather import WATER_DENSITY, WaveReflection, Windage
 
+MOST_X = 0.6
+"""Largest distance of a thruster or centre from midships over the length."""
+
 
 class LimitsTable(FileModel):
     """Limits of the control force and of its rate of change."""
@@ -303,7 +306,21 @@ class VesselFile(FileModel):
             key = names.get(error.key, error.key)
             raise InputError(where, key, error.found, error.allowed) from error
         self._refuse_implausible_mass(float(M[0, 0]), where)
+        self._refuse_places_outside_ship(where)
         return vessel
+
+    def _refuse_places_outside_ship(self, where: str) -> None:
+        """Raise InputError for a thruster, centre or skeg that lies ahead or aft of the ship."""
+        places = [(f"thruster {one.name}: x_m", one.x_m) for one in self.thrusters or ()]
+        if (hull := self.capability) is not None:
+            centres = ("submerged_x_m", "lateral_x_m", "current_x_m")
+            places += [(f"capability.{key}", getattr(hull, key)) for key in centres]
+            places += [("capability.skegs", x) for x, _ in hull.skegs]
+        most = MOST_X * self.length_m
+        for key, x_m in places:
+            if x_m is not None and abs(x_m) > most:
+                allowed = f"{-most:g} to {most:g} m from midships on this ship"
+                raise InputError(where, key, f"{x_m:g}", allowed)
 
     def _refuse_implausible_mass(self, surge_kg: float, where: str) -> None:
         """Raise InputError unless a ship is 0.5 to 5 % of the water in a cube of its length."""
