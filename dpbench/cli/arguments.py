@@ -331,8 +331,8 @@ COMMANDS: dict[str, CommandHelp] = {
         "0 a controller within the margin was found; 1 the best controller exceeds the "
         f"margin in the search or in the test; {_BAD_INPUT}",
         "Find weights and horizons that hold the ship with a margin and little thruster wear, test "
-        "them in other realisations of the sea, and write the scenario with them. Of several "
-        "scenarios, the one with the largest offset counts. After an interruption, run the same "
+        "them in other realisations of the sea, and write the scenario with them. The largest "
+        "offset of all scenarios counts. After an interruption, run the same "
         "command again.",
     ),
     "capability": CommandHelp(

@@ -34,7 +34,11 @@ from dpbench.scenario.own_thrusters import (
 )
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.loads import DP_CONDITIONS
-from dpbench.ship.capability.losses import list_thruster_cautions, list_zone_cautions
+from dpbench.ship.capability.losses import (
+    caution_on_wash,
+    list_thruster_cautions,
+    list_zone_cautions,
+)
 from dpbench.ship.thrusters import format_sector
 from dpbench.ship.vessel import Vessel
 from dpbench.solvers.table import require_solver_available
@@ -154,7 +158,8 @@ def format_wind_table(
     notes += [f"Assumed, not given: {'; '.join(assumed)}."] if assumed else []
     if own_areas := describe_own_wind_areas(vessel):
         notes.append(f"{own_areas[0].upper()}{own_areas[1:]}.")
-    notes += list_zone_cautions(vessel.thrusters) if vessel.thrusters else []
+    if every := vessel.thrusters:
+        notes += [*caution_on_wash(every), *list_zone_cautions(every)]
     notes = [line for note in notes for line in textwrap.wrap(note, WIDTH)]
     return [*textwrap.wrap(about, WIDTH), "", *heads, *rows, "", *notes]
 
@@ -284,13 +289,14 @@ def make_json_report(
     planned: Capability | None = None,
 ) -> dict[str, Any]:
     """Return the largest winds held and the counts of solvers' right answers, for JSON."""
+    every = vessel.thrusters
     report: dict[str, Any] = {
         "vessel": capability.vessel,
         "title": vessel.title,
         "standard": "DNV-ST-0111 (2021) level 1",
         "sides": capability.sides,
         "assumed": list(capability.assumed),
-        "cautions": list_thruster_cautions(vessel.thrusters) if vessel.thrusters else [],
+        "cautions": [*caution_on_wash(every), *list_thruster_cautions(every)] if every else [],
         "notation": capability.notation,
         "from_deg": list(FROM_DEG),
         "cases": _list_cases(capability),

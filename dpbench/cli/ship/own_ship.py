@@ -41,6 +41,7 @@ from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.loads import DYNAMIC_FACTOR
 from dpbench.ship.capability.losses import (
     MISCELLANEOUS,
+    caution_on_wash,
     describe_unused_turning_rates,
     list_zone_cautions,
 )
@@ -147,7 +148,7 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
             remarks.append(f"assumed for the thrusters: {' '.join(ship.thrusters.assumed)}")
             thrusters = ship.thrusters.thrusters
             remarks += [*thrusters.sector_descriptions, *ship.thrusters.half_turns]
-            remarks += list_zone_cautions(thrusters)
+            remarks += [*caution_on_wash(thrusters), *list_zone_cautions(thrusters)]
             if unused := describe_unused_turning_rates(thrusters):
                 remarks.append(f"{unused} The scenarios written here do not.")
     else:

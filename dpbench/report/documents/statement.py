@@ -81,7 +81,7 @@ from dpbench.scenario.own_thrusters import (
     split_source,
 )
 from dpbench.scenario.scenario import Scenario
-from dpbench.ship.capability.losses import list_thruster_cautions
+from dpbench.ship.capability.losses import caution_on_wash, list_thruster_cautions
 from dpbench.ship.thrusters import describe_sector, format_directions
 from dpbench.ship.vessel import Vessel
 from dpbench.solvers.settings import resolve_settings_with_fixed_options
@@ -347,8 +347,9 @@ def _list_thrust_used(records: Records, c: Configuration) -> list[str]:
 
 
 def _list_cautions(vessels: Iterable[Vessel]) -> list[str]:
-    """Return lines on rudders that do not count, and on zones that do not bar a race."""
-    cautions = (list_thruster_cautions(v.thrusters) for v in vessels if v.thrusters)
+    """Return lines on wash between azimuths, rudders that do not count, and zones of the push."""
+    every = [vessel.thrusters for vessel in vessels if vessel.thrusters]
+    cautions = ([*caution_on_wash(one), *list_thruster_cautions(one)] for one in every)
     return [*dict.fromkeys(text for own in cautions for text in own)]
 
 

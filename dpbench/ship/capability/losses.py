@@ -76,7 +76,7 @@ def find_forbidden_thrust_directions(
 
 
 def list_thruster_cautions(thrusters: ThrusterSet) -> list[str]:
-    """Return sentences on rudders that do not count, and on races that hit other thrusters."""
+    """Return sentences on rudders that do not count, and on barred zones that leave the race."""
     rudders = thrusters.caution_on_rudders
     return [*([rudders] if rudders else []), *list_zone_cautions(thrusters)]
 
@@ -94,8 +94,8 @@ def describe_unused_turning_rates(thrusters: ThrusterSet) -> str:
 
 
 def list_zone_cautions(thrusters: ThrusterSet) -> list[str]:
-    """Return sentences on azimuths whose race no zone, or a zone of the push, keeps off others."""
-    cautions = _caution_on_wash(thrusters)
+    """Return sentences on zones that bar the push towards a thruster and leave the race to it."""
+    cautions = []
     for thruster in thrusters.thrusters:
         hit = [
             other.name
@@ -114,7 +114,7 @@ def list_zone_cautions(thrusters: ThrusterSet) -> list[str]:
     return cautions
 
 
-def _caution_on_wash(thrusters: ThrusterSet) -> list[str]:
+def caution_on_wash(thrusters: ThrusterSet) -> list[str]:
     """Return a sentence on azimuths whose wash controllers may send at each other; none without.
 
     The capability plot bars such directions of azimuths with a known propeller only.

@@ -15,11 +15,11 @@ from dpbench.ship.capability.loads import (
 )
 from dpbench.ship.capability.losses import (
     MISCELLANEOUS,
+    caution_on_wash,
     compute_thrust_share_when_vented,
     find_forbidden_thrust_directions,
     list_losses_at_dead_thrusters,
     list_losses_at_skegs,
-    list_zone_cautions,
 )
 from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet
 
@@ -146,17 +146,17 @@ def test_azimuths_that_may_hit_each_other_are_cautioned_of() -> None:
     A propeller of 2 m reaches 30 m. One of unknown size is not barred in the capability plot.
     """
     port, starboard = azimuth(-30.0, -3.0), azimuth(-30.0, 3.0)
-    (caution,) = list_zone_cautions(ThrusterSet((port, starboard, azimuth(30.0, 0.0))))
+    (caution,) = caution_on_wash(ThrusterSet((port, starboard, azimuth(30.0, 0.0))))
     assert "(at -30.0 -3.0 and at -30.0 3.0, 6 m apart); the capability plot bars" in caution
     push_to_starboard = replace(port, sector_rad=(0.0, math.pi))
     push_to_port = replace(starboard, sector_rad=(math.pi, 2.0 * math.pi))
-    assert list_zone_cautions(ThrusterSet((push_to_starboard, starboard)))
-    assert not list_zone_cautions(ThrusterSet((port, azimuth(0.5, 0.0))))
+    assert caution_on_wash(ThrusterSet((push_to_starboard, starboard)))
+    assert not caution_on_wash(ThrusterSet((port, azimuth(0.5, 0.0))))
     away = (
         replace(port, sector_rad=(math.radians(-60.0), math.radians(60.0))),
         replace(starboard, sector_rad=(math.radians(-60.0), math.radians(60.0))),
     )
-    assert not list_zone_cautions(ThrusterSet(away))
-    assert list_zone_cautions(ThrusterSet((push_to_starboard, push_to_port))) == []
-    (caution,) = list_zone_cautions(ThrusterSet((replace(port, screw=None), starboard)))
+    assert not caution_on_wash(ThrusterSet(away))
+    assert caution_on_wash(ThrusterSet((push_to_starboard, push_to_port))) == []
+    (caution,) = caution_on_wash(ThrusterSet((replace(port, screw=None), starboard)))
     assert "nor does the capability plot" in caution
