@@ -57,7 +57,7 @@ class Reproduction:
 def reproduce_paper(
     out: str | Path | None = None, *, progress: Progress | None = None
 ) -> Reproduction:
-    """Run the paper's case with exact MPC and the clipped law; write and return figures, claims.
+    """Run the paper's case with exact MPC and the baseline law; write and return figures, claims.
 
     Files as of `write_reproduction`; the runs are in the folder `runs` beside them. Finished
     loops are not run again.

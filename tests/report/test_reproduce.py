@@ -38,7 +38,7 @@ def test_the_data_are_those_of_the_steps(records: Any, tmp_path: Path) -> None:
     steps = load_results(tmp_path / "runs").steps
     for name in NAMES:
         data = pd.read_csv(tmp_path / f"{name}.csv")
-        assert data["law"].unique().tolist() == ["constrained (daqp)", "unconstrained, clipped"]
+        assert data["law"].unique().tolist() == ["constrained (daqp)", "baseline law"]
         np.testing.assert_array_equal(data["t_s"], steps["t_s"])
         for column in set(data.columns) & set(steps.columns):
             np.testing.assert_array_equal(data[column], steps[column], err_msg=column)

@@ -67,7 +67,7 @@ def read_laws_in_paper_scenario(view: Records) -> list[Law]:
         return []
     laws = [Law(f"constrained ({pair.constrained.solver})", view.read_step_table(pair.constrained))]
     if pair.clipped is not None:
-        laws.append(Law("unconstrained, clipped", view.read_step_table(pair.clipped)))
+        laws.append(Law("baseline law", view.read_step_table(pair.clipped)))
     return laws
 
 

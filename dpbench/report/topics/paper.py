@@ -35,7 +35,7 @@ DRAWN = (
     (
         "increments",
         draw_increments,
-        "Simulation of Fig. 7 of the paper: force increments and their rate limits.",
+        "Simulation of Fig. 7 of the paper: control moves and the maximum increments.",
     ),
 )
 """Figures 4 to 7: name, function, caption."""
@@ -92,7 +92,7 @@ def describe_count_reproduced(judged: "Sequence[Claim]") -> str:
     held, missing = states.count("reproduced"), states.count("not simulated")
     why = "as no complete runs of both control laws were made"
     if any(claim.found == _WORDS["found"]["no clipped law"] for claim in judged):
-        why += " (add `--solver unconstrained_clipped` to run the clipped law)"
+        why += " (add `--solver unconstrained_clipped` to run the baseline law)"
     open_ones = f", and {missing} not simulated, {why}" if missing else ""
     return (
         f"{held} of {len(states)} claims of Xia, Liu, Pang & Xue are reproduced"
@@ -129,10 +129,12 @@ def _make_stability_table(designs: Designs) -> Table:
         ),
         "Stability of the controller",
         "A controller is stable if all eigenvalues λ of its closed loop without active limits have "
-        "|λ| < 1. A name such as 30/5 gives the prediction and control horizons. Each range goes "
-        "from the largest initial sway offset from which the ship returned to the smallest from "
-        f"which it did not. {_name_scenarios_of_controllers(designs)} The weather of `{WEATHER}` "
-        "is moderate and grows over a minute.",
+        "|λ| < 1. A name such as `paper 30/5` gives the tuning, the "
+        "prediction horizon and the control horizon. "
+        f"{_name_scenarios_of_controllers(designs)} Each range goes from the largest initial sway "
+        "offset from which the ship returned to the smallest from which it did not. The weather "
+        f"of the last column is that of scenario `{WEATHER}`: moderate, and building up over the "
+        "first minute.",
         folded=True,
         labels={
             STILL_OFFSET: f"recoverable sway offset, {STILL} [m]",
@@ -144,8 +146,8 @@ def _make_stability_table(designs: Designs) -> Table:
 def _name_scenarios_of_controllers(designs: Designs) -> str:
     """Return a sentence on the scenarios whose controllers the table analyses."""
     used = {f"{one.tuning} {one.N_p}/{one.N_c}": one.controller for one in designs.records}
-    named = join_with_and([f"{name} of `{scenario}`" for name, scenario in used.items()])
-    return f"The controllers are {named}."
+    named = [f"`{name}` is the controller of scenario `{where}`" for name, where in used.items()]
+    return f"{join_with_and(named)}."
 
 
 def _format_bracket(bracket: Bracket | None) -> str:

@@ -122,7 +122,7 @@ def test_a_run_cut_short_represents_nobody(records: Any) -> None:
 
 
 def test_claims_that_were_not_measured_are_counted(records: Any) -> None:
-    """Without the clipped law no claim that compares the two is measured."""
+    """Without the baseline law no claim that compares the two is measured."""
     records.loop("daqp", steps=WHOLE)
     states = list(_states(records).values())
     reproduced, missing = states.count("reproduced"), states.count("not simulated")
@@ -132,7 +132,7 @@ def test_claims_that_were_not_measured_are_counted(records: Any) -> None:
     assert topic is not None
     assert topic.lines[0].startswith(f"{reproduced} of {len(states)} claims")
     assert f"{missing} not simulated" in topic.lines[0]
-    assert "add `--solver unconstrained_clipped` to run the clipped law" in topic.lines[0]
+    assert "add `--solver unconstrained_clipped` to run the baseline law" in topic.lines[0]
     unmeasured = {row[2] for row in topic.tables[0].rows if row[3] == "not simulated"}
     assert any("`--solver unconstrained_clipped` adds it" in found for found in unmeasured)
 
