@@ -130,15 +130,23 @@ class Disturbance:
 
     def complaints(self) -> list[str]:
         """Return, in words, which limits of a quiet machine the disturbances exceeded."""
-        lines = []
+        return list(self.find_excesses().values())
+
+    def find_excesses(self) -> dict[str, str]:
+        """Return the limits of a quiet machine that are exceeded, each with the excess in words."""
+        lines = {}
         if self.rounds > 0 and self.disturbed > MAX_DISTURBED_SHARE * self.rounds:
-            lines.append(
+            lines[f"disturbed rounds (limit {100 * MAX_DISTURBED_SHARE:g} %)"] = (
                 f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed after a second attempt"
             )
         if self.steal_share > MAX_STEAL_SHARE:
-            lines.append(f"{100 * self.steal_share:.1f} % of the time stolen by the host")
+            lines[f"stolen time (limit {100 * MAX_STEAL_SHARE:g} %)"] = (
+                f"{100 * self.steal_share:.1f} % of the time stolen by the host"
+            )
         if self.switches_per_s > MAX_SWITCHES_PER_S:
-            lines.append(f"{self.switches_per_s:.0f} involuntary context switches a second")
+            lines[f"context switches (limit {MAX_SWITCHES_PER_S:g} per second)"] = (
+                f"{self.switches_per_s:.0f} involuntary context switches a second"
+            )
         if self.throttled > 0:
-            lines.append(f"{self.throttled:.0f} throttle events")
+            lines["throttle events (limit 0)"] = f"{self.throttled:.0f} throttle events"
         return lines

@@ -84,7 +84,10 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
     below = f" Times below {shortest_ns / 1e3:g} µs, the shortest wait, were not checked."
     missed = {n: p50 for n, p50 in measured.items() if is_within_tolerance(n, p50) is False}
     if not missed:
-        return f"Waits of known length were measured to within 1 µs or 1 %.{below}"
+        return (
+            f"Waits of known length were measured to within 1 µs or 1 %, whichever "
+            f"is larger.{below}"
+        )
     waits = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
     worst = max(abs(compute_excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
@@ -107,18 +110,25 @@ def _describe_machine_load(records: Records, timed: Sequence[RunRecord]) -> str:
         )
     if timed[0].mode != "replay":
         return f"Other work did not disturb these closed loops.{_describe_hidden(records.machine)}"
-    worse = len(find_disturbed_replays(records))
-    exceed = "exceeds" if worse == 1 else "exceed"
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
-    alone = (
-        f" Taken individually, {format_count(worse)} of {plural(len(timed), 'timed replay')}"
-        f"{windows} {exceed} the limits of a quiet machine, so small differences of step time are "
-        "not ranked there."
-    )
     return (
-        f"The machine was quiet during the replays{windows} taken together: "
-        f"{_describe_disturbed_rounds(disturbance)}.{alone if worse else ''} Closed loops are not "
-        f"included.{_describe_hidden(records.machine)}"
+        f"Over all replays{windows}, the machine was quiet: "
+        f"{_describe_disturbed_rounds(disturbance)}.{_describe_worse_replays(records, timed)} "
+        f"Closed loops are not included.{_describe_hidden(records.machine)}"
+    )
+
+
+def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str:
+    """Return a sentence on single replays that exceed a limit of a quiet machine; "" for none."""
+    worse = len(find_disturbed_replays(records))
+    if not worse:
+        return ""
+    windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
+    kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
+    return (
+        f" In {format_count(worse)} of {format_count(len(timed))} single replays{windows}, "
+        f"{' or '.join(kinds)} exceeded the limit, so small differences in step time are not "
+        "ranked there."
     )
 
 
@@ -129,13 +139,15 @@ def _describe_disturbed_rounds(disturbance: Disturbance) -> str:
     share = format_share(remaining / disturbance.rounds) if disturbance.rounds else MISSING
     is_repeated = disturbance.rerun > 0
     if not remaining and not is_repeated:
-        return f"{rounds}, none of them disturbed ({limit})"
-    left = f"{format_count(remaining) if remaining else 'none'} remained disturbed"
-    left = f"{left} ({share}, {limit})"
+        return f"none of {rounds} was disturbed ({limit})"
+    left = f"{format_count(remaining) if remaining else 'none'}"
     if not is_repeated:
-        return f"{rounds}, of which {left}"
-    repeated = f"{format_count(disturbance.rerun)} of them repeated"
-    return f"{rounds}, {repeated} because other work disturbed them; {left}"
+        return f"{left} of {rounds} remained disturbed ({share}, {limit})"
+    were = "was" if disturbance.rerun == 1 else "were"
+    return (
+        f"{format_count(disturbance.rerun)} of {rounds} {were} repeated because other work "
+        f"disturbed them, and {left} remained disturbed ({share}, {limit})"
+    )
 
 
 def _describe_hidden(machine: Mapping[str, Any]) -> str:

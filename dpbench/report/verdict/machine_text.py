@@ -87,4 +87,4 @@ def list_switching_solvers(rows: Sequence[RunRecord]) -> list[tuple[str, str]]:
     wording = ", ".join(
         f"{name}: {significant(a_step, 2)} per step" for name, a_step in own.items()
     )
-    return [("further switches, caused by the solver itself", wording)] if own else []
+    return [("context switches caused by the solver itself", wording)] if own else []

@@ -118,11 +118,12 @@ def test_a_replay_without_a_feasible_step_is_answered_by_who_reports_that(tmp_pa
 def test_what_the_machine_hides_is_said(records: Any) -> None:
     records.replay("daqp", replay_s=9.0, rerun_rounds=2, involuntary_switches=0, steal_s=0.0)
     topic = build_trust_topic(records.view())
-    (quiet,) = (line for line in topic.lines if line.startswith("The machine was quiet"))
-    assert "during the replays taken together: 3 rounds, 2 of them repeated because other" in quiet
+    (quiet,) = (
+        line for line in topic.lines if line.startswith("Over all replays, the machine was quiet: ")
+    )
     assert (
-        "work disturbed them; none remained disturbed (0 %, limit 5 %). Closed loops are not "
-        "included." in quiet
+        "quiet: 2 of 3 rounds were repeated because other work disturbed them, and none remained "
+        "disturbed (0 %, limit 5 %). Closed loops are not included." in quiet
     )
     assert quiet.endswith("The machine reports neither its frequency governor nor throttling.")
 
