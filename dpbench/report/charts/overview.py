@@ -15,6 +15,11 @@ from dpbench.report.formats import format_rounded_down
 MARKS = ("✓", "≈", "?", "▸", "✕", "–")
 MOST_ACROSS = 30
 """Columns of a settings level, and half those of all levels, that leave room for names."""
+_ERROR = (
+    "isValid(datum.error) ? format(datum.error, "
+    "datum.error > 0 && datum.error < 0.01 ? '.1e' : '.2~g') : '–'"
+)
+"""Text of an error in a tooltip, as by `format_error`."""
 TILE, HEAD_LETTER = 30, 8
 """Width of a tile, and about that of a letter above a settings level [px]."""
 
@@ -58,7 +63,7 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     y = alt.Y(f"{down}:N", sort=order[down], title=None)
     titles = {"experiment": "scenario or replay", "verdict": "verdict"}
     titles |= {
-        "off": "largest error of the first move",
+        "off": style.ERROR,
         "fails": "failed steps",
         "because": "reason",
     }
@@ -69,8 +74,7 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
     base = (
         alt.Chart()
         .transform_calculate(
-            off="datum.error === 'inf' ? 'no answer' "
-            ": isValid(datum.error) ? format(datum.error, '.2~g') : '–'",
+            off=f"datum.error === 'inf' ? 'no solution' : {_ERROR}",
             fails="isValid(datum.failed) ? datum.failed : '–'",
             because="datum.detail || '–'",
         )
@@ -130,7 +134,7 @@ _LEGEND_COLUMNS = alt.ExprRef("narrow ? 1 : 3")
 """Three legends are side by side on a phone."""
 _FIGURES = (
     "verdict:N",
-    style.tooltip("error:Q", digits=2),
+    style.tooltip("off:N", style.ERROR),
     style.tooltip("p50_us:Q", "p50 [µs]"),
     style.tooltip("p99_us:Q", "p99 [µs]"),
 )
@@ -155,17 +159,22 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
         "family", families, families.values(), columns=_LEGEND_COLUMNS, symbolOpacity=1.0
     )
     decades = alt.Axis(format=".0e")
-    tips = style.tooltips("solver:N", "settings:N", "route:N", "policy:N", *_FIGURES)
+    call_mode = style.tooltip("call_mode:N", "call mode")
+    tips = style.tooltips("solver:N", call_mode, "settings:N", *_FIGURES)
     apart = style.log_scale(padding=12)  # room for the name of a point in the corner
     base = (
         alt.Chart(table)
-        .transform_calculate(time="percentile == 'p99' ? datum.p99_us : datum.p50_us")
+        .transform_calculate(
+            time="percentile == 'p99' ? datum.p99_us : datum.p50_us",
+            off=_ERROR,
+            call_mode="datum.route + ' ' + datum.policy",
+        )
         .transform_filter("isValid(datum.time)")
         .encode(
             x=alt.X("time:Q", title="step time [µs], log scale", scale=apart),
             y=alt.Y(
                 "shown:Q",
-                title="largest error of the first move [maximum increments]",
+                title=style.ERROR,
                 scale=apart,
                 axis=decades,
             ),

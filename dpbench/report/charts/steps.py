@@ -80,7 +80,8 @@ def _draw_step_errors(steps: alt.Chart, error_limit: float) -> list[Any]:
     dots = steps.transform_calculate(shown=shown).mark_circle(size=9, opacity=0.9)
     dots = dots.encode(
         tooltip=style.tooltips(
-            style.tooltip("k:Q", "step"), style.tooltip("error:Q", "error of the first move", 2)
+            style.tooltip("k:Q", "step"),
+            style.tooltip("error:Q", "error of the first move [maximum increments]", 2),
         ),
         y=alt.Y("shown:Q", title=["error of the", "first move"], scale=scale, axis=axis),
         color=style.value_if("datum.failed", style.FAIL, style.SOFT),

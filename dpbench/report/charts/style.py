@@ -29,6 +29,8 @@ FAMILY_COLOURS = {
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f", "#8c510a")
 FLOOR = 1e-16
 """Smaller errors are drawn here."""
+ERROR = "largest error of the first move [maximum increments]"
+"""Title of an axis or a tooltip's entry."""
 NAMES = "names"
 """Layer with labels of the field `solver`, left out where there is no room."""
 

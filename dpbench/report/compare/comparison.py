@@ -130,7 +130,7 @@ def make_times_table(
         f"B/A: {_describe_measure(compared)}. Machine: {machine}. B/A less machine: B/A divided by "
         "that. The interval holds for all rows together and includes the noise between two runs. "
         f"Slower or faster: by more than {percent}. Faster, not all verified: the referee does not "
-        f"verify every answer of B. Equivalent: within {percent}. Each kind of claim has a "
+        f"verify every solution of B. Equivalent: within {percent}. Each kind of claim has a "
         f"family-wise error of {100 * alpha:g} % (Holm)."
     )
     cells = [

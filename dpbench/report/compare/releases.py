@@ -324,7 +324,7 @@ def draw_release_errors(table: pd.DataFrame, allowed: float) -> Any:
 
     table : as of `draw_release_times`; an error of 0 or none at all has no point.
     """
-    title = "largest error of the first move [maximum increments]"
+    title = style.ERROR
     x = alt.X("error:Q", title=title, scale=style.log_scale(), axis=_make_value_axis(".0e"))
     drawn = _make_version_rows_chart(table).transform_filter(
         "isFinite(datum.error) && datum.error > 0"

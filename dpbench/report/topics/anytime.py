@@ -17,7 +17,7 @@ from dpbench.analysis.suites.anytime import (
 from dpbench.analysis.verdict.requirements import MARGIN, Requirements, compute_cost_ratio
 from dpbench.analysis.verdict.verdict import find_solver_record_or_none
 from dpbench.report.charts.lines import draw_lines
-from dpbench.report.charts.style import FLOOR
+from dpbench.report.charts.style import ERROR, FLOOR
 from dpbench.report.formats import (
     MISSING,
     Table,
@@ -46,7 +46,7 @@ def build_anytime_topic(records: Records, requirements: Requirements) -> Topic |
     figures = (_draw_group(group, requirements) for group in groups)
     return Topic(
         "anytime",
-        "Answers stopped early",
+        "Solves stopped early",
         wording,
         tuple(figure for figure in figures if figure is not None),
         tuple(map(_make_table, loops)),
@@ -91,8 +91,9 @@ def _describe_errors(group: LimitedGroup) -> str:
     errors = [c.runs[last].error_move_max for c in group.configurations if last in c.runs]
     least, most = format_error(min(errors)), format_error(max(errors))
     return (
-        f"In the replay of {group.problem} the largest error of the first move at "
-        f"{_format_limit(group, last)} is {least} to {most}."
+        f"In the replay of {group.problem}, the largest error of the first move at a limit of "
+        f"{_format_limit(group, last)} per step is {least} to {most} times the maximum increment, "
+        "depending on the configuration."
     )
 
 
@@ -140,7 +141,7 @@ def _draw_group(group: LimitedGroup, requirements: Requirements) -> Figure | Non
     name, quantity, caption = (
         ("Cost of the loop", "cost relative to the reference loop", "Dashed line: 10 % more cost.")
         if steered
-        else ("Error", "largest error of the first move", "Dashed line: largest error allowed.")
+        else ("Error", ERROR, "Dashed line: largest error allowed.")
     )
     timed = group.limit_of == "time"
     title = f"{name} over the limit of {group.limit_of}, {group.problem}"

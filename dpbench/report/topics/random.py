@@ -25,7 +25,7 @@ def build_random_topic(records: Records) -> Topic | None:
         (-tally.wrong_count, name) for (name,), tally in by_solver.items() if tally.wrong_count
     )
     none = [name for (name,), tally in by_solver.items() if not tally.wrong_count]
-    wording = [", ".join(f"{name} {-count}" for count, name in wrong)] if wrong else []
+    wording = [", ".join(f"{-count} by {name}" for count, name in wrong)] if wrong else []
     wording += [f"none by {join_with_and(none)}"] if none else []
     tallies = sorted(
         by_solver.items(), key=lambda item: (-item[1].wrong_count, -item[1].nothing, item[0])

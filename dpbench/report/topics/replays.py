@@ -113,12 +113,12 @@ def build_formulations_topic(records: Records, requirements: Requirements) -> To
     if not tables:
         return None
     wins = count_wins_of_formulations(records, requirements)
-    counts = ", ".join(f"{form.replace('_', ' ')} {count}" for form, count in wins.most_common())
+    counts = ", ".join(f"{form.replace('_', ' ')} in {count}" for form, count in wins.most_common())
     wording = (
-        "Fastest formulation with accurate answers, counted over "
-        f"{plural(wins.total(), 'pair')} of configuration and sequence: {counts or 'none'}.",
-        "Median step time of the same QPs in each formulation. The verdicts apply to the common "
-        "formulation.",
+        f"The fastest formulation with accurate solutions, in {plural(wins.total(), 'pair')} of "
+        f"configuration and sequence: {counts or 'none'}.",
+        "The tables give the median step time of the same QPs in each formulation. The verdicts "
+        "apply to the common formulation.",
     )
     return Topic("formulations", "Formulations", wording, (), tuple(tables))
 
@@ -318,10 +318,13 @@ def build_worst_case_topic(records: Records) -> Topic | None:
     name, took, median, iterations, usual, error, answer = rows[0]
     counted = "" if iterations == MISSING else f", {iterations} iterations (median {usual})"
     lead = (
-        f"At step {k} {name} takes {took} (median {median}){counted}; error of the first move "
-        f"{error}, {answer}."
+        f"At step {k}, {name} takes {took} (median {median}){counted}. Error of the first "
+        f"move [maximum increments]: {error}; solution: {answer}."
     )
-    head = ("configuration", "time", "its median", "iterations", "its median", "error", "answer")
+    head = (
+        *("configuration", "time", "median time", "iterations", "median of the iterations"),
+        *("error of the first move [maximum increments]", "solution"),
+    )
     return Topic(
         "worst-case",
         "Step found by the search",
@@ -389,6 +392,6 @@ def build_loops_topic(records: Records, requirements: Requirements) -> Topic | N
     rows.sort(key=lambda row: -whole[row["configuration"]])
     note = (
         "The largest deviation from the reference loop shows the effect of inaccurate or late "
-        "answers."
+        "solutions."
     )
     return Topic("loops", "Closed loops", (lead, note), (), (Table.from_rows(rows),))

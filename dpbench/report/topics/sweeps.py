@@ -50,15 +50,21 @@ def build_horizon_topic(records: Records, requirements: Requirements) -> Topic |
                 ("median step time [µs]", "~g"),
                 limit=requirements.p99_ms * 1e3 if requirements.judges_step_times else None,
             )
-            figures.append(Figure(f"horizon-{sweep.name}", chart, "Hollow: a step fails."))
+            figures.append(
+                Figure(
+                    f"horizon-{sweep.name}",
+                    chart,
+                    "Hollow marker: at least one step is inaccurate or failed.",
+                )
+            )
             tables.append(Table.from_rows(rows, sweep.name))
     if not figures:
         return None
     wording = (
         *_describe_longest_horizons(all_sweeps, requirements),
-        "Median step time at the fewest and the most variables, and the longest horizon with "
-        "accurate answers within the limit. ≥: longer horizons have no p99; ?: the 95 % interval "
-        "of a p99 includes the limit.",
+        "The tables give the median step time at the fewest and the most variables, and the "
+        "longest horizons at which every step is accurate and the time limit is met. ≥: longer "
+        "horizons have no p99; ?: the 95 % interval of a p99 includes the limit.",
         *_list_builds(all_sweeps),
     )
     return Topic("horizon", "Longer horizons", wording, tuple(figures), tuple(tables))
@@ -108,7 +114,7 @@ def _describe_longest_horizons(
         }
         limit = f"with {_describe_time_limit(sweep, requirements)}"
         if not largest:
-            wording.append(f"In {sweep.name} no solver is accurate {limit} at any horizon.")
+            wording.append(f"In {sweep.name}, no solver is accurate {limit} at any horizon.")
             continue
         longest = max(largest.values(), key=count_qp_variables)
         who = [name for name, horizons in largest.items() if horizons == longest]
@@ -117,7 +123,7 @@ def _describe_longest_horizons(
         )
         beyond = "" if longest != sweep.horizons[-1] else ", the longest that were run"
         wording.append(
-            f"In {sweep.name} the longest horizons with accurate answers and "
+            f"In {sweep.name}, the longest horizons (N_p/N_c) with accurate solutions and "
             f"{_describe_time_limit(sweep, requirements)} are {longest[0]}/{longest[1]}{beyond}: "
             f"{some}."
         )
@@ -186,7 +192,7 @@ def build_slowdown_topic(records: Records) -> Topic | None:
         return None
     wording = (
         *leads,
-        "Each answer is applied as late as on a slower computer. A configuration survives a "
+        "Each solution is applied as late as on a slower computer. A configuration survives a "
         f"slowdown if the cost of its loop is at most {100 * MARGIN:g} % above that of the "
         "reference loop.",
     )

@@ -157,8 +157,8 @@ def test_replays_alone_have_their_errors(records: Any) -> None:
         for iterations in (1, 5):
             records.replay(solver, steps=30, error=error, **limit(solver, iterations))
     assert records.ending()["answer"] == (
-        "In the replay of paper the largest error of the first move at 5 iterations is 0.020 to "
-        "0.50."
+        "In the replay of paper, the largest error of the first move at a limit of 5 iterations "
+        "per step is 0.020 to 0.50 times the maximum increment, depending on the configuration."
     )
 
 

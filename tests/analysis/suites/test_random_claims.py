@@ -125,7 +125,7 @@ def test_the_topic_puts_who_lies_first(records: Any) -> None:
         ("scs", "2", "1", "1"),
         ("daqp", "2", "2", "0"),
     ]
-    said = "3 false claims on 6 certified steps: osqp 2, scs 1; none by daqp."
+    said = "3 false claims on 6 certified steps: 2 by osqp, 1 by scs; none by daqp."
     assert topic.lines[0] == said
 
 

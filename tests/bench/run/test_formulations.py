@@ -219,7 +219,7 @@ def test_a_campaign_shows_formulations_side_by_side(tmp_path: Path) -> None:
     strict = runs[(runs["solver"] == "quadprog") & (runs["formulation"] == "sparse")]
     assert set(strict["outcome_detail"]) == {SEMIDEFINITE_REFUSAL}
     page = write_report(out).with_suffix(".md").read_text(encoding="utf-8")
-    assert "Fastest formulation with accurate answers, counted over 4 pairs of " in page
+    assert "The fastest formulation with accurate solutions, in 4 pairs of " in page
     assert (out / "tables" / "formulations.csv").is_file()
 
 

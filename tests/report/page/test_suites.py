@@ -22,7 +22,7 @@ from tests.report.page.test_html import checked
 TITLES = {
     "horizon": "Longer horizons",
     "slowdown": "Slower computers",
-    "anytime": "Answers stopped early",
+    "anytime": "Solves stopped early",
     "random": "Random QPs",
     "consequence": "Consequence analysis",
     "formulations": "Formulations",

@@ -82,17 +82,17 @@ function rows() {
 async function drawOne() {
   const steps = rows();
   $("one-title").textContent = `${one("name")} on ${one("where")}`;
-  $("one-said").textContent = `${one("said")} Above the dashed line B is the slower one.`;
-  $("step-said").textContent = "A folder without its steps was compared.";
+  $("one-said").textContent = `${one("said")} Above the dashed line, B is slower.`;
+  $("step-said").textContent = "At least one of the two folders has no steps.";
   if (!steps.length) return;
   const at = steps.find((row) => row.k === state.k);
   $("step-said").textContent = at
     ? `Step ${at.k}: A ${figure(at.a_us)} µs, B ${figure(at.b_us)} µs, ratio ${figure(at.b_us / at.a_us)}.`
-    : "Click a dot for its step.";
+    : "Click a dot to see its step.";
   const furthest = [...steps].sort((x, y) => y.b_us / y.a_us - x.b_us / x.a_us).slice(0, 5);
-  $("furthest").replaceChildren("Slowed most: ", ...furthest.flatMap((row) => {
+  $("furthest").replaceChildren("Steps with the largest ratios: ", ...furthest.flatMap((row) => {
     const button = document.createElement("button");
-    button.textContent = `k ${row.k}: × ${figure(row.b_us / row.a_us)}`;
+    button.textContent = `step ${row.k}: × ${figure(row.b_us / row.a_us)}`;
     button.setAttribute("aria-pressed", String(row.k === state.k));
     button.addEventListener("click", () => select({ k: row.k }));
     return [button, " "];
