@@ -16,6 +16,14 @@ MOST_COMMANDS = 3
 """Commands, and sequences, that are named; of the others their number is."""
 
 
+def describe_subject(records: Records, suite: SuiteDescription) -> str:
+    """Return what the results are about, and the title of their suite, as text."""
+    about = "QP solvers in the model predictive controller of a dynamically positioned ship"
+    if any(run.is_of_own_plant for run in records.runs):
+        about = "QP solvers in a model predictive controller"
+    return ". ".join(filter(None, [about, str(suite.get("title", ""))]))
+
+
 def describe_disturbed_times(records: Records) -> str:
     """Return what disturbed the timed replays, and what to do, as text; "" on a quiet machine."""
     states = describe_machine_states(select_timed_replays(records))
@@ -71,20 +79,23 @@ def describe_how_results_were_made(
     )
     software = ", ".join([machine.get("python", ""), *[f"NumPy {numpy}"] * bool(numpy)])
     return (
-        f"The suite `{suite.get('name', '')}` was run with {describe_version(suite)}: "
-        f"{plural(len(runs), 'run')} with {plural(steps, 'step')}{note}, "
+        f"The suite `{suite.get('name', '')}` was run with {describe_version(suite)}, "
         f"{describe_commands(runs, suite.get('started_utc', '')).removeprefix('run ')}. "
+        f"It has {plural(len(runs), 'run')} with {plural(steps, 'step')}{note}. "
         f"Solvers: {solvers}. {f'Baseline law: {laws}. ' if laws else ''}"
         f"Machine: {computer}; {software}."
     )
 
 
 def _describe_counted_runs(runs: Sequence[RunRecord], records: Records) -> str:
-    """Return in brackets which runs a count includes and leaves out; "" for nothing to name."""
+    """Return a clause on the runs that a count includes and excludes; "" for nothing to name."""
     refused = sum(run.outcome == "refused" for run in runs)
     twice = len(runs) - len({run.measurement_key for run in runs})
     verb = "is" if twice == 1 else "are"
-    equal = f"{twice} that {verb} listed twice because two settings names are equal"
+    equal = (
+        f"{plural(twice, 'run')} that {verb} listed twice, because two settings names stand for "
+        "the same settings"
+    )
     included = [plural(refused, "refused run")] * bool(refused) + [equal] * bool(twice)
     apart = {
         "of consequence analyses": len(records.consequence),
@@ -93,9 +104,11 @@ def _describe_counted_runs(runs: Sequence[RunRecord], records: Records) -> str:
     excluded = [f"{plural(count, 'run')} {what}" for what, count in apart.items() if count]
     if calibration := len(records.calibration):
         excluded.append(plural(calibration, "calibration run"))
-    notes = [f"including {join_with_and(included)}"] * bool(included)
-    notes += [f"excluding {join_with_and(excluded)}"] * bool(excluded)
-    return f" ({'; '.join(notes)})" if notes else ""
+    notes = [f". These include {', and '.join(included)}"] * bool(included)
+    notes += [f". {'They' if notes else 'These'} exclude {join_with_and(excluded)}"] * bool(
+        excluded
+    )
+    return "".join(notes)
 
 
 def describe_machine_states(runs: Sequence[RunRecord]) -> str:

@@ -218,7 +218,8 @@ def yield_ranking_sentences(
         solvers = "the solvers" if is_whole else join_with_and([f"`{name}`" for name in ranked])
         where = "" if len(alike) == len(sequences) else f" in {join_with_and(alike)}"
         yield (
-            f"Instruction counts and times on this machine rank {solvers} alike{where} ({near})."
+            f"Instruction counts and times on this machine rank {solvers} in the same order{where} "
+            f"({near})."
         )
 
 
@@ -228,10 +229,10 @@ def _yield_unranked_sentences(sequences: Sequence[CountedSequence]) -> Iterator[
         counted = join_with_and([f"{key} = {value:g}" for key, value in own.items()])
         default = find_options_of_preset(DEFAULT, name)
         options = ", ".join(f"{key} = {value}" for key, value in default.items())
-        desk = f"at default settings ({options or 'those of the library'})"
+        desk = f"with the default settings ({options or 'those of the library'})"
         yield (
-            f"`{name}` is not ranked: its C code runs with {counted}, but the solver on this "
-            f"machine {desk}."
+            f"`{name}` is not ranked, because its settings differ: the C code runs with {counted}, "
+            f"the solver on this machine {desk}."
         )
 
 

@@ -14,7 +14,7 @@ from typing import Any, Self
 from dpbench.display import make_html_table
 
 MISSING = "–"
-NO_ANSWER = "no answer"
+NO_SOLUTION = "no solution"
 """Stands for an infinite error."""
 
 
@@ -97,11 +97,11 @@ def _round_significant(value: float, digits: int, way: str) -> str:
 
 
 def format_error(value: float) -> str:
-    """Format an error: two significant digits, `no answer` when infinite."""
+    """Format an error: two significant digits, `no solution` when infinite."""
     if math.isnan(value):
         return MISSING
     if math.isinf(value):
-        return NO_ANSWER
+        return NO_SOLUTION
     if value == 0.0:
         return "0"
     return f"{value:.1e}" if not 1e-2 <= abs(value) < 1e3 else significant(value, 2)

@@ -25,7 +25,14 @@ PRINTED: list[tuple[Callable[[Any], str], dict[Any, str]]] = [
     ),
     (
         formats.format_error,
-        {1.23e-9: "1.2e-09", 0.43: "0.43", 0.0: "0", inf: "no answer", nan: "–", 4.2e3: "4.2e+03"},
+        {
+            1.23e-9: "1.2e-09",
+            0.43: "0.43",
+            0.0: "0",
+            inf: "no solution",
+            nan: "–",
+            4.2e3: "4.2e+03",
+        },
     ),
     (
         formats.format_share,

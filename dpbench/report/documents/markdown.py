@@ -12,7 +12,7 @@ from dpbench.analysis.verdict.verdict import (
     list_main_verdicts,
     sort_best_first,
 )
-from dpbench.report.commands_text import describe_how_results_were_made
+from dpbench.report.commands_text import describe_how_results_were_made, describe_subject
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import (
     MISSING,
@@ -94,7 +94,8 @@ def make_report_markdown(report: Report) -> str:
     if data.counts.sequences:
         after += yield_uncounted_sentences(data.counts.not_counted)
     parts = [
-        f"# dpbench: {escape_markdown(str(report.results.suite.get('name', 'results')))}",
+        f"# dpbench: suite `{escape_markdown(str(report.results.suite.get('name', 'results')))}`",
+        escape_markdown_paragraph(f"{describe_subject(data.records, report.results.suite)}."),
         *make_ship_lines(recommendation.ship),
         *map(escape_markdown_paragraph, [*lead, *wording, recommendation.requirements]),
         make_solver_table(data, listed := _list_verdicts(data.verdicts)),
@@ -213,11 +214,14 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
         return ""
     requirements = data.requirements
     is_scaled = any(margin.p99.run.untimed_iterations > 1.0 for margin in margins)
-    scaled = ", scaled up to the iterations of the closed loop" * is_scaled
+    scaled = (
+        " Each p99 is first scaled up to the iterations of the closed loop in its scenario, so it "
+        "can exceed the longest step."
+    ) * is_scaled
     return (
-        f"Limiting p99: the largest p99 of all replays and windows{scaled}; without a p99, the "
-        "longest step. Speed margin: factor by which the computer may be slower, the smaller of "
-        f"{requirements.p99_ms:g} ms divided by the limiting p99 and "
+        f"Limiting p99: the largest p99 of all replays and windows.{scaled} If there is no p99, "
+        "the longest step is used. Speed margin: factor by which the computer may be slower, the "
+        f"smaller of {requirements.p99_ms:g} ms divided by the limiting p99 and "
         f"{requirements.deadline_ms:g} ms divided by the longest step, rounded down."
     )
 

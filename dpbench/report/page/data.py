@@ -33,7 +33,7 @@ from dpbench.analysis.verdict.ship_results import ShipResult, find_ship_results
 from dpbench.analysis.verdict.verdict import Verdicts
 from dpbench.bench.record.cell import Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
-from dpbench.report.formats import as_float
+from dpbench.report.formats import as_float, plural
 from dpbench.report.page.pack import MOST_HARD, Block, Room, pack_steps, pack_track
 from dpbench.solvers.calibration import CALIBRATION
 
@@ -340,7 +340,10 @@ LABELS = {
 """Labels of columns on the page; others are their names with spaces."""
 COLUMNS = {
     **RUN_COLUMNS,
-    "limiting_p99_ns": ("float64", "p99 for the speed margin, scaled up by iterations of the loop"),
+    "limiting_p99_ns": (
+        "float64",
+        "p99 for the speed margin, scaled up to the iterations of the closed loop",
+    ),
 }
 """Type and meaning of the columns of runs, with that which only the page has."""
 MOST_TILES = 1000
@@ -362,9 +365,7 @@ def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
         "solver": runs["solver"],
         "call mode": runs["route"] + " " + runs["policy"],
         "settings": runs["settings"],
-        "where": [
-            replace(Experiment.from_run(run), slowdown=0.0).label for run in build_run_records(runs)
-        ],
+        "where": list(map(_name_scenario_or_replay, build_run_records(runs))),
         "outcome": runs["outcome"],
         "verdict": [
             ""
@@ -404,6 +405,15 @@ def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
         "c": _find_configuration_indices(data, runs),
         "p": [None if key is None else key[1] for key in keys],
     }
+
+
+def _name_scenario_or_replay(run: RunRecord) -> str:
+    """Return the name of what a run solved: a scenario, replay, study realisation or window."""
+    if run.steps_searched_for_hardest:
+        return (
+            f"{run.sequence.rsplit(' hardest ')[0]}, window of {plural(run.steps_planned, 'step')}"
+        )
+    return replace(Experiment.from_run(run), slowdown=0.0).label
 
 
 def _compute_limiting_p99_ns(data: PageData, runs: pd.DataFrame) -> "pd.Series[float]":

@@ -59,9 +59,9 @@ def _explain_step_times(data: PageData) -> str:
     return (
         "Step time of each solver in the replays and windows of hardest steps. Marker: p50 in the "
         f"replay of {replay}{which}; bar: up to the worst p99; line: up to the longest step; "
-        "dashed line: up to the largest single timing, closed loops included. Grey: time of a "
-        "reference call that only copies its data, or the p50 of a solver whose binding is "
-        "faster. Below 5 µs, differences reflect the bindings, not the methods."
+        "dashed line: up to the largest single timing, closed loops included. Grey bar: call "
+        "overhead, measured with a reference call that only copies its data; it ends at the p50 "
+        "if that is smaller. Below 5 µs, differences reflect the bindings, not the methods."
     )
 
 
@@ -81,15 +81,14 @@ def _draw_verdict_grids(data: PageData) -> Charts:
 
 MATRIX = (
     "Each cell shows the verdict on a configuration (solver, call mode, settings) in one scenario "
-    "or replay. Fail: at least one step has an inaccurate answer or none. Late: accurate, but too "
-    "slow."
+    "or replay. Fail: at least one solution is inaccurate or missing, a step failed, or the "
+    "process crashed. Late: accurate, but too slow."
 )
 FURTHER = (
     "Borderline: a time is above or below its limit by less than the rounds differ from "
-    "each other. "
-    "Inconclusive: part of the run was not judged, or a time exceeds its limit, perhaps only "
-    "because of waits for the processor core. The verdict on a closed loop includes the timing of "
-    "its window of hardest steps."
+    "each other. Inconclusive: no violation is shown, but a run is missing or could not be "
+    "measured, or a step may be late. The verdict on a closed loop includes the timing of its "
+    "window of hardest steps."
 )
 
 
@@ -108,8 +107,8 @@ def _explain_verdict_grid(data: PageData) -> str:
         wording += [f"{of} {verb} in SI units (N, N·m): scale the QP."] if failing else []
     if elsewhere := _list_experiments_of_other_modes(tiles):
         wording.append(
-            f"In {join_with_and(elsewhere)}, some cells show another call mode than the first "
-            "figure, in which the solver was run there; see the tooltip."
+            f"In {join_with_and(elsewhere)}, some solvers were run in a different call mode "
+            "from the first figure; the tooltip names it."
         )
     if there != drawn:
         most = (
@@ -195,17 +194,16 @@ def _explain_accuracy(data: PageData) -> str:
         return ""
     usual, *others = points["timed_on"].value_counts().index
     exceptions = [
-        f"for {join_with_and(_mark_names(points['solver'][points['timed_on'] == names]))}, "
+        f"; for {join_with_and(_mark_names(points['solver'][points['timed_on'] == names]))}, it is "
         f"{_name_timed_replays(names)}"
         for names in others
     ]
-    except_for = f" ({'; '.join(exceptions)})" if exceptions else ""
     replays = len(data.records.sequences)
     where = f" in {'both' if replays == 2 else f'all {replays}'} replays" if replays > 1 else ""
     return (
-        f"Largest error of each solver{where}, and step time {_name_timed_replays(usual)}"
-        f"{except_for}, in the call mode of the first figure. Fill: verdict over all scenarios "
-        "and replays. Dashed line: largest error allowed."
+        f"Largest error of each solver{where} against its step time, in the call mode of the "
+        f"first figure. The step time is {_name_timed_replays(usual)}{''.join(exceptions)}. Fill: "
+        "verdict over all scenarios and replays. Dashed line: largest error allowed."
     )
 
 
@@ -218,8 +216,8 @@ def _name_timed_replays(names: str) -> str:
     """Return a text on the replays of a step time, the largest of several, as of `timed_on`."""
     replays = [describe_range_of_steps(name) for name in names.split("; ")]
     if len(replays) == 1:
-        return f"in the replay of {replays[0]}"
-    return f"the largest in the replays of {join_with_and(replays)}"
+        return f"that in the replay of {replays[0]}"
+    return f"the largest of those in the replays of {join_with_and(replays)}"
 
 
 def _draw_empty_study_charts(data: PageData) -> Charts:

@@ -26,7 +26,7 @@ from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.report.charts import style
 from dpbench.report.charts.render import FORMATS, compile_vega, render_svg
-from dpbench.report.commands_text import describe_how_results_were_made
+from dpbench.report.commands_text import describe_how_results_were_made, describe_subject
 from dpbench.report.embedded_text import (
     CLOCK_MHZ,
     CYCLES,
@@ -202,8 +202,6 @@ def _describe_experiment(
     return wording
 
 
-ABOUT = "QP solvers in the model predictive controller of a dynamically positioned ship"
-ABOUT_OWN_PLANT = "QP solvers in a model predictive controller"
 _STATES = ("var(--good)", "var(--near)", "var(--warn)", "var(--late)", "var(--bad)", "var(--none)")
 _HUES = [hue for hue in style.FAMILY_COLOURS.values() if hue not in style.STATE_COLOURS]
 FILES = {
@@ -259,7 +257,6 @@ def make_page_html(
     experiments = describe_experiments(data)
     numpy = results.machine.get("versions", {}).get("numpy", "")
     started = results.suite.get("started_utc", "")[:10]
-    is_of_own_plant = any(run.is_of_own_plant for run in data.records.runs)
     block = ""
     if not light:
         document = make_page_document(data, results, recommendation, experiments)
@@ -270,8 +267,7 @@ def make_page_html(
         "page",
         ["\n".join(read_page_file(f"scripts/{name}.js") for name in SCRIPTS)],
         title=f"dpbench: {results.suite.get('name', folder.name)}",
-        subtitle=str(results.suite.get("title", "")),
-        about=ABOUT_OWN_PLANT if is_of_own_plant else ABOUT,
+        about=describe_subject(data.records, results.suite),
         sections=[*above, *(topic for topic in topics if topic is not lead), last],
         parts={section.id: section for section in shown if section.in_topic},
         texts={section.id: section.text(data) for section in shown},

@@ -87,12 +87,13 @@ def _describe_thruster_load(
         {run.scenario for run in runs if is_right_to_the_end(run, requirements)} == set(best)
         for runs in configurations.values()
     )
+    names = join_with_and([f"`{name}`" for name in sorted(best)])
+    all_runs = " of all these scenarios" * (len(best) > 1)
     return (
         f"In `{hardest.scenario}`, at least one thruster is at its limit in "
         f"{100.0 * hardest.at_limit_thrusters:.0f} % of the {plural(hardest.steps_done, 'step')}. "
-        f"{whole} of {plural(len(configurations), 'configuration')} "
-        f"{'is' if whole == 1 else 'are'} accurate on every step of "
-        f"{join_with_and([f'`{name}`' for name in sorted(best)])}."
+        f"{whole} of the {plural(len(configurations), 'configuration')} run in {names} "
+        f"{'is' if whole == 1 else 'are'} accurate on every step{all_runs}."
     )
 
 

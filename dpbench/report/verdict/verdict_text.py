@@ -198,23 +198,26 @@ def _describe_first(findings: Sequence[Finding]) -> str:
 def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
     """Return a text on how many runs their time limit stopped, and of what; "" for none."""
     ran = [run for run in runs if run.outcome != "refused"]
-    stopped = [run.configuration.marked_label for run in ran if run.outcome == "timed_out"]
-    if not stopped:
+    late = [run.configuration for run in ran if run.outcome == "timed_out"]
+    if not late:
         return ""
-    have = "Its outcome is" if len(stopped) == 1 else "Their outcome is"
+    have = "Its outcome is" if len(late) == 1 else "Their outcome is"
+    is_one = len({configuration.solver for configuration in late}) == 1
+    stopped = Counter(c.marked_label if is_one else f"`{c.solver}`" for c in late)
+    others = "configurations" if is_one else "solvers"
     return (
-        f"The time limit (`cell_limit_s`) stopped {len(stopped)} of "
-        f"{plural(len(ran), 'started run')}: {name_counts(Counter(stopped).most_common())}. "
+        f"The time limit (`cell_limit_s`) stopped {len(late)} of "
+        f"{plural(len(ran), 'started run')}: {name_counts(stopped.most_common(), others)}. "
         f"{have} `timed_out` in `tables/runs.csv`."
     )
 
 
-def name_counts(counts: Sequence[tuple[str, int]]) -> str:
-    """Return names with their counts as text, the largest first: three, and how many more."""
+def name_counts(counts: Sequence[tuple[str, int]], others: str = "configurations") -> str:
+    """Return names with their counts as text, the largest first: three, and how many `others`."""
     ordered = sorted(counts, key=lambda named: -named[1])
     named = [f"{count} of {name}" for name, count in ordered[:MOST_NAMED]]
     more = len(ordered) - MOST_NAMED
-    counted = f"{sum(n for _, n in ordered[MOST_NAMED:])} of other configurations"
+    counted = f"{sum(n for _, n in ordered[MOST_NAMED:])} of other {others}"
     rest = [counted] if more > 0 else []
     return join_with_and([*named, *rest])
 

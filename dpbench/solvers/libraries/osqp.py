@@ -78,7 +78,10 @@ RECORD = SolverRecord(
     project=make_project_facts(
         licence=("Apache-2.0", "OSQP, metadata of its distribution"),
         language=("C, without external libraries", "OSQP web site, Features"),
-        c_code=("yes, generates code for a problem", "OSQP web site, Features: Embeddable"),
+        c_code=(
+            "yes (the library generates it for a problem)",
+            "OSQP web site, Features: Embeddable",
+        ),
         allocation_free=("yes, generated code", "OSQP web site, Features: no memory manager"),
         single_precision=("yes, OSQP_USE_FLOAT", "OSQP source, osqp_api_types.h"),
         c_settings=CSettings(

@@ -36,7 +36,7 @@ RECORD = SolverRecord(
     project=make_project_facts(
         licence=("BSD-3-Clause", "QOCO README, License"),
         language=("C", "QOCO documentation"),
-        c_code=("yes, by QOCOGEN", "QOCOGEN README"),
+        c_code=("yes (QOCOGEN generates it for a problem)", "QOCOGEN README"),
         allocation_free=("yes, generated code", "QOCOGEN README: static memory allocation only"),
     ),
     iteration_limit="max_iters",

@@ -57,7 +57,7 @@ CAUSES = [
         {},
         "the error of its first move reaches 0.43 times the maximum increment in",
     ),
-    ({"error": math.inf}, {}, "it leaves steps without an answer in `paper`"),
+    ({"error": math.inf}, {}, "it leaves steps without a solution in `paper`"),
     ({"failed": 3}, {}, "3 of 120 steps fail in `paper`"),
     ({}, {"median_us": 4000.0}, "its p99 is"),
     ({}, {"median_us": 4000.0, "steps": 300}, "exceeds the p99 limit"),
@@ -121,7 +121,7 @@ def test_an_inaccurate_answer_is_named_with_the_most_iterations(
 ) -> None:
     records.replay("osqp", iterations_max=most)
     finding = Finding("failed", tuple(records.view().runs), 8.0, 2, status="INACCURATE")
-    ended = f"as the solver reports an inaccurate answer{after}"
+    ended = f"as the solver reports an inaccurate solution{after}"
     assert describe_finding(finding).endswith(ended)
 
 

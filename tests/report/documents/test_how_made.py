@@ -44,7 +44,7 @@ def test_a_long_report_keeps_the_paragraph(records: Any, monkeypatch: Any) -> No
 
 def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> None:
     """One of four rows is the same run under another name, and one a consequence analysis."""
-    columns = {"route": "native", "policy": "warm", "replay_s": 1.25}
+    columns = {"route": "native", "policy": "warm", "replay_s": 1.25, "raw_max_ns": 5e4}
     for settings in ("default", "high"):
         records.replay("quadprog", settings=settings, setup=False, **columns)
     records.loop("daqp", "thrusters_loss", steps=40)
@@ -60,4 +60,19 @@ def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> N
     assert len(frame) == 4
     made = _paragraph(make_report_markdown(Report.from_results(records.results())))
     assert "3 runs with" in made
-    assert "excluding 1 run of consequence analyses" in made
+    assert (
+        "These include 1 run that is listed twice, because two settings names stand for the same "
+        "settings. They exclude 1 run of consequence analyses. Solvers: "
+    ) in made
+
+
+def test_the_report_and_the_page_open_with_their_subject(records: Any, tmp_path: Path) -> None:
+    records.suite["title"] = "Two ships"
+    records.loop("daqp", "calm", steps=40)
+    title, _, subject = make_report_markdown(Report.from_results(records.results())).split("\n")[:3]
+    assert title == f"# dpbench: suite `{records.suite['name']}`"
+    assert subject == (
+        "QP solvers in the model predictive controller of a dynamically positioned ship. Two ships."
+    )
+    page = write_report(records.write(tmp_path / "out")).read_text("utf-8")
+    assert f'<span class="soft">{subject.removesuffix(".")}</span>' in page

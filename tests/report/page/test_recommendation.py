@@ -517,6 +517,15 @@ def test_loops_without_times_and_stopped_runs_are_named(records: Any) -> None:
     )
 
 
+def test_runs_stopped_of_several_solvers_are_counted_by_solver(records: Any) -> None:
+    for solver, count in {"osqp": 1, "qtqp": 2, "scs": 1, "proxqp": 1, "ecos": 1}.items():
+        for settings in ("default", "high")[:count]:
+            records.replay(solver, settings=settings, stopped=True)
+    assert (
+        "stopped 6 of 6 started runs: 2 of `qtqp`, 1 of `osqp`, 1 of `scs` and 2 of other solvers."
+    ) in dict(_answer(records).notes)["stopped"]
+
+
 @pytest.mark.parametrize(("loop", "says"), NOBODY)
 def test_nothing_qualifies_is_said_with_why(records: Any, loop: dict[str, Any], says: str) -> None:
     records.loop("osqp", **loop)
@@ -538,8 +547,8 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     assert notes["next"].startswith("Next: `scs` (qpsolvers fresh), p99 ")
     assert records.ending()["next"].startswith("scs (qpsolvers fresh), p99 ")
     assert notes["deployment"] == (
-        "Licence: MIT. Language: C, without external libraries. Embeddable C code: yes, it writes "
-        "its workspace as C."
+        "Licence: MIT. Language: C, without external libraries. Embeddable C code: yes (the "
+        "solver writes its workspace as C code)."
     )
 
 

@@ -93,8 +93,9 @@ def test_unequal_settings_and_loops_without_counts_are_named(judged: MadeRecords
     report = Report.from_results(judged.results(), counted=pd.concat([counts(), tight]))
     (topic,) = (topic for topic in report.topics if topic.id == "embedded")
     assert (
-        "`osqp` is not ranked: its C code runs with eps_abs = 1e-06 and rho = 0.25, but the solver "
-        "on this machine at default settings (adaptive_rho = 1, adaptive_rho_interval = 50)."
+        "`osqp` is not ranked, because its settings differ: the C code runs with eps_abs = 1e-06 "
+        "and rho = 0.25, the solver on this machine with the default settings (adaptive_rho = 1, "
+        "adaptive_rho_interval = 50)."
     ) in topic.lines
     uncounted = "The QPs of `turn` were not counted and may take more instructions."
     assert uncounted in topic.lines and uncounted in notes(report)["counted"]

@@ -57,9 +57,9 @@ function drawTable() {
   });
   $("table-head").replaceChildren(head);
   $("table-body").replaceChildren(...body);
-  $("table-said").textContent = `${rows.length ? `rows ${from + 1} to ${Math.min(from + ROWS, rows.length)} of ${rows.length}` : "no row matches"}${
-    $("table-of").value === "all" ? "" : `; ${table.rows} in total`}${
-    table.calibration_runs ? `, with ${many(table.calibration_runs, "calibration run")}` : ""}`;
+  $("table-said").textContent = `${rows.length ? `rows ${grouped(from + 1)} to ${grouped(Math.min(from + ROWS, rows.length))} of ${grouped(rows.length)}` : "no row matches"}${
+    rows.length === table.rows ? "" : `${rows.length ? " selected" : ""}; ${grouped(table.rows)} in total`}${
+    table.calibration_runs ? `, including ${many(table.calibration_runs, "calibration run")}` : ""}`;
   turnable($("table-back"), from > 0, $("table-next"));
   turnable($("table-next"), from + ROWS < rows.length, $("table-back"));
   state.rows = rows; state.shown = shown;

@@ -85,7 +85,7 @@ function unverifiedOf(run) {
 // The largest error of the first move as a sentence.
 function largestErrorOf(run) {
   const error = figure(run.error);
-  return run.error === "inf" ? "At least one step has no answer, and so no error."
+  return run.error === "inf" ? "At least one step has no solution, and therefore no error."
     : error === "1" ? "The largest error of the first move was equal to the maximum increment."
       : `The largest error of the first move was ${error} times the maximum increment.`;
 }
@@ -101,7 +101,7 @@ function verdictOf(run, name) {
 function resultOf(run) {
   const solver = `\`${C().solver[state.c]}\``;
   const within = run.settle_s === null || run.settle_s === "inf" ? ""
-    : ` From ${run.settle_s === 0 ? "the start" : `${figure(run.settle_s)} s on`}, it stayed within 1 m and 1° of its reference for at least 30 s.`;
+    : ` From ${run.settle_s === 0 ? "the start" : `${figure(run.settle_s)} s on`}, the ship stayed within 1 m and 1° of its setpoint for at least 30 s.`;
   const unverified = unverifiedOf(run), all = ", and all are accurate";
   return [
     `${verdictOf(run, solver)}${facts.experiments[state.p].study ? `, ${solver}` : ": it"} ran ${grouped(run.steps)} of ${grouped(run.planned)} steps${
@@ -109,7 +109,7 @@ function resultOf(run) {
     unverified && `${unverified[0].toUpperCase()}${unverified.slice(1)}.`,
     largestErrorOf(run),
     run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop.${within}`,
-    run.infeasible > 0 ? `${run.infeasible} of the steps have no feasible solution${run.all_true ? ", which the solver reported correctly" : ""}.` : "",
+    run.infeasible > 0 ? `${grouped(run.infeasible)} of the steps have no feasible solution${run.all_true ? ", which the solver reported correctly" : ""}.` : "",
     run.why && run.verdict !== "pass" ? `${run.outcome === "finished" ? "Messages of the solver" : `Outcome \`${run.outcome}\``}: ${run.why}.` : "",
   ].filter(Boolean).join(" ");
 }
@@ -144,7 +144,7 @@ async function drawOne() {
   const thinned = drawn && facts.arrays[run.t][4] !== undefined;
   $("strips-kept").hidden = !thinned;
   if (thinned) $("strips-kept").replaceChildren(...coded(
-    `${rowsOf(run).length} of the ${run.steps} steps are shown, including the hardest; \`steps.parquet\` contains all.`));
+    `${grouped(rowsOf(run).length)} of the ${grouped(run.steps)} steps are shown, including the hardest; \`steps.parquet\` contains all.`));
   if (!drawn) { drawShip(null); return; }
   const view = await figureOf("strips");
   if (view) {
@@ -185,7 +185,7 @@ function varies(c) {
 function drawHard(run) {
   const replayed = facts.experiments[state.p].mode === "replay";
   const names = [
-    replayed ? "longest step times, fastest round" : "largest single timings, stalls included", "most iterations", "largest error",
+    replayed ? "longest step times, fastest round" : "largest single timings, stalls included", "most iterations", "largest error of the first move [maximum increments]",
   ];
   const row = (name, steps) => {
     const line = document.createElement("p"), head = document.createElement("span");
@@ -253,9 +253,9 @@ function drawStep(run) {
   const exact = run.hard?.[0].find((hard) => hard[0] === k), off = run.hard?.[2].find((hard) => hard[0] === k);
   const error = off ? off[1] : array(run.e)[j];
   $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}, ${array(run.i)[j] == null ? "iterations not reported" : many(array(run.i)[j], "iteration")}, `
-    + `${many(array(run.a)[j], "active limit")}, ${[Infinity, "inf"].includes(error) ? "no answer" : `error of the first move ${figure(error)}${error == null ? "" : " times the maximum increment"}`}. `
+    + `${many(array(run.a)[j], "active limit")}, ${[Infinity, "inf"].includes(error) ? "no solution" : `error of the first move ${figure(error)}${error == null ? "" : " times the maximum increment"}`}. `
     + `The solver ${said(0) ? "reported “solved”" : `did not report “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}. `
-    + `Its answer is ${said(1) ? "correct" : "not correct"}.${flags.length ? ` Flags: ${flags.join(", ")}.` : ""} ${moved(run, k)}`;
+    + `Its solution is ${said(1) ? "correct" : "not correct"}.${flags.length ? ` Flags: ${flags.join(", ")}.` : ""} ${moved(run, k)}`;
   const experiment = facts.experiments[run.p];
   // A sea of a study has no file of its own to export from.
   $("step-export").parentElement.hidden = !experiment.source;

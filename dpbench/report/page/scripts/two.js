@@ -86,8 +86,9 @@ function commonSteps(rows) {
   const largest = ofLargest(rows);
   const counts = unique(largest.map((row) => row.sequence))
     .map((name) => `${largest.filter((row) => row.sequence === name).length} steps of \`${name}\``);
-  const size = largest.length < rows.length ? ` with the largest QPs of full replays (${largest[0].variables} variables)` : "";
-  return `${counts.join(" and ")}${counts.length > 1 ? ", of equal weight," : ""}${size}`;
+  const [replay, are] = counts.length > 1 ? ["replays", "of equal weight, "] : ["replay", ""];
+  const size = largest.length < rows.length ? `, ${are}the full ${replay} with the largest QPs (${largest[0].variables} variables)` : are && ", of equal weight";
+  return `${counts.join(" and ")}${size}`;
 }
 
 // What the dots of the figure are: those of QPs of one size are one cluster.
@@ -101,7 +102,7 @@ function captionOf(rows, second) {
 // A caution on the p50 of two compared configurations below the shortest time that was checked, or "".
 function shortTimes(first, second) {
   const { shortest } = facts.paired, short = [first, second].filter((c) => C().p50[c] !== null && C().p50[c] < shortest);
-  return short.length === 0 ? "" : ` The p50 of ${short.map((c) => `${marked(c)} (${time(C().p50[c])})`).join(" and ")} ${
+  return short.length === 0 ? "" : ` The p50 ${short.map((c) => `of ${marked(c)}, ${time(C().p50[c])},`).join(" and ")} ${
     short.length > 1 ? "are" : "is"} below ${time(shortest)}, the shortest time for which the timing was checked. Differences between such times reflect the bindings, not the methods.`;
 }
 
@@ -121,14 +122,14 @@ async function drawTwo() {
   $("two-figure").hidden = false;
   const ratio = Math.max(ratioOf(rows), 1 / ratioOf(rows)), reach = reachOf(state.c, second);
   const [slower, faster] = ratioOf(rows) >= 1 ? [second, state.c] : [state.c, second];
-  const interval = reach !== null ? `95 % interval ${twoDigits(ratio / reach)} to ${twoDigits(ratio * reach)} within this run`
-    : ratio === 1 ? "one run: the settings make no difference" : "too few steps for an interval";
+  const interval = reach !== null ? `the 95 % interval is ${twoDigits(ratio / reach)} to ${twoDigits(ratio * reach)} within this run`
+    : ratio === 1 ? "both are one run, as the settings make no difference" : "there are too few steps for an interval";
   const text = rows[0].separate
     ? `${marked(state.c)} takes ${time(meanOf(rows, "a"))} per step and ${marked(second)} `
     + `${time(meanOf(rows, "b"))}, ${rows[0].separate}, so there is no ratio: geometric means over `
     + `${commonSteps(rows)}.`
-    : `${marked(slower)} takes ${twoDigits(ratio)} times as long as ${marked(faster)}: `
-    + `geometric mean over ${commonSteps(rows)}; ${interval}.`
+    : `${marked(slower)} takes ${twoDigits(ratio)} times as long as ${marked(faster)}; `
+    + `${interval}. This is the geometric mean over ${commonSteps(rows)}.`
     + `${reach === null ? "" : whyUnranked(rows, ratio / reach)}${shortTimes(state.c, second)}`;
   said.replaceChildren(...coded(text));
   $("two-caption").replaceChildren(...coded(captionOf(rows, second)));
@@ -143,7 +144,7 @@ async function drawTwo() {
       return `| ${column} | ${cells.join(" | ")} |`;
     }).join("\n")
     + `\n| longest step of all replays and windows | ${time(C().max[state.c])} | ${time(C().max[second])} |`
-    + `\n| largest error | ${figure(C().error[state.c])} | ${figure(C().error[second])} |\n`
+    + `\n| largest error of the first move [maximum increments] | ${figure(C().error[state.c])} | ${figure(C().error[second])} |\n`
     + `| verdict | ${C().verdict[state.c]} | ${C().verdict[second]} |\n\n${text}\n`;
 }
 
