@@ -81,13 +81,13 @@ def _draw_verdict_grids(data: PageData) -> Charts:
 
 MATRIX = (
     "Each cell shows the verdict on a configuration (solver, call mode, settings) in one scenario "
-    "or replay. Fail: at least one solution is inaccurate or missing, a step failed, or the "
-    "process crashed. Late: accurate, but too slow."
+    "or replay. Fail: at least one step has an inaccurate solution or none, a step failed, or "
+    "the process crashed. Late: accurate, but too slow."
 )
 FURTHER = (
     "Borderline: a time is above or below its limit by less than the rounds differ from "
-    "each other. Inconclusive: no violation is shown, but a run is missing or could not be "
-    "measured, or a step may be late. The verdict on a closed loop includes the timing of its "
+    "each other. Inconclusive: no violation is shown, but a run was not made or could not "
+    "be measured, or a step may be late. The verdict on a closed loop includes the timing of its "
     "window of hardest steps."
 )
 

@@ -319,7 +319,7 @@ def build_worst_case_topic(records: Records) -> Topic | None:
     counted = "" if iterations == MISSING else f", {iterations} iterations (median {usual})"
     lead = (
         f"At step {k}, {name} takes {took} (median {median}){counted}. Error of the first "
-        f"move [maximum increments]: {error}; solution: {answer}."
+        f"move, in maximum increments: {error}; solution: {answer}."
     )
     head = (
         *("configuration", "time", "median time", "iterations", "median of the iterations"),
