@@ -359,7 +359,7 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
     lost = next((case for case in losses if held[case].number), None)
     most, largest = (
         max(scaling.DP_NUMBERS),
-        "the largest in which the ship holds station by level 1",
+        "the largest at which the ship holds station according to level 1",
     )
     if lost is not None:
         number, reason = held[lost].number, f"{largest}, intact and after the loss of {lost}"
