@@ -301,7 +301,7 @@ def comparison_rows(rng: Random, tables: int) -> Iterator[Row]:
         change = f"one configuration {100.0 * planted:.0f} % slower" if planted else "no change"
         case = f"{machine} machine, {change}"
         yield Row("`compare`, all intervals of a table together", case, tables, tables, held)
-        yield Row("`compare`, tables with a false claim", case, tables, tables, false, False)
+        yield Row("`compare`, tables with a false verdict", case, tables, tables, false, False)
         if planted:
             what = "false" if planted <= 0.05 else "correct"
             yield Row(
@@ -332,7 +332,7 @@ def main() -> int:
     quick: bool = parser.parse_args().quick
     draws, tables = (QUICK_DRAWS, QUICK_TABLES) if quick else (DRAWS, TABLES)
     heads = (
-        "interval or claim",
+        "interval or verdict",
         "simulated data",
         "draws",
         "draws with an interval [%]",

@@ -29,7 +29,8 @@ FILTERS = {
 _FILE = Path(__file__).with_name("glossary.toml")
 _HEAD = """# Glossary
 
-The columns of the result tables and their values are described in the reference of columns.
+The [column reference](../dpbench/bench/record/schema.toml) describes the columns of the
+result tables and their values.
 """
 
 

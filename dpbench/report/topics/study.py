@@ -297,9 +297,10 @@ def _make_study_tables(study: Study) -> Iterator[Table]:
         "Intervals hold at 95 % for each row alone, not for all at once, and are conditional on "
         "the realisations that both finished. No interval is given where fewer than half of the "
         "points have two realisations. Significant: the error differs, with a family-wise error of "
-        f"{100 * ALPHA:g} % over all rows (Holm). The reference is chosen by its settings, not by "
-        "its results. At least, at most: 95 % bound where all or none of the runs are within the "
-        "radius, from 3 divided by the number of realisations."
+        f"{100 * ALPHA:g} % over all rows (Holm). The reference is selected by "
+        "completeness and settings, not by accuracy or cost. At least, at most: 95 % bound where "
+        "all or none of the runs are within the radius, from 3 divided by the number of "
+        "realisations."
     )
     if any(c.cost < -NOTHING for c in study.results_by_cost):
         note += f" {CHEAPER_THAN_EXACT}"

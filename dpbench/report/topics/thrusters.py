@@ -66,9 +66,11 @@ def build_thrusters_topic(records: Records, requirements: Requirements) -> Topic
     by_solver = {row["configuration"].split(" (")[0]: row for row in reversed(rows)}
     kept = list(by_solver.values())[::-1]
     note = (
-        "Power (Σ|f|^1.5 over all thrusters) and wear (Σ|Δf|/T) are relative to the accurate loop "
-        "nearest to the reference loop. The table gives the largest ratio over the completed "
-        "scenarios, for the configuration of each solver that is accurate in the most scenarios."
+        "Power (Σ|f|^1.5 over all thrusters), wear (Σ|Δf|/T) and azimuth travel are divided by "
+        "those of a baseline: of the complete closed loops of a scenario that are accurate on "
+        "every step, the one with the smallest maximum distance from the ship of the reference "
+        "loop. The table gives the largest ratio over the completed scenarios, for the "
+        "configuration of each solver that is accurate in the most scenarios."
     )
     if len(kept) > MOST_ROWS:
         note += " All rows: tables/thrusters.csv."
