@@ -40,8 +40,8 @@ from dpbench.report.formats import (
 
 NOT_TIMED, SLOWER, WORSE, GONE = "failed, not timed", "slower", "worse", "gone"
 GROSSLY_SLOWER = "slower, on a disturbed machine"
-DISTURBED, NO_KERNEL, NOT_VERIFIED = "disturbed", "no reference kernel", "faster, not verified"
-FASTER, NO_CHANGE, NEW, NO_BASELINE = "faster", "no change shown", "new", "no baseline"
+DISTURBED, NO_KERNEL, NOT_VERIFIED = "disturbed", "no reference kernel", "faster, not all verified"
+FASTER, NO_CHANGE, NEW, NO_BASELINE = "faster", "no difference shown", "new", "no baseline"
 NOT_RUN = "not run"
 REGRESSIONS = (WRONG_ANSWERS, NOT_TIMED, SLOWER, GROSSLY_SLOWER, WORSE, GONE)
 """Verdicts that are a regression, the gravest first."""

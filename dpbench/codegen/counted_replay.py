@@ -15,7 +15,7 @@ from dpbench.embedded.count import verify_calibration_counts
 from dpbench.embedded.emulator import DATA, Core, Counts, Program, read_program_from_elf_file
 from dpbench.embedded.toolchain import TARGETS, Target, compile_program
 from dpbench.errors import SituationError
-from dpbench.report.formats import join_with_and
+from dpbench.report.formats import format_count, join_with_and
 from dpbench.temporary_folders import make_temporary_folder_for_block, process_temporary_folder
 
 CORES = ("m7", "a53")
@@ -48,13 +48,16 @@ class StepCost:
     @property
     def steps(self) -> str:
         """Number of counted steps as text, with their ranges where some were not counted."""
-        count = f"{len(self.samples):,}"
+        count = format_count(len(self.samples))
         if len(self.samples) == self.recorded:
             return count
         edges = [k for k in self.samples if k - 1 not in self.samples]
         ends = [k for k in self.samples if k + 1 not in self.samples]
-        ranges = [f"{first:,} to {last:,}" for first, last in zip(edges, ends, strict=True)]
-        return f"{count} of {self.recorded:,} ({join_with_and(ranges)})"
+        ranges = [
+            f"{format_count(first)} to {format_count(last)}"
+            for first, last in zip(edges, ends, strict=True)
+        ]
+        return f"{count} of {format_count(self.recorded)} ({join_with_and(ranges)})"
 
     @property
     def row(self) -> dict[str, str]:
@@ -66,17 +69,17 @@ class StepCost:
             "stack": self.stack,
             "code": self.code,
         }
-        texts = {name: f"{x:,.0f}" for name, x in numbers.items()}
+        texts = {name: format_count(x) for name, x in numbers.items()}
         return {"core": self.core, "steps": self.steps} | texts
 
     @property
     def summary(self) -> str:
         """One line for the terminal."""
         row = self.row
-        steps = f"a step takes {row['median']} instructions in the median, {row['worst']} at most"
+        cost = f"a step takes {row['median']} instructions at the median and {row['worst']} at most"
         count, _, ranges = row["steps"].partition(" (")
-        where = f" (steps {ranges}" if ranges else ""
-        return f"On {self.core} {steps}, of {count} steps{where}"
+        where = f": {ranges.removesuffix(')')}" if ranges else ""
+        return f"On {self.core}, {cost} ({count} steps{where})"
 
 
 def count_replay(

@@ -20,6 +20,7 @@ from dpbench.codegen.solver_sources import SOLVERS, SolverSources, round_up_to_m
 from dpbench.embedded.toolchain import has_extra
 from dpbench.errors import InputError
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe, write_file_set_into_folder
+from dpbench.report.formats import format_count
 from dpbench.scenario.scenario import Scenario, resolve_to_scenario
 
 MOST_REPLAYED = 1000
@@ -80,7 +81,7 @@ def generate_controller(
     lines = [
         f"{len(files)} files in {folder}: the step in controller.c, an example in main.c.",
         f"The QP has {data.qp.n} variables and {data.qp.m} rows; constants take "
-        f"{sizes['constants']} bytes, memory takes {sizes['memory']}.",
+        f"{format_count(sizes['constants'])} bytes, memory takes {format_count(sizes['memory'])}.",
     ]
     lines += [f"{cost.summary}." for cost in costs]
     if fmu is not None:

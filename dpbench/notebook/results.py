@@ -111,7 +111,7 @@ class Results(result_folder.Results):
         """Return what the controller itself does to each scenario's ship: a row per scenario.
 
         From the reference loop, with offsets [m], times [s] and the share of steps with active
-        limits; `ship` is "on station", "leaves", "leaves and returns", "not there" (at its
+        limits; `ship` is "on station", "leaves", "leaves and returns", "not arrived" (at its
         setpoint) or "not run".
 
         Examples
@@ -203,7 +203,7 @@ class Results(result_folder.Results):
         (the second), "tied" where they include 1, "unstable" where another measure disagrees,
         "machine disturbed" where other load can explain the difference, "one run" of settings
         without effect, or "too few steps" for an interval; these two have 0 to inf. Two that were
-        not timed by turns have no ratio, and `finding` has the reason.
+        not interleaved have no ratio, and `finding` has the reason.
 
         choices : instead, of each two of these: solvers, `osqp[rho=1.6]`, `osqp high` or labels.
 

@@ -141,7 +141,7 @@ def describe_commands(runs: Sequence[RunRecord], started: str) -> str:
 
 
 def describe_turns(records: Records) -> str:
-    """Return a caution on replays that were not timed by turns, or may not have been; or ""."""
+    """Return a caution on replays that were not interleaved, or may not have been; or ""."""
     timed = [
         run
         for run in select_timed_replays(records)
@@ -166,7 +166,7 @@ def describe_turns(records: Records) -> str:
     unknown = [run for run in timed if not run.turns and not run.campaign_utc]
     if unknown and len({run.configuration for run in timed}) > 1:
         return (
-            "Which replays were timed by turns is not recorded, as an earlier release wrote this "
+            "Which replays were interleaved is not recorded, as an earlier release wrote this "
             "folder: its ratios hold if one command timed them all."
         )
     return ""

@@ -114,7 +114,7 @@ def test_a_failed_test_is_not_gone_and_one_that_is_gone_may_be_allowed() -> None
 def test_faster_needs_verified_answers() -> None:
     """A solver is not faster by answers that nobody confirmed; slower it may be."""
     base, quick, slow = (run_of(entry(seconds=s, true_share=0.9)) for s in (1e-3, 1e-4, 1e-2))
-    assert verdicts(base, quick) == ("faster, not verified", False)
+    assert verdicts(base, quick) == ("faster, not all verified", False)
     assert verdicts(base, slow) == ("slower", True)
     assert verdicts(base, run_of(entry(seconds=1e-4, true_share=1.0))) == ("faster", False)
 
@@ -141,8 +141,8 @@ def test_disturbed_pairs_are_left_out_where_three_others_remain() -> None:
     ("allow", "verdict"),
     [
         ((), "worse"),
-        ((Allowance("iterations", "osqp"),), "no change shown"),
-        ((Allowance("iterations", "osqp", 0.2),), "no change shown"),
+        ((Allowance("iterations", "osqp"),), "no difference shown"),
+        ((Allowance("iterations", "osqp", 0.2),), "no difference shown"),
         ((Allowance("iterations", "osqp", 0.1),), "worse"),
         ((Allowance("iterations", "daqp"),), "worse"),
         ((Allowance("errors", "osqp"),), "worse"),
@@ -160,7 +160,7 @@ def test_an_increase_may_be_allowed_for_a_solver(allow: Any, verdict: str) -> No
     found = compare_runs([(base, head)], allow=allow)
     assert found.verdict == verdict
     (row,) = (row for row in found.rows if row.name == "t")
-    allowed = " (allowed)" if verdict == "no change shown" else ""
+    allowed = " (allowed)" if verdict == "no difference shown" else ""
     assert row.remarks == (f"iterations 10 → 12{allowed}",)
     lines = describe_end(found, "base", "head")
     is_used = any(one[:2] == ("iterations", "osqp") for one in allow)
@@ -234,9 +234,9 @@ def test_what_was_compared_is_counted() -> None:
     found = compare_runs([(base, _without(head, "u", "v"))])
     line = "1 benchmark compared, 1 failed, 2 not run: base has 3, now has 2"
     assert found.describe_scope("base", "now") == line
-    assert found.headline.endswith(": 1 failed, not timed, 1 no change shown, 2 not run")
+    assert found.headline.endswith(": 1 failed, not timed, 1 no difference shown, 2 not run")
     found = compare_runs([(base, _without(run_of(entry("t")), "u", "v"))])
-    assert not found.worse and found.verdict == "no change shown"
+    assert not found.worse and found.verdict == "no difference shown"
     assert compare_runs([(base, _without(run_of(entry("t")), "u"))]).worse
 
 

@@ -17,7 +17,7 @@ TABLE = ROW.findall((DOCS / "guide" / "ci.md").read_text("utf-8"))
 def test_the_guide_states_the_detectable_slowdown(pairs: str, alone: str, four: str) -> None:
     """A slowdown of that size is found, and one below the margin is not."""
     for solvers, stated in ((1, alone), (4, four)):
-        for factor, verdict in ((float(stated), "slower"), (1.0 + MARGIN, "no change shown")):
+        for factor, verdict in ((float(stated), "slower"), (1.0 + MARGIN, "no difference shown")):
             base, head = (
                 run_of(
                     *(entry(f"t{i}", s if i == 0 else 1e-3, solver=f"{i}") for i in range(solvers))

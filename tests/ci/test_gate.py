@@ -76,7 +76,7 @@ def test_the_first_run_is_stored_and_the_second_compared(
     assert stored.read_bytes() == first.read_bytes()
     assert judged(tmp_path, write("second")) == [0]
     out = capsys.readouterr().out
-    assert "no change shown: 10 benchmarks" in out
+    assert "no difference shown: 10 benchmarks" in out
     assert f"10 benchmarks compared: {stored} has 10, {tmp_path / 'second.json'} has 10" in out
 
 

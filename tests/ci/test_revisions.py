@@ -110,7 +110,7 @@ def test_attempts_go_on_after_disturbed_pairs(
     ("seconds", "failed", "code", "text"),
     [
         ({"base": 1.0, "head": 2.0}, {}, 1, "slower"),
-        ({"base": 1.0, "head": 1.0}, {}, 0, "no change shown"),
+        ({"base": 1.0, "head": 1.0}, {}, 0, "no difference shown"),
         ({"base": 1.0, "head": 1.0}, {"t": "wrong answers: 3"}, 1, "wrong answers"),
         ({"head": 1.0}, {}, 0, "no baseline"),
         ({"base": 1.0}, {}, 1, "failed, not timed"),

@@ -194,13 +194,13 @@ class RunRecord:
         return *where, replace(self.configuration, settings=settings), *times
 
     def explain_separate_timing(self, other: "RunRecord") -> str:
-        """Return why the times of two replays make no paired ratio; "" if they were timed by turns.
+        """Return why the times of two replays make no paired ratio; "" if they were interleaved.
 
         Of two runs of an earlier release, which does not record it, turns are assumed.
         """
         if self.turns == other.turns:
             return ""
-        return SEPARATE if self.campaign_utc != other.campaign_utc else "not timed by turns"
+        return SEPARATE if self.campaign_utc != other.campaign_utc else "not interleaved"
 
     @property
     def is_outside_verdicts(self) -> bool:

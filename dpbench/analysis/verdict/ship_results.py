@@ -16,7 +16,7 @@ from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.bench.run.exact_loop import HEADING_DEG, RADIUS_M
 from dpbench.scenario.stability import find_unstable_radius
 
-ShipState = Literal["on station", "leaves", "leaves and returns", "not there", "not run"]
+ShipState = Literal["on station", "leaves", "leaves and returns", "not arrived", "not run"]
 """Result for the ship: it stays on its station, leaves it, leaves it and is within its limits at
 the end, has not reached its setpoint, or there is no such loop."""
 
@@ -42,12 +42,12 @@ class ShipResult:
 
     @property
     def state(self) -> ShipState:
-        """State of the ship: on station, leaving it, not there yet, or not run."""
+        """State of the ship: on station, leaving it, not arrived yet, or not run."""
         if not self.run.exact_steps > 0.0:
             return "not run"
         if self.has_left_station:
             return "leaves and returns" if self.is_inside_at_end else "leaves"
-        return "on station" if self.is_inside_at_end else "not there"
+        return "on station" if self.is_inside_at_end else "not arrived"
 
     @property
     def has_left_station(self) -> bool:

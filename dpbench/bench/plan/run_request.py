@@ -369,7 +369,10 @@ def check_call_modes(suite: SuiteFile, solvers: Sequence[str], has_routes: bool)
             found = f"{found}, which none of {len(missing)} solvers has"
             raise PolicyError(argument, "", found, f"{allowed} for {name}")
         raise PolicyError(argument, "", f"{found}, which {name} does not have", allowed)
-    return [f"{name} does not run: it has no {found}" for name, (found, _) in missing.items()]
+    return [
+        f'{name} does not run: it does not support the call mode "{found}"'
+        for name, (found, _) in missing.items()
+    ]
 
 
 def list_solvers_without_settings(

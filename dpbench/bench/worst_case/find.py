@@ -79,12 +79,11 @@ class WorstCase:
         own = "" if search.baseline is None else search.baseline.describe_figure(self.goal)
         if outcome.outcome != "finished":
             own = f"{own} ({outcome.detail or outcome.outcome})".strip()
-        beside = (
-            "" if worst is None else "worse than " if self.beats_baseline else "not worse than "
-        )
+        bested = worst is not None and not self.beats_baseline
         lines = [
             f"{configuration}: {headline}; {_count_cases(search.evaluations)} tried{early}",
-            f"{beside}the {cell.steps} steps of {cell.scenario_name} itself: {own}",
+            f"worst of the {cell.steps} steps of the unchanged {cell.scenario_name}: {own}"
+            + "; no case is worse" * bested,
         ]
         for what, path in self.failures.items():
             count, first = search.failures[what]

@@ -270,8 +270,10 @@ def format_answer_counts(answers: Sequence[Answers]) -> list[str]:
         "correct optimum, infeasible QPs reported as infeasible, and false claims. For the other "
         "QPs the solver claimed nothing."
     )
-    widths = (20, 12, 13, 7, 10, 10)
-    rows: list[tuple[str, ...]] = [("solver", "optimum", "infeasible", "wrong", "p50", "largest")]
+    widths = (20, 12, 13, 14, 10, 10)
+    rows: list[tuple[str, ...]] = [
+        ("solver", "optimum", "infeasible", "false claims", "p50", "largest")
+    ]
     for a in answers:
         counts = f"{a.balanced}/{a.feasible}", f"{a.refused}/{a.infeasible}", str(a.wrong)
         rows.append((a.solver, *counts, format_time(a.p50_ns), format_time(a.max_ns)))

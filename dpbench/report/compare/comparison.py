@@ -127,8 +127,9 @@ def make_times_table(
     )
     percent = f"{100 * margin:g} %"
     note = (
-        f"B/A: {_describe_measure(compared)}. Machine: {machine}. B/A less machine: B/A divided by "
-        "that. The interval holds for all rows together and includes the noise between two runs. "
+        f"B/A: {_describe_measure(compared)}. Machine: {machine}. B/A without machine: B/A "
+        "divided by that. The interval holds for all rows together and includes the noise between "
+        "two runs. "
         f"Slower or faster: by more than {percent}. Faster, not all verified: the referee does not "
         f"verify every solution of B. Equivalent: within {percent}. Each kind of claim has a "
         f"family-wise error of {100 * alpha:g} % (Holm)."
@@ -141,7 +142,7 @@ def make_times_table(
             "B p50 [µs]": format_microseconds(timing.median_ns[1]),
             "B/A": f"{found.raw:.3f}",
             "machine": _format_known_factor(found.machine, found),
-            "B/A less machine": _format_known_factor(found.ratio.value, found),
+            "B/A without machine": _format_known_factor(found.ratio.value, found),
             "interval": format_interval(found.ratio.low, found.ratio.high),
             "steps × rounds": f"{format_count(timing.steps)} × {format_count(timing.rounds)}",
             "verdict": found.verdict,
@@ -321,7 +322,7 @@ class Comparison:
         Examples
         --------
         >>> compare("results/smoke", "results/smoke").headline  # doctest: +ELLIPSIS
-        'no change shown...'
+        'no difference shown...'
         """
         times = {one.assessment.verdict for one in self.compared}
         if any(figure.change == "worse" for figure in self.figures):
@@ -332,7 +333,7 @@ class Comparison:
         shown = "faster" if "faster" in times else ""
         if any(figure.change == "better" for figure in self.figures):
             shown = f"better accuracy or control{', ' if shown else ''}{shown}"
-        shown = shown or "no change shown"
+        shown = shown or "no difference shown"
         shown = ", ".join(filter(None, (shown, self.note_on_times)))
         return f"{shown}, on a disturbed machine" if disturbed else shown
 
@@ -356,7 +357,7 @@ class Comparison:
         Examples
         --------
         >>> text = compare("results/smoke", "results/smoke").markdown()
-        >>> text.startswith("# Comparison: no change shown")
+        >>> text.startswith("# Comparison: no difference shown")
         True
         """
         return make_markdown_document(f"Comparison: {self.headline}", self.lines, self.tables)

@@ -53,7 +53,7 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
             "both": draw_both_runs(table),
             "steps": draw_step_pairs("A: step time", "B: step time"),
         }
-    others = [t for t in comparison.tables if "B/A less machine" not in t.heads]
+    others = [t for t in comparison.tables if "B/A without machine" not in t.heads]
     verdict = "worse somewhere" if comparison.worse else "no regression shown"
     text = render_page(
         "compare",

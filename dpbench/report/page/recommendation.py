@@ -295,7 +295,7 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
 
 
 def _yield_notes_on_runs(data: PageData) -> Iterator[tuple[str, str]]:
-    """Yield notes on replays not timed by turns, and on runs that their time limit stopped."""
+    """Yield notes on replays that were not interleaved, and on runs stopped by their time limit."""
     if turns := describe_turns(data.records):
         yield "commands", turns
     if stopped := describe_stopped_runs(data.records.all_runs):

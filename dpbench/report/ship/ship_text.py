@@ -386,7 +386,7 @@ def _format_time_since_loss(run: RunRecord) -> str:
 
 def _describe_rest(ships: Sequence[ShipResult]) -> list[str]:
     """Return lines on ships that have not reached their setpoint, and on those without a loop."""
-    away = [ship for ship in ships if ship.state == "not there"]
+    away = [ship for ship in ships if ship.state == "not arrived"]
     absent = [ship for ship in ships if ship.state == "not run"]
     sentences = []
     if away:

@@ -88,7 +88,7 @@ def build_routes_topic(records: Records) -> Topic | None:
 
 
 def _format_gain(found: RouteGain) -> str:
-    """Format the gain of a call mode; both medians where it was not timed by turns."""
+    """Format the gain of a call mode; both medians where it was not interleaved."""
     if found.separate:
         return f"{format_time(found.above_ns)}, {format_time(found.median_ns)}: {found.separate}"
     return _format_ratio(found.gain)
@@ -245,7 +245,7 @@ def build_race_topic(records: Records) -> Topic | None:
     head = ("sequence", "call mode", *times, "ratio (95 %)")
     leads = {
         f"Step time of `{first}` over that of `{second}`: ": decided,
-        "Without a ratio, as not timed by turns: ": apart,
+        "Without a ratio, as not interleaved: ": apart,
         "Not decided, as other work disturbed the timing: ": disturbed,
     }
     lead = " ".join(f"{text}{join_with_and(named)}." for text, named in leads.items() if named)

@@ -139,13 +139,12 @@ def _describe_passes_outside_default(
     if len(passing) == 1 and of_each:
         first = of_each[0].configuration
         return [f"{labels} passes, but its {kind}, {first.marked_label}, {reasons[0]}"]
-    outside, many = f"passes only outside its {kind}", f"pass only outside their {kind}s"
     clauses = [
         f"In its {kind}, {v.configuration.marked_label} {reason}"
         for v, reason in zip(of_each, reasons, strict=False)
     ]
     return [
-        f"{labels} {outside if len(passing) == 1 else many}",
+        f"{labels} pass, but not in their {kind}s",
         *clauses,
         *_count_others(len(of_each), f" do not pass in their {kind}"),
     ]

@@ -131,7 +131,7 @@ def test_a_run_without_a_key_is_of_another_command_than_one_with(records: Any) -
     for solver in ("base", "other"):
         records.replay(solver, **EXACT, turns="", campaign_utc="")
     assert _compared(records)[0].separate == ""
-    assert describe_turns(records.view()).startswith("Which replays were timed by turns is not")
+    assert describe_turns(records.view()).startswith("Which replays were interleaved is not")
     records.replay("third", **EXACT, **EARLY)
     assert "timed in separate commands on paper" in describe_turns(records.view())
 
@@ -152,7 +152,7 @@ def test_qps_that_are_not_timed_by_turns_need_no_record_of_it(records: Any) -> N
 def test_replays_of_one_command_after_a_crash_are_not_called_separate(records: Any) -> None:
     records.replay("base", **EXACT, **EARLY)
     records.replay("other", **EXACT, **EARLY | {"turns": "c3"})
-    assert _compared(records)[0].separate == "not timed by turns"
+    assert _compared(records)[0].separate == "not interleaved"
 
 
 def test_nothing_of_another_command_is_called_faster(records: Any) -> None:

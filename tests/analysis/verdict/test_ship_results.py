@@ -18,8 +18,8 @@ EDGE = {"station_radius_m": 5.0, "exact_left_s": math.nan}
     [
         ({"exact_offset_end_m": 5.0, "exact_heading_end_deg": 5.0}, "on station"),
         ({"exact_offset_end_m": 1.0, "exact_heading_end_deg": 1.0}, "on station"),
-        ({"exact_offset_end_m": 5.001, "exact_heading_end_deg": 1.0}, "not there"),
-        ({"exact_offset_end_m": 1.0, "exact_heading_end_deg": 5.001}, "not there"),
+        ({"exact_offset_end_m": 5.001, "exact_heading_end_deg": 1.0}, "not arrived"),
+        ({"exact_offset_end_m": 1.0, "exact_heading_end_deg": 5.001}, "not arrived"),
         ({"exact_offset_end_m": 6.0, "exact_heading_end_deg": 1.0, "exact_left_s": 0.0}, "leaves"),
         ({"exact_offset_end_m": 1.0, "exact_heading_end_deg": 9.0, "exact_left_s": 0.0}, "leaves"),
         (

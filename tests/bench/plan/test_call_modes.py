@@ -41,7 +41,9 @@ def test_a_chosen_call_mode_replaces_those_of_every_table(suite: str) -> None:
         for solver in ("osqp", "quadprog")
     }
     assert plan.part
-    assert plan.remarks[0] == "quadprog does not run: it has no native warm"
+    assert plan.remarks[0] == (
+        'quadprog does not run: it does not support the call mode "native warm"'
+    )
 
 
 def test_solvers_without_chosen_settings_are_named(suite: str) -> None:

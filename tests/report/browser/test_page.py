@@ -490,7 +490,7 @@ def test_two_of_separate_commands_have_no_ratio(selected: Any) -> None:
     assert re.search(r"takes [\d.]+ µs per step and daqp .* [\d.]+ µs, timed in separate", output)
     assert "so there is no ratio" in output and "times as long" not in output
     page.evaluate(other, [99, before[1]])
-    assert "not timed by turns" in page.inner_text("#two-said")
+    assert "not interleaved" in page.inner_text("#two-said")
     assert " times those of `daqp`" in page.evaluate(other, before)
     assert "times as long" in page.inner_text("#two-said")
     disturbed = """async (spread) => {

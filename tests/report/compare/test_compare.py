@@ -130,7 +130,7 @@ def test_a_smaller_time_is_faster_only_with_verified_answers(make: Make) -> None
     for share in (1.0, 0.99):
         found = compare(a, make(f"b{share}", seed=2, slow=slow, true_share=share))
         headlines.append((verdicts(found.times)["scs"], found.headline))
-    assert headlines == [("faster", "faster"), ("faster, not all verified", "no change shown")]
+    assert headlines == [("faster", "faster"), ("faster, not all verified", "no difference shown")]
     assert "1 faster, not all verified" in found.markdown()
 
 
@@ -203,13 +203,13 @@ def test_windows_of_hardest_steps_are_compared_by_accuracy_alone(
         # The mean ratio is between the least and the largest of the steps.
         assert 0.5 < float(row["B/A"]) < 2.0 and row["steps"].endswith(" of 450")
         assert float(row["B p99 [µs]"]) <= float(row["B largest [µs]"])
-    assert found.headline == "no change shown, accuracy only"
+    assert found.headline == "no difference shown, accuracy only"
     page = write_comparison(tmp_path / "compare.html", found).read_text(encoding="utf-8")
     assert "no regression shown, accuracy only" in page
     whole = compare(make("c", seed=1, **both), make("d", seed=2, **both))
     assert not any("of hardest steps" in line for line in whole.lines)
     assert not any("window" in table.heads for table in whole.tables)
-    assert whole.headline == "no change shown"
+    assert whole.headline == "no difference shown"
 
 
 @pytest.mark.slow
@@ -273,10 +273,10 @@ def test_a_disturbed_kernel_stands_for_no_machine(make: Make) -> None:
     found = compare(a, make("b", seed=2, configurations=both, machine=1.5, **STOLEN))
     assert set(found.times["verdict"]) == {"not judged"}
     (table,) = (table for table in found.tables if "machine" in table.heads)
-    at = [table.heads.index(head) for head in ("machine", "B/A less machine", "interval")]
+    at = [table.heads.index(head) for head in ("machine", "B/A without machine", "interval")]
     assert [[row[i] for i in at] for row in table.rows] == [["–"] * 3] * 2
     assert "step times: 2 not judged" in found.lines
-    assert found.headline == "no change shown, times not judged, on a disturbed machine"
+    assert found.headline == "no difference shown, times not judged, on a disturbed machine"
     assert "machine's factor is unknown: not judged." in describe_verdict(found.compared[0])
     assert not found.worse
     a = make("c", seed=1, configurations=both)

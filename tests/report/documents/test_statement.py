@@ -327,7 +327,7 @@ def test_scenarios_with_a_loss_come_first_the_farthest_off_of_all(
         records.write(tmp_path / "out"), results, Report.from_results(results).data
     )
     lines = ["".join(element.itertext()) for element in _texts(svg)]
-    found = [re.match(r"(\w+): (?:on station|leaves|not there)", line) for line in lines]
+    found = [re.match(r"(\w+): (?:on station|leaves|not arrived)", line) for line in lines]
     assert [m[1] for m in found if m] == ["thruster_loss", "thrusters_loss", "paper"]
 
 

@@ -19,11 +19,11 @@ function together(first, second) {
   return rows;
 }
 
-// Why two replays make no ratio; "" where they were timed by turns.
+// Why two replays make no ratio; "" where they were interleaved.
 function whySeparate(first, second, p) {
   const [a, b] = [first, second].map((c) => facts.paired.turns[p]?.[c]);
   if (!a || !b || a[0] === b[0]) return "";
-  return a[1] === b[1] ? "not timed by turns" : "timed in separate commands";
+  return a[1] === b[1] ? "not interleaved" : "timed in separate commands";
 }
 
 // The slowest over the fastest round of a disturbed replay, Infinity for one round; 1 if quiet.
@@ -40,7 +40,7 @@ function whyUnranked(rows, low) {
     ? `rounds differ by a factor of up to ${figure(spread)}` : "had a single round"}.`;
 }
 
-// The steps of which two make a ratio, those timed by turns; all where there are none.
+// The steps of which two make a ratio, those interleaved; all where there are none.
 function comparedSteps(first, second) {
   const rows = together(first, second), paired = rows.filter((row) => !row.separate);
   return paired.length ? paired : rows;
