@@ -6,7 +6,7 @@
 
     solving = step of its kind · steps, within the limits of the suite
 
-TIMED_CELL_S is of replays by turns alone, which have one slot. A kind is one configuration in one
+TIMED_CELL_S is of interleaved replays, which have one slot. A kind is one configuration in one
 mode. The time of its step, with all between two steps, is the mean over the runs of the folder, or
 stated by the size of the QP. Judging and sources take longer with the size, too.
 """
@@ -48,7 +48,7 @@ from dpbench.scenario.problem_files import resolve_sequence_path
 from dpbench.scenario.scenario import build_scenario_from_documents
 
 START_S, TIMED_CELL_S = 1.0, 0.25
-"""Start of a campaign; processes, warm-up and kernels of a replay by turns, rounds again [s]."""
+"""Start of a campaign; processes, warm-up, kernels of an interleaved replay, rounds again [s]."""
 REPORT_S, REPORT_CELL_S = 4.0, 0.006
 """The report with the libraries it loads, and what each cell adds to it [s]."""
 COMPILE_S = 15.0

@@ -1,6 +1,6 @@
 """Comparison of two revisions by runs of pytest-benchmark on one machine, with its verdicts.
 
-A run of each is one block; several runs by turns are pairs of blocks, whose scatter is the noise
+A run of each is one block; several alternating runs are pairs of blocks, whose scatter is the noise
 between runs. A time is a benchmark's minimum, in units of the reference kernel where both runs have
 timed that beside the benchmark. It is worse where the ratio of the two revisions, without the
 factor that the benchmarks of other solvers share, is beyond the margin by more than the ratios
@@ -285,7 +285,7 @@ def compare_runs(
     allow_gone: bool = False,
     allow: Allowed = (),
 ) -> RunComparison:
-    """Return a comparison of two revisions' runs, from (base, head) pairs taken by turns.
+    """Return a comparison of two revisions' runs, from (base, head) pairs of alternating runs.
 
     A benchmark that the head was not to run is not gone.
 

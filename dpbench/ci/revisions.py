@@ -3,7 +3,7 @@
     python -m dpbench.ci.revisions BASE HEAD [--pairs 5] [--attempts N] [--markdown FILE]
         [-- PYTEST ARGUMENTS]
 
-BASE and HEAD are working trees. pytest runs in each by turns, with `.venv/bin/python` of the tree
+BASE and HEAD are working trees. pytest alternates between them, with `.venv/bin/python` of a tree
 where there is one. Pairs of runs that other load disturbed are repeated, each once at most; two
 such pairs in a row end the measurement. Exit 0: no regression shown, or a base without benchmarks;
 1: a regression, wrong answers, a benchmark that failed or is gone; 2: bad input, a tree without
@@ -183,7 +183,7 @@ def _has_source(name: str, *folders: Path) -> bool:
 def measure_by_turns(
     trees: tuple[Path, Path], count: int, arguments: Sequence[str], attempts: int | None = None
 ) -> list[tuple[Measured, Measured]]:
-    """Measure two trees by turns until so many pairs are undisturbed; return all pairs.
+    """Measure two trees alternately until so many pairs are undisturbed; return all pairs.
 
     attempts : largest number of pairs; by default twice `count`, and two disturbed pairs in a row
         are the last ones.

@@ -31,7 +31,7 @@ _EDGE = 0.01
 _WIDER = 100.0
 """Factor by which a wider range goes on, on a logarithmic scale."""
 BATCH = 8
-"""Trials of one batch, those of a solver timed by turns; a power of two for Sobol."""
+"""Trials of one batch, those of a solver interleaved; a power of two for Sobol."""
 FIRST_RADIUS = 0.25
 """First distance of new points from the best, as a share of each range; halved where nothing is
 gained."""

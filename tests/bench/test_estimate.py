@@ -57,7 +57,7 @@ def cell(solver: str, steps: int, **more: object) -> PlannedCell:
 
 @pytest.mark.parametrize("slots", [1, 2])
 def test_time_goes_by_cells_steps_and_configurations(slots: int) -> None:
-    """Loops share the slots, replays by turns do not; each further solver costs its own steps."""
+    """Loops share the slots, interleaved replays do not; each more solver costs its own steps."""
     kind = ("closed_loop", "daqp", "native", "fresh", "default", "", "condensed_box", "scaled")
     rates = Rates("a test", {kind: 0.004, ("replay", *kind[1:]): 0.002})
     source = RandomSource("q", recipe=RandomRecipe("plain", 40, 20, 1, 50))

@@ -222,7 +222,7 @@ def _build_version_history(
 def _divide_time_by_reference(
     run: RunRecord, column: str, unit: Mapping[tuple[str, str], float] | None
 ) -> float:
-    """Return a replay's step time [ns] or its ratio to the reference's, timed by turns; or NaN."""
+    """Return a replay's step time [ns] or its ratio to the interleaved reference's; or NaN."""
     if run.mode != "replay":
         return math.nan  # loops run beside each other
     divisor = 1.0 if unit is None else unit.get((run.problem, run.turns), math.nan)

@@ -57,7 +57,7 @@ class Timing:
     own : standard error from inside the runs.
     median_ns : the median step in A and in B [ns].
     k, a_ns, b_ns : the steps of both runs and their minima [ns]; empty without steps.
-    group : name of the replays that were timed by turns in A and in B, which share the machine's
+    group : name of the replays that were interleaved in A and in B, which share the machine's
         factor: the sequence, with a number where several commands timed it.
     """
 

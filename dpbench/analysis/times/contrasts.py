@@ -52,7 +52,7 @@ class RouteGain:
     """Speed-up of one call mode of a solver (interface, warm start) over the next simpler one.
 
     gain : geometric mean of the neighbour's time over this one's, over their common steps; unknown
-        where they were not timed by turns, for the reason `separate`.
+        where they were not interleaved, for the reason `separate`.
     median_ns, above_ns : median of its algorithmic step time, and of the neighbour's.
     """
 
@@ -121,7 +121,7 @@ def find_right_levels_by_solver(
 def count_wins_of_formulations(records: Records, requirements: Requirements) -> Counter[str]:
     """Return how often each QP formulation has the least median step time.
 
-    Of the configurations that are right on a sequence in two at least, timed by turns.
+    Of the configurations that are right on a sequence in two at least, interleaved.
     """
     by_case: dict[tuple[str, ...], dict[str, float]] = {}
     for run in records.all_runs:

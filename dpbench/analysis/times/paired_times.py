@@ -1,6 +1,6 @@
 """Step times paired on the same steps: of two solvers, or of two settings of one.
 
-Only replays that were timed by turns make a ratio, see `RunRecord.explain_separate_timing`.
+Only replays that were interleaved make a ratio, see `RunRecord.explain_separate_timing`.
 """
 
 import math
@@ -39,7 +39,7 @@ class PairedComparison:
     `leaders` names the faster one by each yardstick; where they differ the order is unstable.
     first_ns, second_ns : geometric mean step time of each on these steps [ns].
     sequences : the replays that these steps are of.
-    separate : why there is no ratio, as they were not timed by turns; "" where they were.
+    separate : why there is no ratio, as they were not interleaved; "" where they were.
     spread : slowest over fastest round, the larger of both, where other load disturbed one; else 1.
     """
 
@@ -179,7 +179,7 @@ def _compare_on_size(
 ) -> PairedComparison:
     """Return the comparison of two configurations on replays of one size of QP.
 
-    Of replays that were timed by turns, if there are any.
+    Of replays that were interleaved, if there are any.
     """
     paired = [common for common in found if not common.separate]
     leaders: dict[str, str] = {}

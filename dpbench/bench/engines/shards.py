@@ -65,7 +65,7 @@ class Shard:
         """Return the runs of this part of a suite, in order; all parts have about equal work.
 
         Cells of one source stay together as far as possible; replays of one sequence always do, as
-        they are timed by turns.
+        they are interleaved.
         """
         if self == WHOLE:
             return jobs

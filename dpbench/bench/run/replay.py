@@ -1,7 +1,7 @@
 """Replay: byte-identical QPs through a solver, the only source of timing rankings.
 
 The sequence is replayed round by round in order, as a warm start needs the previous step; round 0
-is a shortened warm-up. Two fixed kernels are timed by turns before and after each round: the
+is a shortened warm-up. Two fixed kernels are timed alternately before and after each round: the
 reference kernel shows the clock of the core, the load kernel what else runs on the machine.
 """
 

@@ -1,1 +1,1 @@
-"""Processes that run cells, side by side or timed by turns."""
+"""Processes that run cells, side by side or interleaved."""

@@ -217,7 +217,7 @@ class CellExecutor(ExitStack):
         return self._build_results(outcomes, run.parts, run.folder) + self._lost.pop(run)
 
     def _time_replays(self, batch: CellBatch, sources: Sources) -> list[Result]:
-        """Replay a sequence of QPs with all solvers by turns, then judge them; return results."""
+        """Replay QPs with all solvers in interleaved rounds, then judge them; return results."""
         sizes, lost = self._measure_logs(batch.jobs, sources)
         if not sizes:
             return lost
@@ -250,7 +250,7 @@ class CellExecutor(ExitStack):
     def _run_turns_with_retries(
         self, batch: CellBatch, jobs: Sequence[CellJob], sources: Sources, folder: Path
     ) -> dict[str, Outcome]:
-        """Do replays by turns, suspects of a crash alone first; return outcomes by run_id."""
+        """Do interleaved replays, suspects of a crash alone first; return outcomes by run_id."""
         modules = ((job, self._plugin_path(job)) for job in jobs)
         cells = [(job.run_id, replace(job.cell, solver_module=path)) for job, path in modules]
         turns = partial(self._run_turns, batch, sources[jobs[0].source_key], folder)
@@ -273,13 +273,13 @@ class CellExecutor(ExitStack):
         *,
         alone: bool = False,
     ) -> dict[str, Outcome]:
-        """Replay one sequence with several solvers by turns; return the outcomes by run_id."""
+        """Replay a sequence with solvers in interleaved rounds; return the outcomes by run_id."""
         name, core = cells[0][1].sequence, self._cores[-1]
         rounds = max(cell.rounds for _, cell in cells)
         share = sum(count_steps(cell) for _, cell in cells) // (rounds + 1)
         for run_id, _ in cells:
             delete_log_and_layout(folder / f"{run_id}.raw")
-        # Replays done again after a crash were not timed by turns with the others.
+        # Replays done again after a crash were not interleaved with the others.
         self._turns |= dict.fromkeys((run_id for run_id, _ in cells), token_hex(8))
         group = ReplayGroup(self._idle, folder, source, cells, alone=alone)
         how = EXCLUSIVE if self._concurrency == 1 else SHARED

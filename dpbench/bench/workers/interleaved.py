@@ -42,7 +42,7 @@ configuration."""
 
 
 class ReplayWorker:
-    """One solver configuration's worker process in a replay by turns, and its progress.
+    """One solver configuration's worker process in an interleaved replay, and its progress.
 
     serving : whether it takes further rounds.
     spent_s : time of its rounds; clean_rounds : undisturbed ones.
@@ -110,7 +110,7 @@ def make_process_key(cell: Cell) -> tuple[str, ...]:
 
 
 class ReplayGroup:
-    """Replay of one sequence of QPs by several solver configurations by turns, round by round.
+    """Replay of one sequence of QPs by several solver configurations in interleaved rounds.
 
     cells : (run_id, cell) of each configuration; all see the same QPs.
     source : file the sequence is made from.
@@ -235,7 +235,7 @@ def rerun_loaded_rounds(
     serve: Callable[[ReplayWorker, int], None],
     order: Random,
 ) -> None:
-    """Replay rounds again that other load slowed, one per solver by turns, within its budget.
+    """Replay rounds again that other load slowed, one per solver in turn, within its budget.
 
     The last attempt counts. Configurations take turns because a neighbour stays for longer than a
     round.

@@ -146,7 +146,7 @@ def group_by_source(jobs: Iterable[CellJob]) -> dict[str, list[CellJob]]:
 
 
 def group_by_problem(jobs: Iterable[CellJob]) -> list[list[CellJob]]:
-    """Return replays grouped by their QPs; the solvers of a group are timed by turns."""
+    """Return replays grouped by their QPs; the solvers of a group are interleaved."""
     return list(group_jobs(jobs, lambda job: job.cell.problem_key).values())
 
 

@@ -117,7 +117,7 @@ def test_settings_within_a_disturbed_folder_have_the_finding_beside_the_interval
 
 
 def test_replays_by_turns_alone_count_where_some_are(records: Any) -> None:
-    """Twice as long by turns; the 40 times of the other sequence is another command's."""
+    """Twice as long if interleaved; the 40 times of the other sequence is another command's."""
     for solver, medians, calm in (("base", (20.0, 1.0), EARLY), ("other", (40.0, 40.0), LATE)):
         records.replay(solver, "paper", median_us=medians[0], **EXACT, **EARLY)
         records.replay(solver, "calm", median_us=medians[1], **EXACT, **calm)
