@@ -37,7 +37,7 @@ def make_table_of_saved_work(saved: Sequence[SavedWork]) -> Table:
             "method there": _format_p50_and_p99(one.instructions[one.answered]),
             "multiply-adds": _format_p50_and_p99(one.multiply_adds[one.answered]),
             "method, all steps": _format_p50_and_p99(one.instructions),
-            "with the memory, at least": _format_p50_and_p99(one.least_instructions),
+            "with active_set_memory, at least": _format_p50_and_p99(one.least_instructions),
         }
         for one in saved
     ]
