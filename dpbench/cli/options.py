@@ -301,7 +301,7 @@ def add_init_options(init: Command) -> None:
         init.add_argument_group("weather"),
         "--sea",
         "N",
-        "DP number, 1 to 9 (default: largest that the ship holds)",
+        "DP capability number, 1 to 9 (default: largest that the ship holds)",
     )
     output = init.add_argument_group("output")
     _option(output, "--out", "DIR", "folder to write to (default: current folder)", default=".")

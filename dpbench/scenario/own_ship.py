@@ -241,7 +241,7 @@ def make_environment_of_dp_number(number: int, from_deg: float = FROM_DEG) -> En
 def compute_mean_force_of_dp_number(
     vessel: Vessel, number: int, from_deg: float = FROM_DEG
 ) -> Vector:
-    """Return the mean force (3,) [N, N, N·m] of a DP number's weather from a direction [°].
+    """Return the mean force (3,) [N, N, N·m] in weather of a DP capability number from a direction.
 
     It is that of `dpbench capability`, level 1 of DNV-ST-0111. Raises InputError where the vessel
     has no hull for it.
@@ -257,7 +257,7 @@ def compute_mean_force_of_dp_number(
 
 
 def compute_limit_share_of_dp_number(vessel: Vessel, number: int) -> float:
-    """Return the share of the limits that the mean force of a DP number's weather takes.
+    """Return the share of the limits that the mean force of a DP capability number's weather takes.
 
     The share is that of surge, or of sway and yaw together: the same thrusters at bow and stern
     make both.
@@ -270,7 +270,7 @@ def compute_limit_share_of_dp_number(vessel: Vessel, number: int) -> float:
 
 
 def find_largest_bearable_dp_number(vessel: Vessel) -> int:
-    """Return the largest DP number whose mean force takes at most `SPARE` of the limits."""
+    """Return the largest DP capability number with a mean force within `SPARE` of the limits."""
     return max(
         (n for n in DP_NUMBERS if compute_limit_share_of_dp_number(vessel, n) <= SPARE), default=1
     )

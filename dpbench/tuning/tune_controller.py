@@ -450,10 +450,10 @@ def _refuse_other_controllers(bases: Sequence[Scenario]) -> None:
 
 
 def _parse_seas(text: str) -> list[int]:
-    """Return the DP numbers in a text such as "4,5"; InputError for another text."""
+    """Return the DP capability numbers in a text such as "4,5"; InputError for another text."""
     words = [word.strip() for word in text.split(",")] if text else []
     if len(set(words)) < len(words) or any(word not in map(str, DP_NUMBERS) for word in words):
-        allowed = f"DP numbers from 1 to {max(DP_NUMBERS)}, each once, such as 4,5"
+        allowed = f"DP capability numbers from 1 to {max(DP_NUMBERS)}, each once, such as 4,5"
         raise InputError("--seas", "", repr(text)[:80], allowed)
     return [int(word) for word in words]
 

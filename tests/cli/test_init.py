@@ -186,7 +186,7 @@ def test_the_same_ship_in_another_sea(capsys: pytest.CaptureFixture[str]) -> Non
 def test_the_hardest_sea_that_the_ship_holds_is_suggested(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """97 % of the limits at DP number 4; number 5 is beyond them."""
+    """97 % of the limits at DP capability number 4; number 5 is beyond them."""
     main([*SHIP, "--out", "ships"])
     printed = capsys.readouterr().out
     (command,) = re.findall(r"harder: dpbench (init my_ship --sea \d .*)", printed)

@@ -59,7 +59,7 @@ def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
     ) in words
     assert "CAUTION: by level 1 the thrusters do not hold this sea without board B." in words
     beyond = "a wind of 1.5 m/s from 30°, is held without board B: a smaller --sea does not help."
-    assert f"Not even DP number 1, {beyond}" in words
+    assert f"Not even DP capability number 1, {beyond}" in words
     assert "After the loss of board B: no tunnel or azimuth is left at the stern; put one" in words
     assert "harder:" not in said
     (other,) = load_scenario("my_ship_loss_board_B.toml").files["scenario"]["faults"]
@@ -320,7 +320,7 @@ def test_a_sea_beyond_the_thrusters_is_named_and_losses_are_simulated_there(
     held_mps = re.search(r"the wind of 24.4 m/s is beyond the (\S+) m/s that the thrusters", said)
     assert held_mps is not None and float(held_mps[1]) < 24.4
     assert "do not hold this sea without board B or without board A." in said
-    assert re.search(r"DP number \d is held without board A: --sea \d\.", said)
+    assert re.search(r"DP capability number \d is held without board A: --sea \d\.", said)
     suite = load_path_and_suite(Path("my_ship_sea9_suite.toml"))[1]
     assert suite.closed_loop[1].scenarios == [
         "my_ship_sea9_thrusters.toml",
@@ -496,8 +496,8 @@ def test_the_sea_comes_from_the_side_of_the_bow_from_which_less_is_held(
     assert init("\n".join(rows) + "\n") == 0
     said = " ".join(capsys.readouterr().out.split())
     assert (
-        "sea: DP number 5, wind 10.7 m/s; its level-1 mean force takes 28% of the thrust; level 1 "
-        "allows at most 72% (0.9 of the thrust, divided by 1.25)"
+        "sea: DP capability number 5, wind 10.7 m/s; its level-1 mean force takes 28% of the "
+        "thrust; level 1 allows at most 72% (0.9 of the thrust, divided by 1.25)"
     ) in said
     assert ("wind from 330°: the thrusters hold less from port." in said) == (port > 0)
     for file in FILES[1:3]:

@@ -158,7 +158,7 @@ def test_the_largest_sea_leaves_thrust_to_spare(name: str) -> None:
 
 
 def test_the_share_of_a_ship_worked_out_by_hand() -> None:
-    """Sway in DP number 5 from 30°: wind 10.7 m/s, current 0.75 m/s, waves of 2.1 m and 7.5 s."""
+    """Sway in DP capability number 5 from 30°: wind 10.7 m/s, current 0.75 m/s, waves of 2.1 m."""
     own = Particulars(76.2, 18.0, 5.0, 4.591e6)
     ship = scale_library_vessel_to_own_ship("supply_fs99", own, ThrustLimits(1240e3, 417e3))
     wind = 0.5 * 1.226 * 10.7**2 * 0.9 * 700.0

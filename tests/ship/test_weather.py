@@ -31,7 +31,7 @@ from tests.ship.conftest import CALM, rotation
 BAND = (0.3, 3.0)
 COUNT = 150
 Felt = Callable[..., np.ndarray]
-# DP number: wind [m/s], Hs [m], Tp [s], force beam-on [kN], head-on [kN]; current 0.75 m/s.
+# DP capability number: wind [m/s], Hs [m], Tp [s], force beam-on, head-on [kN]; current 0.75 m/s.
 # Of level 1 of DNV-ST-0111 for a hull of 76 m. Breadth 18 m, draught 6 m and areas of 290 and
 # 700 m² are usual for such a supply ship; the coefficients are those of the standard.
 TABLE = {
@@ -270,7 +270,7 @@ def test_a_wind_without_gusts_is_steady() -> None:
 
 
 def weather(dp: int, to_rad: float) -> Environment:
-    """Wind, waves and current of a DP number, all to one direction."""
+    """Wind, waves and current of a DP capability number, all to one direction."""
     wind_mps, hs_m, tp_s, _, _ = TABLE[dp]
     zero = np.zeros(3)
     return Environment(
@@ -314,7 +314,7 @@ def test_the_linear_damping_of_the_model_overstates_the_current(dp: int, hull: V
 
 
 def test_the_yaw_moment_is_under_three_meganewton_metres(hull: Vessel) -> None:
-    """In the quarters wind and drift of DP number 9 turn the ship with 1 to 3 MN·m."""
+    """In the quarters wind and drift of DP capability number 9 turn the ship with 1 to 3 MN·m."""
     assert 1e3 < mean_loads_kN(hull, 9)[2] < 3e3
 
 

@@ -126,7 +126,7 @@ def test_scenarios_of_several_ships_or_controllers_are_refused(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"seas": "4,x"}, "--seas: found '4,x'; allowed: DP numbers from 1 to 9"),
+        ({"seas": "4,x"}, "--seas: found '4,x'; allowed: DP capability numbers from 1 to 9"),
         ({"seas": "4,4"}, "--seas: found '4,4'"),
         ({"trials": 0}, "--trials: found 0"),
         ({"realisations": 0}, "--realisations: found 0"),

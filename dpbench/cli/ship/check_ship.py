@@ -340,8 +340,8 @@ def _describe_bracket(bracket: Bracket, scale: float) -> str:
     """Return in words the largest sideways offset recovered and the smallest that is not [m]."""
     holds = f"{float(format_rounded_down(scale * bracket.holds_m)):g}"
     if bracket.fails_m is None:
-        return f"calm water: returns from {holds} m sideways (largest tried)"
+        return f"recovery in calm water from {holds} m sideways (largest tried)"
     fails = f"{float(format_rounded_up(scale * bracket.fails_m)):g}"
     if bracket.holds_m == 0.0:
-        return f"calm water: does not return from {fails} m sideways"
-    return f"calm water: returns from {holds} m sideways, not {fails} m"
+        return f"no recovery in calm water from {fails} m sideways"
+    return f"recovery in calm water from {holds} m sideways, not {fails} m"

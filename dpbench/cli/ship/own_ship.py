@@ -234,7 +234,7 @@ def _name_loss_files(stem: str, held: HeldSea, number: int) -> dict[str, str]:
 
 
 def _parse_sea_number(text: str | None) -> int | None:
-    """Return the DP number of the sea in a text, 1 to 9, None for None; InputError for others."""
+    """Return the DP capability number in a text, 1 to 9; None for None; InputError for others."""
     if text is not None and text not in map(str, scaling.DP_NUMBERS):
         allowed = f"1 to {max(scaling.DP_NUMBERS)} (DP capability number)"
         raise InputError(WHERE, "--sea", repr(text)[:80], allowed)
@@ -362,7 +362,7 @@ def _list_files_and_commands(
     lines = [f"wrote {path}" for path in paths]
     lines += [line for remark in remarks for line in textwrap.wrap(remark, WIDTH)]
     wind_mps = scaling.DP_NUMBERS[number][0]
-    sea = f"sea: DP number {number}, wind {wind_mps:g} m/s"
+    sea = f"sea: DP capability number {number}, wind {wind_mps:g} m/s"
     mean = f"{sea}; its level-1 mean force takes {share:.0%} of {whole}"
     if vessel.thrusters is not None:
         edge = (
@@ -505,11 +505,11 @@ def render_scenario_file(
     lost: str | None = None,
     weak: WeakSide | None = None,
 ) -> str:
-    """Return the text of a new ship's scenario file in the sea of a DP number.
+    """Return the text of a new ship's scenario file in the sea of a DP capability number.
 
     held : what its thrusters hold; chosen : dpbench chose the sea, not the user; steered : the
     controller steers thrusters, from rest; lost : the group that it loses; weak : the weak side
-    from which the weather comes, with a DP number of its own.
+    from which the weather comes, with a DP capability number of its own.
     """
     longer = scaling.compute_froude_time_scale(vessel.length_m) ** 2
     step_s = choose_sample_s(vessel)

@@ -264,7 +264,7 @@ class WeakSide:
     has_half_turns: bool = False
 
     def find_number(self, number: int) -> int:
-        """Return the largest DP number up to another that is held from there, at least 1."""
+        """Return the largest DP capability number held from there, from 1 to `number`."""
         return max(1, min(number, self.limit.number))
 
     @property
@@ -273,21 +273,21 @@ class WeakSide:
         return "intact" if self.lost is None else f"after the loss of {self.lost}"
 
     def explain_sea(self, number: int) -> str:
-        """Return a sentence on the choice of its sea, up to a DP number."""
+        """Return a sentence on the choice of its sea, up to a DP capability number."""
         where = f"from {self.from_deg:g}°, the direction of least wind held {self.when}"
         if not self.limit.number:
             return f"the smallest, as the thrusters hold none by level 1 {where}"
         return f"the largest up to number {number} that the thrusters hold by level 1 {where}"
 
     def describe(self, number: int, file: str) -> str:
-        """Return a sentence on the scenario of a file with a sea up to a DP number."""
+        """Return a sentence on the scenario of a file with a sea up to a DP capability number."""
         from_deg, limit = self.intact
         winds = [f"{format_wind_held(limit.wind_mps)} from {from_deg:g}° intact"]
         if self.lost is not None:
             wind = format_wind_held(self.limit.wind_mps)
             winds.append(f"{wind} from {self.from_deg:g}° {self.when}")
         held = "" if self.limit.number else ", not held"
-        sea = f"DP number {self.find_number(number)}{held}"
+        sea = f"DP capability number {self.find_number(number)}{held}"
         what = "direction of least wind held"
         if self.has_half_turns:
             what += " with the half turns of controllers; the capability plot has all directions"
@@ -296,10 +296,10 @@ class WeakSide:
 
 @dataclass(frozen=True)
 class HeldSea:
-    """The DP number that thrusters hold off the bow, after the loss of a group where they can.
+    """The DP capability number held by thrusters off the bow, if possible after a loss of a group.
 
     lost : the worst group without which a sea is held; None where there is none, and the number is
-        that of the whole ship. losses : DP number held without each group, by rising wind.
+        that of the whole ship. losses : number held without each group, by rising wind.
     intact_mps : largest wind [m/s] held without a loss. reason : why this sea, for the scenario.
     from_deg : the side of the bow from which less is held. has_half_turns : whether controllers
         plan with less than the sectors of the plot. remedies : what would help, as text, by group
@@ -339,7 +339,7 @@ class HeldSea:
         )
 
     def list_groups_not_held(self, number: int) -> list[str]:
-        """Return the groups after whose loss a DP number is not held, the worst first."""
+        """Return the groups without which a DP capability number is not held, the worst first."""
         return [group for group, held_number in self.losses.items() if held_number < number]
 
 
@@ -450,7 +450,7 @@ def _find_remedy(thrusters: ThrusterSet, lost: str, free_mps: float) -> str:
 
 
 def choose_sea(vessel: Vessel, held: HeldSea | None) -> int:
-    """Return the DP number of a new ship's sea by its thrusters, or by its limits without any."""
+    """Return the DP capability number of a new ship by its thrusters, or else by its limits."""
     return scaling.find_largest_bearable_dp_number(vessel) if held is None else held.number
 
 
@@ -517,13 +517,15 @@ def _describe_losses_not_held(held: HeldSea, number: int) -> list[str]:
     lines = [f"CAUTION: by {by} the thrusters do not hold this sea {without}."]
     for group in weak:
         if smaller := held.losses[group]:
-            lines.append(f"DP number {smaller} is held without {group}: --sea {smaller}.")
+            held_sea = f"DP capability number {smaller}"
+            lines.append(f"{held_sea} is held without {group}: --sea {smaller}.")
     if none := [group for group in weak if not held.losses[group]]:
         wind = f"a wind of {scaling.DP_NUMBERS[1][0]:g} m/s from {held.from_deg:g}°"
         lines.append(
-            f"Not even DP number 1, {wind}, is held {_name_groups_lost_one_by_one(none)}: a "
-            "smaller --sea does not help. The thrusters left have to push ahead, astern and to "
-            "both sides, and turn the ship both ways."
+            f"Not even DP capability number 1, {wind}, is held "
+            f"{_name_groups_lost_one_by_one(none)}: a smaller --sea does not help. "
+            "The thrusters left have to push ahead, astern and to both sides, and turn the ship "
+            "both ways."
         )
         lines += [f"After the loss of {group}: {held.remedies[group]}." for group in none]
     return lines
@@ -543,7 +545,7 @@ def find_hardest_sea(vessel: Vessel, held: HeldSea | None) -> int:
 
 
 def find_mean_share(vessel: Vessel, number: int, held: HeldSea | None = None) -> tuple[float, str]:
-    """Return the share that the mean force of a DP number takes, and of what: limits or thrust."""
+    """Return the mean force of a DP capability number as a share, and of what: limits or thrust."""
     if held is None or vessel.thrusters is None:
         return scaling.compute_limit_share_of_dp_number(vessel, number), "the limits"
     share = ThrusterReach(vessel.thrusters).find_least_thrust_share(

@@ -1,4 +1,4 @@
-"""The DP number of the sea that `dpbench init` chooses, beside that of `dpbench capability`."""
+"""The DP capability number that `dpbench init` chooses, beside that of `dpbench capability`."""
 
 import math
 from dataclasses import replace

@@ -185,7 +185,7 @@ def test_waves_in_a_controller_without_estimator_keep_the_rate_limits_active() -
 
 
 def test_weather_is_held_within_a_quarter_of_a_metre() -> None:
-    """Wind, current and drift of DP number 5 are within what the thrusters hold."""
+    """Wind, current and drift of DP capability number 5 are within what the thrusters hold."""
     loop, found = exact("weather"), metrics("weather")
     assert found["r_max_m"] < 0.25
     # Against weather from the bow quarter the thrusters push ahead and to starboard.

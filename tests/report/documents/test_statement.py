@@ -318,7 +318,7 @@ def test_a_lost_ship_is_the_first_line_of_its_statement(records: Any, tmp_path: 
 def test_scenarios_with_a_loss_come_first_the_farthest_off_of_all(
     records: Any, tmp_path: Path
 ) -> None:
-    """The DP number rests on a single failure: the scenario without one comes last."""
+    """The DP capability number rests on a single failure: the scenario without one comes last."""
     for name, far_m in (("paper", 3.0), ("thrusters_loss", 1.0), ("thruster_loss", 2.0)):
         records.loop("daqp", name, exact_offset_max_m=far_m)
     records.replay("daqp", spread=0.1)
