@@ -34,7 +34,8 @@ class InputError(DpbenchError, ValueError):
     ----------
     where : file or argument the mistake is in. An argument is in backquotes, as others in its text;
         the command line prints them as its options, `jobs` as --jobs.
-    key : the key inside it ("" when the whole of it is meant).
+    key : the key inside it ("" when the whole of it is meant), by `format_key_path` where it is in
+        a table or array.
     found : the value there; "nothing" for a key or option that is missing; "no such file" and the
         like for a name without a file; or what the system reports of a file.
     allowed : the values that are accepted.
@@ -80,6 +81,39 @@ def shorten_found(value: object) -> str:
     """
     text = " ".join(repr(value).split())
     return text if len(text) <= _MOST else f"{text[:_MOST]}…"
+
+
+def format_key_path(
+    parts: Sequence[str | int], *, is_table: bool = False, is_toml: bool = True
+) -> str:
+    """Return the path of a key as its user sees it in the file, with entries counted from 1.
+
+    parts : keys, and indices from 0; is_table : a last index is that of a table. is_toml : arrays
+        of tables are written `[[key]]`; otherwise as any other array, for JSON.
+
+    Examples
+    --------
+    >>> format_key_path(["environment", "wind", "speed_mps"])
+    'environment.wind.speed_mps'
+    >>> format_key_path(["closed_loop", 0, "routes", 1])
+    '[[closed_loop]] number 1, key routes, entry 2'
+    >>> format_key_path(["inertia", 0, 2])
+    'inertia, entry 1, entry 3'
+    """
+    texts: list[str] = []
+    follows_key = False
+    for part, after in zip(parts, [*parts, "" if is_table else 0][1:], strict=True):
+        if isinstance(part, str):
+            if follows_key:
+                texts[-1] += f".{part}"
+            else:
+                texts.append(f"key {part}" if texts else part)
+        elif is_toml and len(texts) == 1 and isinstance(after, str):
+            texts = [f"[[{texts[0]}]] number {part + 1}"]
+        else:
+            texts.append(f"entry {part + 1}")
+        follows_key = isinstance(part, str)
+    return ", ".join(texts)
 
 
 def require_integer_at_least(argument: str, value: int, least: int) -> None:

@@ -25,9 +25,9 @@ from dpbench.scenario.controllers.kinds import ForceController, ThrusterControll
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.plant import Sensors
 from dpbench.ship.thrusters import Thruster
+from dpbench.ship.vessel import AXIS_NAMES
 from dpbench.solvers.open import open_workspace
 
-AXIS_NAMES = ("surge", "sway", "yaw")
 _MEASURED = (
     ("surge_speed", "velocity[0]", "m/s", "speed ahead over ground"),
     ("sway_speed", "velocity[1]", "m/s", "speed to starboard over ground"),

@@ -16,7 +16,13 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
-from dpbench.errors import InputError, UnknownNameError, format_allowed_names, warn_of_outdated_name
+from dpbench.errors import (
+    InputError,
+    UnknownNameError,
+    format_allowed_names,
+    format_key_path,
+    warn_of_outdated_name,
+)
 from dpbench.files.regular_files import (
     MOST_DEPTH,
     MOST_TEXT_BYTES,
@@ -251,7 +257,7 @@ def validate_settings_as_model(document: dict[str, Any], model: type[_Model], wh
         # A misspelled required key is both missing and unknown; the second helps more.
         first = next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
         keys = [str(part) for part in first["loc"]]
-        key = ".".join(keys)
+        key = format_key_path(first["loc"], is_table=isinstance(first["input"], dict))
         if first["type"] == "extra_forbidden":
             if new := getattr(model, "refused_keys", {}).get(key):
                 raise InputError(where, key, "an old name", f"{new}, its new name") from None
@@ -308,7 +314,8 @@ def _describe_any_value(model: type[BaseModel], fault: ErrorDetails) -> str:
     if schema.get("type") != "array":
         return _ANY_VALUE.get(schema.get("type", ""), "a value")
     if "$ref" in schema.get("items", {}):
-        return f"an array of tables, each below [[{'.'.join(map(str, fault['loc']))}]]"
+        table = ".".join(key for key in fault["loc"] if isinstance(key, str))
+        return f"an array of tables, each below [[{table}]]"
     least, most = schema.get("minItems", 0), schema.get("maxItems")
     if most is None:
         return f"an array of {least} or more entries" if least else "an array"

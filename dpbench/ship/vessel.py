@@ -33,6 +33,7 @@ from dpbench.ship.weather import GRAVITY, WATER_DENSITY, WaveReflection, Windage
 FADING_FROUDE_NUMBER = 0.004
 """V_0 over √(gL): 0.11 m/s on a ship of 76 m, so that 1 % of D is left at 0.5 m/s."""
 SURGE_COEFFICIENT = 0.07  # Of ½ρ B T V u (DNV-ST-0111, section 3.6)
+AXIS_NAMES = ("surge", "sway", "yaw")
 _HOERNER = np.array(
     [
         [0.2, 0.35, 0.47, 0.5, 0.65, 0.83, 1.0, 1.3, 1.65, 2.0, 2.5, 3.0, 4.0],
@@ -125,10 +126,10 @@ class Vessel:
 
     def __post_init__(self) -> None:
         self._require_valid_matrices()
-        if not (self.tau_min < 0).all() or not (self.tau_max > 0).all():
-            limits = f"[{self.tau_min.tolist()}, {self.tau_max.tolist()}]"
-            allowed = "a minimum below 0 and a maximum above 0 in each axis"
-            raise InputError(self.where, "tau_min, tau_max", limits, allowed)
+        for axis, low, high in zip(AXIS_NAMES, self.tau_min, self.tau_max, strict=True):
+            if not low < 0.0 < high:
+                allowed = f"a minimum below 0, then a maximum above 0 in {axis}"
+                raise InputError(self.where, axis, [float(low), float(high)], allowed)
 
     def _require_valid_matrices(self) -> None:
         """Raise InputError where M is not symmetric, or M or D is not positive definite."""

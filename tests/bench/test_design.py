@@ -220,12 +220,15 @@ DAMAGE = {
     "a list": (lambda text: f"[{text}]", "list"),
     "a newer one": (_edited(lambda d: d.update(schema=3)), "schema: found schema 3"),
     "no records": (_edited(lambda d: d.pop("records")), "records: missing"),
-    "a key too few": (_edited(lambda d: d["records"][0].pop("N_p")), "records.0.N_p: missing"),
-    "a key too many": (_edited(lambda d: d["records"][0].update(extra=1)), "0.extra: found 1"),
-    "no number": (_edited(lambda d: d["records"][0].update(N_p="1")), "0.N_p: found '1'"),
+    "a key too few": (
+        _edited(lambda d: d["records"][0].pop("N_p")),
+        "records, entry 1, key N_p: missing",
+    ),
+    "a key too many": (_edited(lambda d: d["records"][0].update(extra=1)), "key extra: found 1"),
+    "no number": (_edited(lambda d: d["records"][0].update(N_p="1")), "key N_p: found '1'"),
     "NaN": (
         _edited(lambda d: d["records"][0]["held"]["calm"].update(holds_m=float("nan"))),
-        "0.held.calm.holds_m: found nan",
+        "key held.calm.holds_m: found nan",
     ),
 }
 

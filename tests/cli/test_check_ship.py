@@ -79,14 +79,14 @@ def test_the_numbers_of_the_papers_ship(monkeypatch: pytest.MonkeyPatch) -> None
     for said in ("-980..1240 kN", "±417 kN", "±18000 kN·m", "11.4 s", "106 s", "233 mm/s²"):
         assert said in text
     assert "1 m/s sideways needs 272 kN (limit 417 kN); holds 1.5 m/s of current abeam" in text
-    assert "tuning paper 30/5     recovery in calm water from 1.62 m sideways, not 1.69 m" in text
+    assert "tuning paper 30/5     calm-water recovery from 1.62 m sideways, not 1.69 m" in text
 
 
 @pytest.mark.parametrize(
     ("offset_m", "said"),
     [
-        (0.0, "no recovery in calm water from 0.25 m sideways"),
-        (100.0, "recovery in calm water from 64 m sideways (largest tried)"),
+        (0.0, "no calm-water recovery from 0.25 m sideways"),
+        (100.0, "calm-water recovery from 64 m sideways (largest tried)"),
     ],
 )
 def test_a_tuning_that_holds_nothing_or_everything(

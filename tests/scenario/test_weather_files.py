@@ -180,6 +180,19 @@ def delete(table: str, key: str) -> Change:
         (CASCADE, lambda s: s["controller"].update(kind="forces"), None, "only if, kind"),
         (CASCADE, lambda s: None, lambda v: v.update(thrusters=[]), "cascade"),
         ("thrusters", lambda s: of_thrusters(s, allocation="qp"), None, '"cascade" only'),
+        # The fault at fault is the second in the file and the first in time.
+        (
+            "thrusters_loss",
+            lambda s: s["faults"].append({"at_s": 1.5, "lost": ["bow 9"]}),
+            None,
+            "my.toml: [[faults]] number 2, key lost: found 'bow 9'",
+        ),
+        (
+            "calm",
+            lambda s: None,
+            lambda v: v["limits"].update(yaw_Nm=[2.0, -1.0]),
+            "limits.yaw_Nm: found [2.0, -1.0]",
+        ),
     ],
 )
 def test_bad_weather_ships_and_faults_are_refused_in_one_line(

@@ -24,7 +24,7 @@ from dpbench.bench.record.cell import (
     parse_qp_source,
 )
 from dpbench.bench.record.schema import RUN_COLUMNS
-from dpbench.errors import InputError, ResultsError
+from dpbench.errors import InputError, ResultsError, format_key_path
 from dpbench.files.regular_files import parse_json
 from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.tables.key_types import Horizons
@@ -396,7 +396,7 @@ def _make_description_error(key: str, error: ValueError) -> ResultsError:
     if isinstance(error, InputError):
         return ResultsError("runs.parquet", f"cell.{error.key}", error.found, error.allowed)
     first = error.errors()[0] if isinstance(error, ValidationError) else None
-    key = ".".join([key, *map(str, first["loc"])]) if first else key
+    key = format_key_path([key, *first["loc"]], is_toml=False) if first else key
     found = first["msg"] if first else f"invalid JSON ({str(error)[:80]})"
     return ResultsError("runs.parquet", key, found, "the description of a cell")
 

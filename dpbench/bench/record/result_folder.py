@@ -30,7 +30,13 @@ from dpbench.bench.record.recorded_steps import (
 )
 from dpbench.bench.record.schema import SCHEMA_VERSION, STUDY_PREFIX
 from dpbench.bench.record.step_table import add_missing_run_columns, runs_to_frame
-from dpbench.errors import InputError, ResultsError, SituationError, begin_in_lower_case
+from dpbench.errors import (
+    InputError,
+    ResultsError,
+    SituationError,
+    begin_in_lower_case,
+    format_key_path,
+)
 from dpbench.files.regular_files import (
     is_plain_file_name,
     make_folder_if_missing,
@@ -151,7 +157,7 @@ def check_document_as_type(document: dict[str, Any], kind: type[_Kind], path: Pa
         return checked
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"])
+        key = format_key_path(first["loc"], is_toml=False)
         value = "nothing" if first["type"] == "missing" else repr(first["input"])[:80]
         allowed = f"what `dpbench run` writes ({first['msg']}); run the suite again"
         raise ResultsError(str(path), key, value, allowed) from error

@@ -37,7 +37,7 @@ from dpbench.ship.capability.loads import (
 from dpbench.ship.capability.losses import list_thruster_cautions
 from dpbench.ship.environment import Environment
 from dpbench.ship.froude import Froude
-from dpbench.ship.vessel import Vessel
+from dpbench.ship.vessel import AXIS_NAMES, Vessel
 
 WITHOUT = "--quick skips it"
 LEFT_OUT = "not simulated (--quick): the sideways offsets from which each tuning recovers"
@@ -48,7 +48,6 @@ _DEGREES = np.array([1.0, 1.0, np.degrees(1.0)])
 _KILO = np.array([1e3, 1e3, 1e3])
 _SAME = 1e-3
 """Relative difference of forces that counts as none: azimuths are polygons in a sector."""
-AXIS_NAMES = ("surge", "sway", "yaw")
 _WIDTHS = (22, 19, 19, 19)
 FACTOR = 2.0
 """Ratio of a mean load in simulation to that of level 1 beyond which a caution is printed."""
@@ -340,8 +339,8 @@ def _describe_bracket(bracket: Bracket, scale: float) -> str:
     """Return in words the largest sideways offset recovered and the smallest that is not [m]."""
     holds = f"{float(format_rounded_down(scale * bracket.holds_m)):g}"
     if bracket.fails_m is None:
-        return f"recovery in calm water from {holds} m sideways (largest tried)"
+        return f"calm-water recovery from {holds} m sideways (largest tried)"
     fails = f"{float(format_rounded_up(scale * bracket.fails_m)):g}"
     if bracket.holds_m == 0.0:
-        return f"no recovery in calm water from {fails} m sideways"
-    return f"recovery in calm water from {holds} m sideways, not {fails} m"
+        return f"no calm-water recovery from {fails} m sideways"
+    return f"calm-water recovery from {holds} m sideways, not {fails} m"

@@ -12,7 +12,7 @@ from typing import ClassVar, Literal, TypedDict
 import numpy as np
 
 from dpbench.arrays import Flags, Matrix, Vector
-from dpbench.errors import InputError
+from dpbench.errors import InputError, format_key_path
 from dpbench.mpc.condense import ControlProblem, UnitSystem
 from dpbench.mpc.condensed_qp import Amplitude, CondensedQP
 from dpbench.mpc.model import StateSpace, build_prediction_model
@@ -149,19 +149,21 @@ class ControllerSpec:
 
     def refuse_unsupported_faults(self, *, lost: bool, limit_share: bool) -> None:
         """Raise InputError for a kind of fault that the controller cannot have."""
-        for i, (_, fault) in enumerate(self._samples_and_faults_in_order):
+        for _, i, fault in self._samples_and_faults_in_order:
             if not (lost if fault.lost is not None else limit_share):
                 found, allowed = (
                     ("lost", "limit_share, as each axis of the force has its own limit")
                     if fault.lost is not None
                     else ("limit_share", "lost, as thrusters limit the force or are commanded")
                 )
-                raise InputError(self.where, f"faults.{i}", found, allowed)
+                raise InputError(
+                    self.where, format_key_path(["faults", i], is_table=True), found, allowed
+                )
 
     @property
     def samples_and_shares_of_limit_faults(self) -> list[tuple[int, Vector]]:
         """Sample and remaining share (3,) of the force limits, for each fault that reduces them."""
-        shares = [(k, fault.limit_share) for k, fault in self._samples_and_faults_in_order]
+        shares = [(k, fault.limit_share) for k, _, fault in self._samples_and_faults_in_order]
         return [(k, np.array(share)) for k, share in shares if share is not None]
 
     @property
@@ -169,10 +171,10 @@ class ControllerSpec:
         """Sample and indices of all thrusters lost so far, for each fault that loses thrusters."""
         losses: list[tuple[int, set[int]]] = []
         lost: set[int] = set()
-        for i, (k, fault) in enumerate(self._samples_and_faults_in_order):
+        for k, i, fault in self._samples_and_faults_in_order:
             if fault.lost is not None:
                 assert self.vessel.thrusters is not None, "known by now"
-                key = f"faults.{i}.lost"
+                key = format_key_path(["faults", i, "lost"])
                 lost = lost | self.vessel.thrusters.find_indices_of_thrusters_or_groups(
                     fault.lost, self.where, key
                 )
@@ -183,26 +185,28 @@ class ControllerSpec:
     def samples_and_entries_of_trips(self) -> Trips:
         """Sample and entries of f of the thrusters that stop at once, for each such fault."""
         thrusters, trips = self.vessel.thrusters, []
-        for i, (k, fault) in enumerate(self._samples_and_faults_in_order):
+        for k, i, fault in self._samples_and_faults_in_order:
             if fault.loss == "trip" and fault.lost is not None and thrusters is not None:
                 lost = thrusters.find_indices_of_thrusters_or_groups(
-                    fault.lost, self.where, f"faults.{i}.lost"
+                    fault.lost, self.where, format_key_path(["faults", i, "lost"])
                 )
                 trips.append((k, thrusters.find_force_entries_of_thrusters(lost)))
         return tuple(trips)
 
     def refuse_instant_thruster_stops(self) -> None:
         """Raise InputError for a fault that stops thrusters at once, as none are commanded."""
-        for i, (_, fault) in enumerate(self._samples_and_faults_in_order):
+        for _, i, fault in self._samples_and_faults_in_order:
             if fault.loss == "trip":
                 allowed = '"ramp_down", or "trip" where thrusters are commanded'
-                raise InputError(self.where, f"faults.{i}.loss", '"trip"', allowed)
+                raise InputError(
+                    self.where, format_key_path(["faults", i, "loss"]), '"trip"', allowed
+                )
 
     @property
-    def _samples_and_faults_in_order(self) -> list[tuple[int, FaultTable]]:
-        """Sample and settings of each fault, in order of time."""
-        in_time = sorted(self.file.faults, key=lambda fault: fault.at_s)
-        return [(round(fault.at_s / self.file.sample_s), fault) for fault in in_time]
+    def _samples_and_faults_in_order(self) -> list[tuple[int, int, FaultTable]]:
+        """Sample, index in the file and settings of each fault, in order of time."""
+        in_time = sorted(enumerate(self.file.faults), key=lambda entry: entry[1].at_s)
+        return [(round(fault.at_s / self.file.sample_s), i, fault) for i, fault in in_time]
 
 
 Changes = tuple[tuple[int, Limits], ...]

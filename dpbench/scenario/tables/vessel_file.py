@@ -14,6 +14,7 @@ from dpbench.scenario.tables import key_types as keys
 from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet, compute_nominal_thrust_N
 from dpbench.ship.vessel import (
+    AXIS_NAMES,
     HullDrag,
     Vessel,
     convert_bis_damping_to_si,
@@ -302,7 +303,9 @@ class VesselFile(FileModel):
             vessel = Vessel(*ship, windage, reflection, thrusters, hull, drag)
         except InputError as error:
             bis = "" if self.inertia is not None else "_bis"
-            names = {"M": f"inertia{bis}", "D": f"damping{bis}", "tau_min, tau_max": "limits"}
+            names = {"M": f"inertia{bis}", "D": f"damping{bis}"}
+            for axis, limit in zip(AXIS_NAMES, ("surge_N", "sway_N", "yaw_Nm"), strict=True):
+                names[axis] = f"limits.{limit}" if self.limits else "thrusters"
             key = names.get(error.key, error.key)
             raise InputError(where, key, error.found, error.allowed) from error
         self._refuse_implausible_mass(float(M[0, 0]), where)
