@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
 from numbers import Integral
 from os import PathLike
+from typing import Any
 
 _MOST = 80  # Characters of what was found in a message
 _SYSTEM_ERRORS = frozenset(map(os.strerror, errno.errorcode))
@@ -118,17 +119,24 @@ def format_key_path(
 
 def require_integer_at_least(argument: str, value: int, least: int) -> None:
     """Raise InputError for a number below `least`, TypeError for one that is not whole."""
-    if not isinstance(value, Integral):
-        found = shorten_found(value)
-        raise TypeError(f"{argument}: found {found}; allowed: a whole number, {least} or more")
+    allowed = f"a whole number, {least} or more"
+    require_type(argument, value, Integral, allowed)
     if value < least:
-        raise InputError(argument, "", value, f"a whole number, {least} or more")
+        raise InputError(argument, "", value, allowed)
 
 
 def require_name_or_file(argument: str, value: object, file: str) -> None:
     """Raise TypeError for an argument that is neither a name nor a path."""
-    if not isinstance(value, str | PathLike):
-        raise TypeError(f"{argument}: found {shorten_found(value)}; allowed: a name or {file}")
+    require_type(argument, value, str | PathLike, f"a name or {file}")
+
+
+def require_type(argument: str, value: object, kind: Any, allowed: str) -> None:
+    """Raise TypeError, with what is allowed as text, for an argument of another type.
+
+    kind : as in `isinstance`; True and False are not whole numbers.
+    """
+    if isinstance(value, bool) or not isinstance(value, kind):
+        raise TypeError(f"{argument}: found {shorten_found(value)}; allowed: {allowed}")
 
 
 def require_lists_of_names(**given: object) -> None:
@@ -140,8 +148,8 @@ def require_lists_of_names(**given: object) -> None:
                 require_name_or_file(option, name, "a file in the list")
         elif not (value is None or is_list):
             found = shorten_found(value)
-            allowed = f"a list of names, such as [{found}]"
-            raise TypeError(f"{option}: found {found}; allowed: {allowed}")
+            such_as = f", such as [{found}]" if isinstance(value, str) else ""
+            raise TypeError(f"{option}: found {found}; allowed: a list of names{such_as}")
 
 
 class SituationError(InputError):

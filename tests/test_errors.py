@@ -10,6 +10,7 @@ from dpbench.errors import (
     SolverUnavailableError,
     find_nearest_names,
     format_allowed_names,
+    format_key_path,
 )
 from dpbench.solvers import table
 from dpbench.solvers.table import Availability, require_solver_available
@@ -83,3 +84,15 @@ def test_a_missing_solver_is_named_with_its_remedy(
     )
     with pytest.raises(SolverUnavailableError, match=f"^solver osqp: {text}$"):
         require_solver_available("osqp")
+
+
+def test_a_path_of_keys_reads_as_in_its_file() -> None:
+    """Entries are counted from 1; JSON has no double brackets."""
+    assert format_key_path([]) == ""
+    assert format_key_path(["faults", 1], is_table=True) == "[[faults]] number 2"
+    assert format_key_path(["closed_loop", 0]) == "closed_loop, entry 1"
+    deep = ["environment", "squalls", 2, "force", "peak_kN", 0]
+    assert format_key_path(deep) == "[[environment.squalls]] number 3, key force.peak_kN, entry 1"
+    assert format_key_path(deep, is_toml=False) == (
+        "environment.squalls, entry 3, key force.peak_kN, entry 1"
+    )

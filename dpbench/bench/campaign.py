@@ -8,6 +8,8 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from numbers import Integral, Real
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +44,12 @@ from dpbench.bench.tabulate import RequestedRuns, is_tabulated, refuse_other_sel
 from dpbench.bench.workers.jobs import CellJob, Result, count_steps, group_by_source
 from dpbench.bench.workers.scratch import clear_scratch_folders
 from dpbench.bench.workers.worker import make_source
-from dpbench.errors import ResultsError, require_lists_of_names, require_name_or_file
+from dpbench.errors import (
+    ResultsError,
+    require_lists_of_names,
+    require_name_or_file,
+    require_type,
+)
 from dpbench.files.regular_files import write_text_atomically
 from dpbench.locks import WaitLimit
 from dpbench.solvers.table import find_solver_availability
@@ -371,6 +378,9 @@ def run_campaign(
         solver_module=None if solver_module is None else str(solver_module),
         **chosen,
     )
+    require_type("jobs", jobs, Integral | None, "a whole number, or None for all cores")
+    require_type("out", out, str | PathLike | None, "the path of a folder")
+    require_type("wait_s", wait_s, Real | None, "a number of seconds, 0 or more")
     patience = WaitLimit(wait_s)
     plan, some = asked.make_plan(), Shard.from_text(shard)
     designs = plan_stability_studies(plan) if some.index == 1 else []

@@ -97,7 +97,15 @@ def _print_warning(
     print(f"dpbench: {kind}{message}", file=sys.stderr)
 
 
-_LISTING = re.compile(r"`list_(\w+)\(\)`")
+_FUNCTIONS = {
+    re.compile(r"`list_(\w+)\(\)`"): r"`dpbench list \1`",
+    re.compile(r"`run_campaign\(\)`"): "`dpbench run`",
+    re.compile(r'`run_campaign\((\w+), scenarios=\["(.+?)"\]\)`'): (
+        r"`dpbench run \1 --scenario \2`"
+    ),
+    re.compile(r"`export_sequence\(\)`"): "`dpbench export`",
+}
+"""Commands in place of functions of the library."""
 _ARGUMENT = re.compile(r"`(\w+)(?:=True)?`")
 _OPTIONS = {
     "solvers": "solver",
@@ -113,14 +121,18 @@ _OPTIONS = {
 
 def _use_command_words(error: DpbenchError) -> str:
     """Return an error's text with options and commands in place of arguments and functions."""
-    text = _LISTING.sub(r"`dpbench list \1`", str(error))
+    text = str(error)
+    for function, command in _FUNCTIONS.items():
+        text = function.sub(command, text)
     if not (isinstance(error, InputError) and error.where.startswith("`")):
         return text
     return _ARGUMENT.sub(_write_option, text)
 
 
 def _write_option(argument: re.Match[str]) -> str:
-    """Return the option of the command line for an argument of a function."""
+    """Return the option or SUITE of the command line for an argument of a function."""
+    if argument[1] == "suite":
+        return "SUITE"
     return f"--{_OPTIONS.get(argument[1], argument[1]).replace('_', '-')}"
 
 

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from dpbench.errors import InputError
 from dpbench.files.regular_files import open_regular_file, refuse_implausible_unpacked_size
 
-WHAT = "a table written by `dpbench run`"
+WHAT = "a table written by `run_campaign()`"
 MOST_ENTRIES = 100_000
 """Longest list that a Parquet footer may have, of columns or of row groups: 10¹⁰ steps have as
 many."""

@@ -8,7 +8,7 @@ from typing import Literal, TypedDict
 import numpy as np
 
 from dpbench.arrays import Flags, Matrix, Vector
-from dpbench.errors import InputError
+from dpbench.errors import InputError, ShapeError, require_type
 from dpbench.mpc.condense import (
     CondensedMatrices,
     ControlProblem,
@@ -81,6 +81,11 @@ class CondensedQP:
         outputs: OutputBounds | None = None,
         penalty: Penalty | None = None,
     ) -> None:
+        require_type("CondensedQP: problem", problem, ControlProblem, "a ControlProblem")
+        bounds = "OutputBounds, or None for none"
+        require_type("CondensedQP: outputs", outputs, OutputBounds | None, bounds)
+        chosen = "a Penalty, or None to choose it"
+        require_type("CondensedQP: penalty", penalty, Penalty | None, chosen)
         if units not in ("scaled", "si"):
             raise InputError("CondensedQP", "units", repr(units), '"scaled" or "si"')
         if amplitude not in ("reachable", "hard", "soft"):
@@ -203,10 +208,15 @@ class CondensedQP:
         <QPStep: 15 variables, 15 rows, vectors>
         """
         x_part, y_part, u_part, theta, product, n, cut = self._parts
-        x_part[...] = x
-        u_part[...] = u_prev
-        preview = y_ref.ndim != 1
-        y_part[...] = y_ref[0] if preview else y_ref
+        try:
+            x_part[...] = x
+            u_part[...] = u_prev
+            preview = y_ref.ndim != 1
+            y_part[...] = y_ref[0] if preview else y_ref
+        except (AttributeError, TypeError, ValueError):
+            # Only now, as this call is timed.
+            self._refuse_other_shapes(x, y_ref, u_prev)
+            raise
         out = product(theta)
         step = QPStep(out[:n], out[n:cut], out[cut:])
         if preview:
@@ -214,6 +224,20 @@ class CondensedQP:
         if limits is not None:
             self._write_amplitude_limits_into_step(step, u_prev, limits)
         return step
+
+    def _refuse_other_shapes(self, x: Vector, y_ref: Vector, u_prev: Vector) -> None:
+        """Raise ShapeError for an argument of `emit` of another shape, TypeError for a list."""
+        x_part, y_part, u_part, *_ = self._parts
+        preview = (self.control.N_p, *y_part.shape)
+        for name, given, shapes in (
+            ("x", x, [x_part.shape]),
+            ("y_ref", y_ref, [y_part.shape, preview]),
+            ("u_prev", u_prev, [u_part.shape]),
+        ):
+            if np.shape(given) not in shapes:
+                expected = " or ".join(f"shape {shape}" for shape in shapes)
+                raise ShapeError.from_shapes("emit", name, np.shape(given), expected)
+            require_type(f"emit: {name}", given, np.ndarray, "an array")
 
     def _add_reference_preview_to_step(self, step: QPStep, y_ref: Matrix) -> None:
         """Add the effect of a reference (N_p, n_y) that varies along the horizon to q and u."""

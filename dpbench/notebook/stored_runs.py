@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from dpbench.bench.record.cell import HARNESS_VERSION, Cell
 from dpbench.bench.record.cell_store import PublicTables, StepFile
 from dpbench.bench.record.result_folder import load_results, lock_for_writing, write_json
 from dpbench.bench.record.step_table import FILE_SCHEMA, runs_from_frame
-from dpbench.errors import InputError
+from dpbench.errors import InputError, require_type
 from dpbench.notebook.runs import Run
 from dpbench.report.formats import plural
 from dpbench.report.write import write_report
@@ -39,8 +40,11 @@ def add_runs(out: str | Path, runs: Sequence[Run]) -> Path:
     Traceback (most recent call last):
     dpbench.errors.InputError: `runs`: found a replay, daqp (qpsolvers, fresh); allowed: ...
     """
+    require_type("out", out, str | PathLike, "the path of a result folder")
+    require_type("runs", runs, list | tuple, "a list of runs of `run_closed_loop()`")
     folder = Path(out)
     for run in runs:
+        require_type("runs", run, Run, "a list of runs of `run_closed_loop()`")
         if run.summary["mode"] != "closed_loop":
             allowed = "closed loops; `run_campaign(sequence=...)` for replays"
             raise InputError("`runs`", "", f"a replay, {run.label}", allowed)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from dpbench.bench.design import load_stability_records
 from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.result_folder import load_results, lock_for_writing
 from dpbench.embedded.table import load_counted_steps_of_folder
-from dpbench.errors import InputError
+from dpbench.errors import InputError, require_type
 from dpbench.files.regular_files import (
     make_folder_if_missing,
     write_file_set_into_folder,
@@ -76,6 +77,7 @@ def write_report_with_summary(
     InputError : for an unknown format, a statement where nothing can be recommended, a folder to
         send that holds other things, or a solver that was not run.
     """
+    require_type("out", out, str | PathLike, "the path of a result folder")
     for kind in figures:
         if kind not in FORMATS:
             raise InputError("`figures`", "", repr(kind), " | ".join(FORMATS))

@@ -16,6 +16,7 @@ from dpbench.errors import (
     UnknownNameError,
     require_integer_at_least,
     require_name_or_file,
+    require_type,
     shorten_found,
 )
 from dpbench.mpc.condense import ControlProblem, UnitSystem
@@ -281,6 +282,7 @@ class Scenario:
         >>> stormy.name, stormy.environment.wind.speed_mps
         ('weather-environment.wind.speed_mps=16.0', 16.0)
         """
+        require_type("values", values, Mapping, "a mapping from keys to values")
         values = {
             key: value.tolist() if isinstance(value, np.generic | np.ndarray) else value
             for key, value in values.items()

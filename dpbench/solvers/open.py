@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Mapping
 from functools import partial
 
-from dpbench.errors import PolicyError, UnknownNameError, shorten_found
+from dpbench.errors import PolicyError, UnknownNameError, require_type
 from dpbench.solvers.contract import (
     POLICIES,
     Options,
@@ -60,11 +60,12 @@ def open_workspace(
     >>> open_workspace("osqp", route="native", policy="warm", settings={"eps_abs": 1e-5})
     <Workspace of osqp (native, warm, eps_abs=1e-05)>
     """
-    if not isinstance(solver, str):
-        raise TypeError(f"solver: found {shorten_found(solver)}; allowed: the name of a solver")
-    if not isinstance(settings, (str, Mapping)):
-        allowed = "a name such as 'high', or a mapping of options"
-        raise TypeError(f"settings: found {shorten_found(settings)}; allowed: {allowed}")
+    require_type("solver", solver, str, "the name of a solver")
+    require_type("policy", policy, str, "the name of a policy")
+    allowed = "a name such as 'high', or a mapping of options"
+    require_type("settings", settings, str | Mapping, allowed)
+    for option in () if isinstance(settings, str) else settings:
+        require_type("settings", option, str, "names of options")
     name, brackets = split_into_solver_and_options_text(solver)
     if brackets:
         options = parse_options_of_choice(solver)

@@ -26,7 +26,7 @@ from dpbench.bench.workers.jobs import (
     group_by_problem,
     group_by_source,
 )
-from dpbench.errors import InputError
+from dpbench.errors import InputError, require_type
 
 SHARD_FILE = "shard.json"
 """File that identifies the folder of a shard, there from its beginning on."""
@@ -56,6 +56,7 @@ class Shard:
         """Return part i of n from a text "i/n", the whole for None; InputError for other texts."""
         if text is None:
             return WHOLE
+        require_type("shard", text, str, "text I/N, such as 1/4")
         parts = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
         if parts is None:
             raise InputError("`shard`", "", repr(text)[:80], "I/N, such as 1/4, with I from 1 to N")

@@ -167,9 +167,9 @@ class RunRequest:
             name = f"sequence-{Path(self.sequence).resolve().stem}"
             return name, Path("suite"), build_sequence_suite(self.sequence, meta)
         if self.suite is None:
-            raise InputError("run", "", "nothing", "a suite or a sequence")
-        found = f"suite {self.suite} and sequence {self.sequence}"
-        raise InputError("run", "", found, "one of the two")
+            raise InputError("`suite`", "", "nothing", "`suite` or `sequence`")
+        found = f"{self.suite} with `sequence` {self.sequence}"
+        raise InputError("`suite`", "", found, "one of the two")
 
 
 def _rename_files(value: Any, base: Path, folder: Path) -> Any:

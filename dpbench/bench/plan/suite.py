@@ -397,8 +397,7 @@ def load_path_and_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     kind = next((kind for key, kind in _OTHER_FILES.items() if key in document), None)
     if kind is not None:
         name = "FILE" if kind == "a scenario" else "SCENARIO@FILE"
-        python = f'`run_campaign(SUITE, scenarios=["{name}"])`'
-        remedy = f"To run it, use `dpbench run SUITE --scenario {name}` or {python}"
+        remedy = f'To run it, use `run_campaign(SUITE, scenarios=["{name}"])`'
         raise SituationError(str(path), f"found {kind}; required: a suite. {remedy}")
     return path, validate_settings_as_model(document, SuiteFile, str(path))
 

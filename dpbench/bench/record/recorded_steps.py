@@ -219,15 +219,14 @@ def make_missing_columns_error(path: Path, columns: Sequence[str]) -> ResultsErr
         str(path),
         named,
         "no such column" if len(columns) == 1 else "no such columns",
-        "the columns that `dpbench run` writes",
+        "the columns that `run_campaign()` writes",
     )
 
 
 def make_wrong_type_error(path: Path, which: str) -> ResultsError:
     """Return the `ResultsError` for a table with a column of another type."""
-    return ResultsError(
-        str(path), "", f"a column of another type ({which})", "the types that `dpbench run` writes"
-    )
+    found = f"a column of another type ({which})"
+    return ResultsError(str(path), "", found, "the types that `run_campaign()` writes")
 
 
 def find_row_ranges_by_label(labels: "pd.Series[Any] | np.ndarray") -> dict[str, tuple[int, int]]:

@@ -36,6 +36,7 @@ from dpbench.errors import (
     SituationError,
     begin_in_lower_case,
     format_key_path,
+    require_type,
 )
 from dpbench.files.regular_files import (
     is_plain_file_name,
@@ -159,7 +160,7 @@ def check_document_as_type(document: dict[str, Any], kind: type[_Kind], path: Pa
         first = error.errors(include_url=False)[0]
         key = format_key_path(first["loc"], is_toml=False)
         value = "nothing" if first["type"] == "missing" else repr(first["input"])[:80]
-        allowed = f"what `dpbench run` writes ({first['msg']}); run the suite again"
+        allowed = f"what `run_campaign()` writes ({first['msg']}); run the suite again"
         raise ResultsError(str(path), key, value, allowed) from error
 
 
@@ -306,13 +307,10 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
     ------
     ResultsError : naming the file, when one is missing, damaged or of another schema.
     """
-    if not isinstance(out, (str, os.PathLike)):
-        raise TypeError(
-            f"results: found an object of type {type(out).__name__}; allowed: the path of a folder"
-        )
+    require_type("results", out, str | os.PathLike, "the path of a folder")
     folder = Path(out)
     if not folder.is_dir():
-        allowed = "a folder written by `run_campaign()` or `dpbench run`"
+        allowed = "a folder written by `run_campaign()`"
         raise ResultsError(str(folder), "", "no such folder", allowed)
     no_steps = without_steps and not (folder / "steps.parquet").exists()
     runs, steps = _read_checked_runs(folder), StepsOnDisk(folder, is_optional=without_steps)

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
+from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -16,7 +17,7 @@ from dpbench.arrays import Vector
 from dpbench.bench.run.exact_loop import Part
 from dpbench.bench.sequences import source
 from dpbench.bench.sequences.sequence_file import KEYS, Recorded
-from dpbench.errors import InputError, SituationError, UnknownNameError
+from dpbench.errors import InputError, SituationError, UnknownNameError, require_type
 from dpbench.files.regular_files import (
     make_folder_if_missing,
     write_file_atomically,
@@ -105,6 +106,7 @@ def export_sequence(
     >>> export_sequence("turn", "step-4.npz", at=4).split(";")[0]
     'step-4.npz: 1 QP, n = 30, m = 30'
     """
+    require_type("out", out, str | PathLike, "a path")
     target = Path(out)
     if format not in FORMATS:
         raise InputError("`format`", "", repr(format), " | ".join(FORMATS))

@@ -33,6 +33,7 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 from zlib import ZLIB_RUNTIME_VERSION as ZLIB
@@ -51,7 +52,7 @@ from dpbench.bench.record.npz import (
     write_npz,
 )
 from dpbench.bench.sequences.foreign_qps import read_acados_qp, read_maros_meszaros_problem
-from dpbench.errors import InputError, require_name_or_file, shorten_found
+from dpbench.errors import InputError, require_name_or_file, require_type, shorten_found
 from dpbench.files.regular_files import open_regular_file, parse_json
 from dpbench.qp.program import (
     CONSTANT,
@@ -69,7 +70,7 @@ if TYPE_CHECKING:
 
 FORMAT = "dpbench-sequence"
 FORMAT_VERSION = 1
-WHAT = "a sequence written by `dpbench export` (.npz)"
+WHAT = "a sequence written by `export_sequence()` (.npz)"
 VERSIONED = ("dpbench", "numpy", "scipy", "numba")
 INFINITE = {"l": "+-", "u": "+-", "lb": "+-", "ub": "+-", "bound": "+"}
 _TEXTS = ("format", "name", "meta", "documents")
@@ -110,11 +111,10 @@ def save_sequence(
     >>> load_sequence("two.npz")
     <QPSequence paper-30-5[:300:4]: 75 QPs of 15 variables, 15 rows, constant matrices>
     """
+    require_type("save_sequence: path", path, str | PathLike, "a path")
+    require_type("save_sequence: sequence", sequence, QPSequence, "a QPSequence")
     if (path := Path(path)).suffix != ".npz":
-        allowed = (
-            "a name that ends in .npz; for other formats, use `export_sequence()` or `dpbench "
-            "export`"
-        )
+        allowed = "a name that ends in .npz; for other formats, use `export_sequence()`"
         raise InputError("save_sequence", "path", repr(path.name), allowed)
     scaled = sequence.scaled or sequence
     units = units or sequence.units

@@ -72,7 +72,7 @@ from dpbench.scenario.problem_files import resolve_sequence_path
 from dpbench.scenario.scenario import Scenario, build_or_reuse_scenario, build_vessel_from_documents
 from dpbench.ship.layout import AXES
 
-_FILES = "a sequence written by `dpbench export` (.npz), or a file or folder of other QPs"
+_FILES = "a sequence written by `export_sequence()` (.npz), or a file or folder of other QPs"
 
 
 def record_scenario(

@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 
 import pandas as pd
@@ -34,7 +35,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.bench.record.result_folder import load_results
 from dpbench.display import make_html_table
-from dpbench.errors import InputError
+from dpbench.errors import InputError, require_type
 from dpbench.report.compare.folders import (
     describe_changed_options,
     describe_code_difference,
@@ -392,6 +393,8 @@ def compare(
     >>> {figure.change for figure in comparison.figures}
     {'same'}
     """
+    require_type("margin", margin, Real, "a number above 0, such as 0.05 for 5 %")
+    require_type("alpha", alpha, Real, "a number above 0 and below 0.5")
     if not (margin > 0.0 and math.isfinite(margin)):
         raise InputError("`margin`", "", margin, "a finite number above 0, such as 0.05 for 5 %")
     if not 0.0 < alpha < 0.5:

@@ -1,0 +1,67 @@
+"""Arguments of a wrong type: a TypeError of one line that names argument, finding and remedy."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dpbench
+from dpbench import CondensedQP, condense, load_scenario
+from dpbench.errors import ShapeError
+
+CALLS: dict[str, tuple[Callable[[], Any], str]] = {
+    "problem": (lambda: CondensedQP("paper"), "CondensedQP: problem: found 'paper'; allowed: a C"),
+    "outputs": (
+        lambda: CondensedQP(load_scenario("paper").problem, outputs=5),
+        "CondensedQP: outputs: found 5; allowed: OutputBounds",
+    ),
+    "no folder": (lambda: dpbench.add_runs(None, []), "out: found None; allowed: the path"),
+    "one run": (lambda: dpbench.add_runs("x", "daqp"), "runs: found 'daqp'; allowed: a list of"),
+    "no run": (lambda: dpbench.add_runs("x", [3]), "runs: found 3; allowed: a list of runs"),
+    "report": (lambda: dpbench.write_report(3), "out: found 3; allowed: the path of a result"),
+    "export": (lambda: dpbench.export_sequence("paper-30-5", None), "out: found None; allowed: a"),
+    "save": (lambda: dpbench.save_sequence("a.npz", "b"), "sequence: found 'b'; allowed: a QPSeq"),
+    "jobs": (lambda: dpbench.run_campaign("smoke", jobs="2"), "jobs: found '2'; allowed: a whole"),
+    "a flag": (lambda: dpbench.run_campaign("smoke", jobs=True), "jobs: found True; allowed: a w"),
+    "shard": (lambda: dpbench.run_campaign("smoke", shard=1), "shard: found 1; allowed: text I/N"),
+    "solvers": (lambda: dpbench.run_campaign("smoke", solvers=5), "found 5; allowed: a list of n"),
+    "alpha": (lambda: dpbench.compare("a", "b", alpha="x"), "alpha: found 'x'; allowed: a number"),
+    "values": (lambda: load_scenario("paper").with_keys(5), "values: found 5; allowed: a mapping"),
+    "policy": (lambda: dpbench.open_workspace("daqp", policy=["warm"]), "policy: found ['warm']"),
+    "option": (lambda: dpbench.open_workspace("daqp", settings={5: 1}), "settings: found 5; all"),
+    "a reference": (
+        lambda: condense("paper").emit(np.zeros(9), [0.0, 0.0, 0.0], np.zeros(3)),
+        "emit: y_ref: found [0.0, 0.0, 0.0]; allowed: an array",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_wrong_type_is_named_with_its_argument(name: str) -> None:
+    call, words = CALLS[name]
+    with pytest.raises(TypeError) as caught:
+        call()
+    text = str(caught.value)
+    assert words in text and "\n" not in text
+
+
+@pytest.mark.parametrize(
+    ("sizes", "words"),
+    [
+        ((3, 3, 3), "emit: x: found shape (3,); allowed: shape (9,)"),
+        ((9, 2, 3), "emit: y_ref: found shape (2,); allowed: shape (3,) or shape (30, 3)"),
+        ((9, 3, 5), "emit: u_prev: found shape (5,); allowed: shape (3,)"),
+    ],
+)
+def test_a_step_of_another_size_is_named(sizes: tuple[int, int, int], words: str) -> None:
+    """The paper's controller has nine states, three outputs, three forces and horizon 30."""
+    x, y_ref, u_prev = map(np.zeros, sizes)
+    with pytest.raises(ShapeError) as caught:
+        condense("paper").emit(x, y_ref, u_prev)
+    assert str(caught.value) == words
+
+
+def test_no_suite_is_named_by_the_argument_of_the_function() -> None:
+    with pytest.raises(dpbench.InputError, match="`suite`: missing; required: `suite` or `seq"):
+        dpbench.run_campaign()
