@@ -136,6 +136,15 @@ def _write_option(argument: re.Match[str]) -> str:
     return f"--{_OPTIONS.get(argument[1], argument[1]).replace('_', '-')}"
 
 
+_REQUIRED: dict[type[OSError], str] = {
+    FileExistsError: "a folder",
+    NotADirectoryError: "a path of folders",
+    IsADirectoryError: "a file",
+    FileNotFoundError: "a path in an existing folder",
+}
+"""What a path has to be where the system refuses it for that reason."""
+
+
 def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interruption) -> int:
     """Run a parsed command; print an error on one line; return the exit code."""
     try:
@@ -153,8 +162,10 @@ def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interru
         if is_output_lost():
             raise
         # Whatever else cannot be read or written: a full disk, a folder in a file's place.
-        name = f"{error.filename}: " if error.filename else ""
+        # A file is written under a name of its own first.
+        name = f"{str(error.filename).removesuffix('.part')}: " if error.filename else ""
         required = "a file or folder that can be read and written, on a disk with free space"
+        required = _REQUIRED.get(type(error), required)
         fault = begin_in_lower_case(error.strerror or str(error))
         print(f"dpbench: {name}{fault}; required: {required}", file=sys.stderr)
         return 2

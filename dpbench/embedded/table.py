@@ -105,7 +105,7 @@ def read_counted_steps_of_file(path: Path) -> pd.DataFrame:
     except ResultsError:
         raise
     except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
-        found = f"a damaged file ({str(error)[:80]})"
+        found = "a damaged file"
         raise ResultsError(
             str(path), "", found, "a table of counts; run the suite again"
         ) from error

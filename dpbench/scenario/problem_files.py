@@ -231,6 +231,9 @@ def read_toml_as_dict(path: Path) -> dict[str, Any]:
         raise InputError(
             where, "", "tables nested too deeply", f"at most {MOST_DEPTH} levels"
         ) from error
+    except UnicodeDecodeError as error:
+        found = f"byte {error.start + 1}, 0x{content[error.start]:02x}, which is not UTF-8"
+        raise InputError(where, "", found, "a TOML document in UTF-8") from error
     # Besides TOMLDecodeError a plain ValueError: an integer of thousands of digits.
     except ValueError as error:
         raise InputError(

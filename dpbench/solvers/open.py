@@ -114,7 +114,7 @@ def _require_route_and_policy(row: SolverRecord, route: Route, policy: Policy) -
     where = f"solver {row.name}"
     if route not in row.routes:
         raise PolicyError(where, "route", repr(route), " | ".join(row.routes))
-    runs = " or ".join(row.get_route_record(route).policies)
+    runs = " | ".join(row.get_route_record(route).policies)
     for other in row.routes:
         if other != route:
             runs += f" (route {other}: {', '.join(row.get_route_record(other).policies)})"

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from dpbench import InputError, export_sequence, run_campaign
+from dpbench import InputError, export_sequence, load_results, run_campaign
 from dpbench.cli.main import main
-from dpbench.scenario.problem_files import find_problem_path
+from dpbench.scenario.problem_files import find_folder_of_shipped_problems, find_problem_path
 from tests.cli.conftest import Say
 
 VESSEL = find_problem_path("vessels", "supply_mss").read_text(encoding="utf-8")
@@ -68,7 +68,6 @@ def test_a_ship_in_other_units_is_none(
         (["run", "smoke", "--settings", "hgh"], ["dpbench: --settings: found 'hgh'"]),
         (["report", "no/such/folder"], ["no/such/folder", "dpbench run"]),
         (["check", "no/such/file.toml"], ["no/such/file.toml", "no such file"]),
-        (["run"], ["suite"]),
         (["run", "smoke", "--dry-run", "--wait", "-1"], ["dpbench: --wait: found -1.0; allowed"]),
         (["run", "smoke", "--dry-run", "--scheduler", "tcp://[::1]:1"], ["allowed: --engine dask"]),
         (["tune-solver", "osqp", "--dry-run", "--wait", "nan"], ["dpbench: --wait: found nan"]),
@@ -76,6 +75,9 @@ def test_a_ship_in_other_units_is_none(
             ["run", "smoke", "--dry-run", "--solver", "osqp[rho=[1,-1]]"],
             ["dpbench: --solver: osqp[rho]: found -1; allowed: above 0"],
         ),
+        (["run"], ["SUITE: missing; required: SUITE or --sequence"]),
+        (["capability", "osv", "--out", "edge"], ["--out: found edge without --solver"]),
+        (["codegen", "calm", "--out", __file__], ["py: file exists; required: a folder"]),
     ],
 )
 def test_bad_input_is_one_line_and_exit_2(words: list[str], parts: list[str], refuse: Say) -> None:
@@ -110,8 +112,26 @@ def test_bad_input_is_one_line_and_exit_2(words: list[str], parts: list[str], re
             ["run", "smoke", "--out", "out", "--solver", "quadprgo"],
             "more: `dpbench list solvers`",
         ),
+        (
+            lambda: load_results("missing"),
+            "required: a folder written by `run_campaign()`",
+            ["report", "missing"],
+            "required: a folder written by `dpbench run`",
+        ),
+        (
+            lambda: run_campaign("smoke", sequence="paper-30-5"),
+            "`suite`: found smoke with `sequence` paper-30-5",
+            ["run", "smoke", "--sequence", "paper-30-5"],
+            "SUITE: found smoke with --sequence paper-30-5",
+        ),
+        (
+            lambda: run_campaign(find_folder_of_shipped_problems() / "vessels" / "osv.toml"),
+            'use `run_campaign(SUITE, scenarios=["SCENARIO@FILE"])`',
+            ["run", str(find_folder_of_shipped_problems() / "vessels" / "osv.toml")],
+            "use `dpbench run SUITE --scenario SCENARIO@FILE`",
+        ),
     ],
-    ids=["renamed", "option", "several", "listing"],
+    ids=["renamed", "option", "several", "listing", "function", "positional", "arguments"],
 )
 def test_a_mistake_is_named_as_the_user_made_it(
     call: Callable[[], object], said: str, words: list[str], typed: str, refuse: Say

@@ -165,7 +165,7 @@ def load_capability_plots(folder: Path) -> pd.DataFrame | None:
     except ResultsError:
         raise
     except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
-        found = f"a damaged file ({str(error)[:80]})"
+        found = "a damaged file"
         raise ResultsError(str(path), "", found, "a Parquet table; run the suite again") from error
     _refuse_bad_plots(plots, path)
     return plots

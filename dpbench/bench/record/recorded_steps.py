@@ -205,10 +205,7 @@ def convert_table_errors(path: Path) -> Iterator[None]:
         if isinstance(error, ResultsError):
             raise
         raise ResultsError(
-            str(path),
-            "",
-            f"a damaged file ({str(error)[:120]})",
-            "a Parquet table; run the suite again",
+            str(path), "", "a damaged file", "a Parquet table; run the suite again"
         ) from error
 
 

@@ -58,6 +58,8 @@ def describe_capability(arguments: argparse.Namespace) -> str:
     if figure is not None and figure.suffix not in FIGURES:
         allowed = f"a file name that ends in {', '.join(FIGURES[:-1])} or {FIGURES[-1]}"
         raise InputError("--figure", "", arguments.figure, allowed)
+    if arguments.out is not None and not arguments.solver:
+        raise InputError("--out", "", f"{arguments.out} without --solver", "the two together")
     for name in arguments.solver or ():
         if name != "all":
             require_solver_available(name)

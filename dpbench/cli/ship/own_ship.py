@@ -96,7 +96,7 @@ class OptionQuantity:
     @property
     def allowed(self) -> str:
         """Allowed range of a numeric option, with unit and meaning, as text."""
-        return f"{self.least:g} to {self.most:g} {self.unit} ({self.what})"
+        return f"{self.least:g} to {self.most:.9g} {self.unit} ({self.what})"
 
 
 QUANTITIES = {
