@@ -142,7 +142,7 @@ _REQUIRED: dict[type[OSError], str] = {
     IsADirectoryError: "a file",
     FileNotFoundError: "a path in an existing folder",
 }
-"""What a path has to be where the system refuses it for that reason."""
+"""Required kind of path, by the error with which the system refuses another."""
 
 
 def _call_and_report_errors(arguments: argparse.Namespace, interruption: Interruption) -> int:
