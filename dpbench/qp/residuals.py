@@ -17,7 +17,6 @@ import numpy as np
 from scipy.optimize import nnls
 
 from dpbench.arrays import Flags, Matrix, Vector
-from dpbench.errors import require_type
 from dpbench.qp.program import QuadraticProgram
 from dpbench.qp.solution import Solution
 
@@ -60,7 +59,9 @@ def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals[float]:
     >>> round(residuals(qp, answer).dual, 12)
     0.1
     """
-    require_type("solution", solution, Solution, "a Solution")
+    if not isinstance(solution, Solution):
+        found = f"an object of type {type(solution).__name__}"
+        raise TypeError(f"solution: found {found}; allowed: a Solution")
     vectors = qp.q, qp.l, qp.u, solution.z, solution.y, solution.y_box
     of_all = compute_residuals_of_many(qp, *(vector[np.newaxis] for vector in vectors))
     numbers = of_all.primal, of_all.dual, of_all.complementarity, of_all.gap

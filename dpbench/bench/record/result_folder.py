@@ -36,7 +36,6 @@ from dpbench.errors import (
     SituationError,
     begin_in_lower_case,
     format_key_path,
-    require_type,
 )
 from dpbench.files.regular_files import (
     is_plain_file_name,
@@ -307,7 +306,10 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
     ------
     ResultsError : naming the file, when one is missing, damaged or of another schema.
     """
-    require_type("results", out, str | os.PathLike, "the path of a folder")
+    if not isinstance(out, (str, os.PathLike)):
+        raise TypeError(
+            f"results: found an object of type {type(out).__name__}; allowed: the path of a folder"
+        )
     folder = Path(out)
     if not folder.is_dir():
         allowed = "a folder written by `run_campaign()`"

@@ -50,7 +50,6 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.errors import require_type
 from dpbench.qp.program import QPSequence, QuadraticProgram
 from dpbench.qp.referee.dyadic import Dyadic, is_integer_matrix_semidefinite
 from dpbench.qp.referee.farkas import (
@@ -418,7 +417,10 @@ def certify(qp: QuadraticProgram) -> Optimum:
     >>> certify(QuadraticProgram(P=np.eye(2), q=[-3.0, -3.0], A=[[1.0, 1.0]], **limits)).z
     array([1., 1.])
     """
-    require_type("qp", qp, QuadraticProgram, "a QuadraticProgram")
+    if not isinstance(qp, QuadraticProgram):
+        raise TypeError(
+            f"qp: found an object of type {type(qp).__name__}; allowed: a QuadraticProgram"
+        )
     return Referee(qp.P, qp.A, qp.lb, qp.ub).certify_vectors(qp.q, qp.l, qp.u)
 
 
