@@ -411,7 +411,7 @@ def add_tune_options(tune: Command) -> None:
     """Add the options of `dpbench tune` to its parser."""
     scenarios = "scenario by name or TOML file; several need one ship and controller"
     tune.add_argument("scenarios", nargs="+", metavar="SCENARIO", help=scenarios)
-    seas = "DP numbers, such as 4,5 (default: the scenario's own weather)"
+    seas = "DP capability numbers, such as 4,5 (default: the scenario's own weather)"
     _option(tune, "--seas", "N,N", seas, default="")
     search = tune.add_argument_group("search")
     trials = "number of controllers to try (default: 48)"

@@ -59,7 +59,7 @@ class LoopScore:
 
 @dataclass(frozen=True, eq=False)
 class Realisation:
-    """One sea of a DP number (None: its scenario's own weather) by its seed, drawn once."""
+    """One sea of a DP capability number (None: the scenario's weather) by its seed, drawn once."""
 
     scenario: Scenario
     number: int | None
@@ -335,7 +335,7 @@ def tune_controller(
     ----------
     scenarios : by name or a TOML file, one or several with one ship and controller; of a vessel
         file NAME.toml, its NAME_weather.toml.
-    seas : DP numbers such as "4,5"; "" for each scenario's own weather.
+    seas : DP capability numbers such as "4,5"; "" for each scenario's own weather.
     trials : controllers to try; realisations : of each sea.
     margin : largest offset wanted, as a share of the station's limits.
     steps : of each loop, 0 for all of the scenario; seed : of the search.

@@ -282,7 +282,7 @@ def test_the_intact_ship_is_simulated_in_the_sea_of_her_capability_number(
     assert wind == {"speed_mps": DP_NUMBERS[limit.number][0], "from_deg": 30.0, "gusts": "norsok"}
     assert limit.number > 5 and not faults
     assert intact.steps * intact.sample_s >= 600.0
-    assert f"DP number {limit.number}, wind {wind['speed_mps']:g} m/s from 30°" in said
+    assert f"DP capability number {limit.number}, wind {wind['speed_mps']:g} m/s from 30°" in said
     tables = load_path_and_suite(FILES[3])[1].closed_loop
     assert ["my_ship_intact.toml"] in [table.scenarios for table in tables]
     assert main(["init", "my_ship", "--sea", str(limit.number)]) == 0

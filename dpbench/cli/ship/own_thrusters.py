@@ -320,12 +320,12 @@ class HeldSea:
 
     @property
     def intact_number(self) -> int:
-        """Largest DP number whose wind the intact ship holds off the bow, at least 1."""
+        """Largest DP capability number whose wind the intact ship holds off the bow, at least 1."""
         winds = scaling.DP_NUMBERS.items()
         return max((n for n, (mps, *_) in winds if mps <= self.intact_mps), default=1)
 
     def explain_sea(self, number: int) -> str:
-        """Return text on the choice of a DP number, that of the ship or of the intact ship."""
+        """Return text on the choice of a DP capability number, that of the ship or the intact one."""
         if number == self.number:
             return self.reason
         return f"the largest that the intact ship holds by level 1 from {self.from_deg:g}°"
@@ -334,8 +334,9 @@ class HeldSea:
         """Return a sentence on the scenario of a file with the intact ship in its largest sea."""
         wind_mps = scaling.DP_NUMBERS[self.intact_number][0]
         return (
-            f"intact ship, without a loss: DP number {self.intact_number}, wind {wind_mps:g} m/s "
-            f"from {self.from_deg:g}°, the largest held there by level 1 ({file})"
+            f"intact ship, without a loss: DP capability number {self.intact_number}, "
+            f"wind {wind_mps:g} m/s from {self.from_deg:g}°, the largest held there by level 1 "
+            f"({file})"
         )
 
     def list_groups_not_held(self, number: int) -> list[str]:
@@ -537,7 +538,7 @@ def _name_groups_lost_one_by_one(groups: Sequence[str]) -> str:
 
 
 def find_hardest_sea(vessel: Vessel, held: HeldSea | None) -> int:
-    """Return the largest DP number that the intact ship holds, by `held` or else its limits."""
+    """Return the largest DP capability number held by the intact ship, by `held` or its limits."""
     if held is not None:
         return held.intact_number
     shares = {n: find_mean_share(vessel, n)[0] for n in scaling.DP_NUMBERS}
