@@ -325,7 +325,7 @@ class HeldSea:
         return max((n for n, (mps, *_) in winds if mps <= self.intact_mps), default=1)
 
     def explain_sea(self, number: int) -> str:
-        """Return text on the choice of a DP capability number, that of the ship or the intact one."""
+        """Return text on the choice of a DP capability number, of the ship or the intact ship."""
         if number == self.number:
             return self.reason
         return f"the largest that the intact ship holds by level 1 from {self.from_deg:g}°"
