@@ -42,7 +42,7 @@ of other versions of the schema are refused.
 While a campaign runs, finished cells are in `cells/`, the cells of a batch in one file, a part. It
 has the columns of `steps.parquet`, and in its metadata, under `runs`, those of `runs.parquet` as
 JSON; its name, `part-00001-0a1b2c3d.parquet`, ends with the CRC-32 of the file. A cell of a part is
-finished, and is not run again. At the end of the campaign the row groups of the parts become
+finished, and is not run again. At the end of the campaign the steps of the parts become
 `steps.parquet`.
 """
 

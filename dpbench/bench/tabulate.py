@@ -193,15 +193,14 @@ def _split_steps(
     for group in store.yield_step_groups(sources):
         here = {new: made_of for new, made_of in aliases.items() if made_of in group.names}
         others = [name for name in group.names if name not in wanted]
-        if here or others or not steps.copy_group_if_possible(group):
-            try:
-                table = group.read_table()
-            except DAMAGE:
-                continue
-            steps.add(filter_steps_by_run_id(table, set(group.names) - set(others)))
-            store.write_rows_and_steps(filter_runs_by_run_id(runs, others), table)
-            for new, made_of in here.items():
-                steps.add(filter_and_rename_run_ids(table, {made_of: new}))
+        try:
+            table = group.read_table()
+        except DAMAGE:
+            continue
+        steps.add(filter_steps_by_run_id(table, set(group.names) - set(others)))
+        store.write_rows_and_steps(filter_runs_by_run_id(runs, others), table)
+        for new, made_of in here.items():
+            steps.add(filter_and_rename_run_ids(table, {made_of: new}))
         read |= set(group.names)
         progress.advance(0, f"writing the tables: {len(read)} of {len(runs)} runs")
     unasked = select_runs_without_steps(

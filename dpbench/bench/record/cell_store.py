@@ -1,12 +1,11 @@
 """Finished cells on disk: parts while a campaign runs, the public tables at its end.
 
 The cells of a batch are one file in `cells/`, a part with its checksum in its name. At the end of a
-campaign all parts become `steps.parquet` and `runs.parquet`: large row groups are copied as they
-are, small ones are merged. A cell is finished when its row is in a part or in `runs.parquet` and
-its steps can be read. Of several copies, as after a kill, the latest counts.
+campaign all parts become `steps.parquet` and `runs.parquet`. A cell is finished when its row is in
+a part or in `runs.parquet` and its steps can be read. Of several copies, as after a kill, the
+latest counts.
 """
 
-import io
 import json
 import re
 import zlib
@@ -34,10 +33,11 @@ from dpbench.bench.record.step_table import (
     add_missing_step_columns,
     build_runs_table,
     encode_part,
-    encode_steps_as_parquet,
     filter_steps_by_run_id,
+    open_step_writer,
     parse_runs_of_part,
     runs_to_frame,
+    write_row_group,
     write_runs,
 )
 from dpbench.errors import InputError
@@ -48,15 +48,12 @@ from dpbench.files.regular_files import (
     rename_durably,
     write_bytes_atomically,
 )
-from dpbench.files.row_groups import Footer, RowGroupWriter, read_parquet_footer
 from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
 
 PART_CELLS = 256
 """Cells of a part that is made of others, at most."""
 GROUP_ROWS = 2**17
-"""Rows of a row group that is put together, unless a single run has more."""
-COPIED_ROWS = 2**12
-"""Rows from which a row group is copied as it is."""
+"""Rows of a row group of `steps.parquet`, unless a single run has more."""
 CHECKED_ROWS = 512
 """Rows of runs that are looked through at a time."""
 _FINISHED = sorted(set(OUTCOMES) - {"lost", "invalid"})
@@ -77,16 +74,9 @@ _OWN_FILE = re.compile(
 
 @dataclass(frozen=True, eq=False)
 class StepGroup:
-    """Step rows of the runs `names` in row group `index` of a Parquet file, read on demand.
+    """Step rows of the runs `names` in a row group of a Parquet file, read on demand."""
 
-    `may_copy`: whether the row group has no other runs, is sound, and is not small.
-    """
-
-    path: Path
-    index: int
     names: list[str]
-    may_copy: bool
-    footer: Footer | None
     read: Callable[[], pa.Table]
 
     def read_table(self) -> pa.Table:
@@ -137,21 +127,16 @@ class Source(ABC):
 
     def yield_step_groups(self, names: Collection[str]) -> Iterator[StepGroup]:
         """Yield the readable Parquet row groups with steps of the runs `names`."""
-        footer = _read_footer_or_none(self.steps) if self.is_undamaged() else None
+        checked = ["run_id"] if self.is_undamaged() else None
         with suppress(*DAMAGE), open_untrusted_parquet_table(self.steps) as file:
             for index in range(file.num_row_groups):
                 try:
-                    table = file.read_row_group(index, columns=["run_id"] if footer else None)
+                    table = file.read_row_group(index, columns=checked)
                     there = pc.unique(table["run_id"]).to_pylist()
                 except DAMAGE:
                     continue
-                own = [name for name in there if name in names]
-                may_copy = (
-                    footer is not None and len(own) == len(there) and len(table) >= COPIED_ROWS
-                )
-                if own:
-                    read = partial(file.read_row_group, index)
-                    yield StepGroup(self.steps, index, own, may_copy, footer, read)
+                if own := [name for name in there if name in names]:
+                    yield StepGroup(own, partial(file.read_row_group, index))
 
 
 class PublicTables(Source):
@@ -201,8 +186,11 @@ class PublicTables(Source):
         last_part : number of the last part that is written so far.
         """
         steps.close()
+        noted = {
+            _CHECKSUM_KEY: f"{_compute_crc32_of_file(steps.path):08x}",
+            _LAST_PART_KEY: str(last_part),
+        }
         rename_durably(steps.path, self.steps)
-        noted = {_CHECKSUM_KEY: f"{steps.crc32:08x}", _LAST_PART_KEY: str(last_part)}
         write_runs(self.runs, rows, noted)
 
     def remove(self) -> None:
@@ -215,7 +203,7 @@ class Part(Source):
     """A Parquet file in the folder `cells` with the finished runs of one batch."""
 
     def __init__(self, steps: Path) -> None:
-        self.steps, self._cells = steps, 0
+        self.steps = steps
         self._rows: pa.Table | None = None
 
     def iterate_rows(self) -> Iterator[pa.Table]:
@@ -225,7 +213,6 @@ class Part(Source):
         if self._rows is None:
             with open_regular_file(self.steps) as file:
                 columns = parse_runs_of_part(pq.read_metadata(file).metadata)
-            self._cells = len(columns["run_id"])
             self._rows = _select_finished_rows(_parse_runs_of_batch(columns))
         yield self._rows
 
@@ -234,31 +221,9 @@ class Part(Source):
         named = _PART.fullmatch(self.steps.name)
         return named is not None and int(named["crc32"], 16) == _compute_crc32_of_file(self.steps)
 
-    def yield_step_groups(self, names: Collection[str]) -> Iterator[StepGroup]:
-        """Yield the one row group with the steps in a batch's file, if it has any rows."""
-        # It was sound when its rows were read, which tell the runs in its only row group.
-        footer = _read_footer_or_none(self.steps)
-        if footer is not None and footer.row_count:
-            may_copy = len(names) == self._cells and footer.row_count >= COPIED_ROWS
-            yield StepGroup(self.steps, 0, list(names), may_copy, footer, self._read_steps_as_table)
-
-    def _read_steps_as_table(self) -> pa.Table:
-        """Return the steps in a batch's file as an Arrow table."""
-        with open_untrusted_parquet_table(self.steps) as file:
-            return file.read_row_group(0)
-
     def remove(self) -> None:
         """Delete the file of one batch's finished runs."""
         self.steps.unlink(missing_ok=True)
-
-
-def _read_footer_or_none(path: Path) -> Footer | None:
-    """Return the footer of a Parquet file; None where it is damaged."""
-    try:
-        with open_regular_file(path) as file:
-            return read_parquet_footer(file)
-    except DAMAGE:
-        return None
 
 
 def _parse_runs_of_batch(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
@@ -305,51 +270,28 @@ class StepFile:
     """A Parquet file of steps that is being written, whole runs at a time."""
 
     def __init__(self, path: Path) -> None:
-        self.path = create_empty_file(path)
-        self._writer = RowGroupWriter(path)
+        self.path, self.rows = create_empty_file(path), 0
+        self._writer = open_step_writer(path)
         self._waiting, self._count = list[pa.Table](), 0
-
-    @property
-    def rows(self) -> int:
-        """Number of rows added so far to the file of steps."""
-        return self._writer.rows + self._count
-
-    @property
-    def crc32(self) -> int:
-        """CRC-32 of the file of steps, once it is closed."""
-        return self._writer.crc32
-
-    def copy_group_if_possible(self, group: StepGroup) -> bool:
-        """Copy a Parquet row group of steps unchanged; return False where that is impossible."""
-        if not group.may_copy or group.footer is None:
-            return False
-        try:
-            with open_regular_file(group.path) as file:
-                self._writer.copy_row_group(file, group.footer, group.index)
-        except (ValueError, KeyError, IndexError):
-            return False
-        return True
 
     def add(self, table: pa.Table) -> None:
         """Add the steps of whole runs, to be merged into large row groups."""
         self._waiting.append(table)
         self._count += table.num_rows
+        self.rows += table.num_rows
         if self._count >= GROUP_ROWS:
             self._write_row_group()
 
     def _write_row_group(self) -> None:
         """Write the added steps as one row group of the Parquet file."""
-        if self._count:
-            file = io.BytesIO(encode_steps_as_parquet(pa.concat_tables(self._waiting)))
-            self._writer.copy_row_group(file, read_parquet_footer(file), 0)
-        self._waiting, self._count = [], 0
+        waiting, self._waiting, self._count = self._waiting, [], 0
+        if waiting:
+            write_row_group(self._writer, pa.concat_tables(waiting))
 
     def close(self) -> None:
         """Write the steps that are left and the Parquet footer; nothing the second time."""
         self._write_row_group()
-        self._writer.write_footer_and_close(
-            read_parquet_footer(io.BytesIO(encode_steps_as_parquet(FILE_SCHEMA.empty_table())))
-        )
+        self._writer.close()
 
 
 class CellStore:

@@ -139,10 +139,9 @@ def join_steps_of_runs(batches: Mapping[str, pa.RecordBatch]) -> pa.Table:
     return steps.add_column(0, "run_id", names).unify_dictionaries()
 
 
-def encode_steps_as_parquet(table: pa.Table, metadata: Mapping[str, str] | None = None) -> bytes:
-    """Return steps as the bytes of a Parquet file of one row group, with page checksums."""
-    sink = pa.BufferOutputStream()
-    with pq.ParquetWriter(
+def open_step_writer(sink: Any, metadata: Mapping[str, str] | None = None) -> pq.ParquetWriter:
+    """Open a Parquet file of steps for writing, with page checksums."""
+    return pq.ParquetWriter(
         sink,
         FILE_SCHEMA.with_metadata(metadata),
         compression="zstd",
@@ -154,12 +153,16 @@ def encode_steps_as_parquet(table: pa.Table, metadata: Mapping[str, str] | None 
         # Without Arrow's schema a table reads as its plain column types in any program; only with
         # it are metadata written.
         store_schema=metadata is not None,
-    ) as writer:
-        if table.num_rows:
-            whole = table.unify_dictionaries().combine_chunks()
-            writer.write_table(whole.replace_schema_metadata(metadata), row_group_size=len(table))
-    data: bytes = sink.getvalue().to_pybytes()
-    return data
+    )
+
+
+def write_row_group(writer: pq.ParquetWriter, table: pa.Table) -> None:
+    """Write steps as one row group of a Parquet file; nothing of a table without rows."""
+    if table.num_rows:
+        whole = table.unify_dictionaries().combine_chunks()
+        writer.write_table(
+            whole.replace_schema_metadata(writer.schema.metadata), row_group_size=len(table)
+        )
 
 
 def add_missing_step_columns(table: pa.Table) -> pa.Table:
@@ -270,10 +273,11 @@ def make_batch_part(cells: Mapping[str, tuple[Row, pa.RecordBatch]]) -> BatchPar
 def encode_part(columns: Mapping[str, Sequence[Any]], steps: pa.Table) -> BatchPart:
     """Return the Parquet file, as bytes, of runs given by columns and all their steps."""
     outcomes = dict(zip(columns["run_id"], columns["outcome"], strict=True))
-    return BatchPart(
-        outcomes,
-        encode_steps_as_parquet(steps, {RUNS: json.dumps(columns, default=_convert_to_json_value)}),
-    )
+    sink = pa.BufferOutputStream()
+    metadata = {RUNS: json.dumps(columns, default=_convert_to_json_value)}
+    with open_step_writer(sink, metadata) as writer:
+        write_row_group(writer, steps)
+    return BatchPart(outcomes, sink.getvalue().to_pybytes())
 
 
 def parse_batch_part(data: bytes) -> BatchPart:

@@ -226,20 +226,16 @@ def test_cells_without_steps_are_finished(tmp_path: Path) -> None:
     assert names_in(store) == ["a"]
 
 
-@pytest.mark.parametrize("copied_rows", [1, 10**6])
-def test_joining_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, copied_rows: int) -> None:
-    monkeypatch.setattr(cell_store, "COPIED_ROWS", copied_rows)
+def test_joining_parts(tmp_path: Path) -> None:
     store = filled(tmp_path, "a", "b", "c")
     rows, sources = store.collect_rows_and_sources()
     file = StepFile(tmp_path / "steps.part")
     for group in store.yield_step_groups(sources):
-        assert group.may_copy == (copied_rows == 1)
-        if not file.copy_group_if_possible(group):
-            file.add(group.read_table())
+        file.add(group.read_table())
     store.public.write(rows, file, store.last_part)
     assert file.rows == 21
     groups = pq.ParquetFile(tmp_path / "steps.parquet", page_checksum_verification=True)
-    assert groups.num_row_groups == (3 if copied_rows == 1 else 1)
+    assert groups.num_row_groups == 1
     found = add_missing_step_columns(groups.read())
     batches = {name: make_step_record_batch(steps_of(seed)) for seed, name in enumerate("abc")}
     assert found.equals(add_missing_step_columns(join_steps_of_runs(batches)))
