@@ -47,15 +47,10 @@ def make_c_table(name: str, values: object, meaning: str) -> Table:
     body = (
         _format_vector_for_c(array, whole)
         if array.ndim == 1
-        else _format_matrix_rows_for_c(array, whole)
+        else ",\n".join(f"    {{\n{_format_vector_for_c(row, whole)}}}" for row in array)
     )
     size = array.size * (4 if whole else 8)
     return Table(name, meaning, "int" if whole else "double", shape, body, size)
-
-
-def _format_matrix_rows_for_c(rows: np.ndarray, whole: bool) -> str:
-    """Format a matrix as the rows of a C array."""
-    return ",\n".join(f"    {{\n{_format_vector_for_c(row, whole)}}}" for row in rows)
 
 
 def _format_vector_for_c(row: Vector, whole: bool) -> str:

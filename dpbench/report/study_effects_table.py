@@ -67,7 +67,7 @@ def _build_table(studies: Sequence[Study], compute: _Compute) -> pd.DataFrame:
                 *convert_effect_and_interval(effect),
             ),
             *(_interval_text(effect), _get_widening(effect), *_get_median_and_agreement(effect)),
-            _count_units(effect),
+            len(effect.measured.units) or effect.mean_difference.points,
             *(effect.mean_difference.pairs, effect.mean_difference.points),
         )
         for study in studies
@@ -187,11 +187,6 @@ def _get_median_and_agreement(effect: Effect) -> tuple[float, float]:
         return np.nan, np.nan
     measured = effect.measured
     return effect.measure.convert(measured.median_change), measured.count_with_sign_of_median
-
-
-def _count_units(effect: Effect) -> int:
-    """Return how many realisations an interval is over, or points where each is run once."""
-    return len(effect.measured.units) or effect.mean_difference.points
 
 
 def _format_effect(effect: Effect, units: str) -> str:

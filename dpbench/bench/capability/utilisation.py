@@ -327,7 +327,7 @@ def find_least_use_and_pieces(relax: Relax, choices: Choices) -> tuple[float, Co
         use = (
             bound
             if all(len(pieces) == 1 for pieces in some)
-            else _compute_least_use_of_pieces(relax, rounded)
+            else relax(tuple((piece,) for piece in rounded))[0]
         )
         if use < best:
             best, chosen = use, rounded
@@ -343,11 +343,6 @@ def find_least_use_and_pieces(relax: Relax, choices: Choices) -> tuple[float, Co
 def _is_no_better(bound: float, best: float) -> bool:
     """Return whether a lower bound on the use of thrust rules out a better one than `best`."""
     return bound * (1.0 + GAP) + GAP >= best
-
-
-def _compute_least_use_of_pieces(relax: Relax, chosen: Combination) -> float:
-    """Return the least share of full thrust with one convex piece chosen for each thruster."""
-    return relax(tuple((piece,) for piece in chosen))[0]
 
 
 def _branch_on_thruster(choices: Choices, uses: Sequence[Vector]) -> list[Choices]:

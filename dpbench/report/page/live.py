@@ -159,13 +159,8 @@ def _draw_empty_step_charts(data: PageData) -> Charts:
 
 def _draw_empty_pair_chart(data: PageData) -> Charts:
     """Return by name the empty chart of two solvers' step times, which the page's script fills."""
-    has_pair = len(_find_replayed_configurations(data)) > 1
+    has_pair = len({c for c, p in data.runs if data.experiments[p].mode == "replay"}) > 1
     return {"pairs": draw_step_pairs("first", "second")} if has_pair else {}
-
-
-def _find_replayed_configurations(data: PageData) -> set[int]:
-    """Return the indices of configurations that have a replay."""
-    return {c for c, p in data.runs if data.experiments[p].mode == "replay"}
 
 
 def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:

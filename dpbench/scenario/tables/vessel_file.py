@@ -289,7 +289,7 @@ class VesselFile(FileModel):
             assert self.mass_kg is not None, "the validator demands it beside inertia_bis"
             M = convert_bis_inertia_to_si(np.array(self.inertia_bis), self.mass_kg, self.length_m)
             D = convert_bis_damping_to_si(np.array(self.damping_bis), self.mass_kg, self.length_m)
-        thrusters = self._build_thrusters_if_any(where)
+        thrusters = build_thruster_set(self.thrusters, where) if self.thrusters else None
         low, high, rate = self._compute_force_and_rate_limits(thrusters)
         air, water = self.windage, self.reflection
         windage = Windage(**air.model_dump()) if air else None
@@ -335,10 +335,6 @@ class VesselFile(FileModel):
                 "(m and kg)"
             )
             raise InputError(where, "length_m", found, allowed)
-
-    def _build_thrusters_if_any(self, where: str) -> ThrusterSet | None:
-        """Return the thrusters in SI units; None where the file has none."""
-        return build_thruster_set(self.thrusters, where) if self.thrusters else None
 
     def _compute_force_and_rate_limits(
         self, thrusters: ThrusterSet | None
