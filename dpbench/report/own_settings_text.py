@@ -27,14 +27,16 @@ from dpbench.report.formats import (
 )
 from dpbench.report.page.data import PageData
 from dpbench.report.verdict.findings_text import describe_finding
-from dpbench.report.verdict.tolerances_text import describe_tolerances_left
 from dpbench.report.verdict.verdict_text import (
     describe_kinds_of_reasons,
     describe_scaled_p99,
+    describe_tolerances_left,
     format_usual_time,
 )
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
-from dpbench.solvers.settings import resolve_settings_with_fixed_options
+from dpbench.solvers.settings import (
+    resolve_settings_with_fixed_options,
+)
 
 SIMILAR = 2.0
 """Factor below which largest errors differ little, so that a wider grid would hardly help."""

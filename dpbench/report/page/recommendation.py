@@ -45,7 +45,6 @@ from dpbench.report.page.data import PageData
 from dpbench.report.ship.capability_text import describe_consequence_solver, describe_unanswered_qps
 from dpbench.report.ship.ship_text import ShipSummary, summarise_ships
 from dpbench.report.verdict.findings_text import describe_findings
-from dpbench.report.verdict.tolerances_text import describe_tolerances_left
 from dpbench.report.verdict.verdict_text import (
     NOBODY,
     describe_deployment,
@@ -57,6 +56,7 @@ from dpbench.report.verdict.verdict_text import (
     describe_short_times,
     describe_stopped_runs,
     describe_times_compared_with,
+    describe_tolerances_left,
     explain_no_recommendation,
     format_usual_time,
 )
