@@ -14,7 +14,7 @@ import stat
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -68,16 +68,14 @@ class BusyError(SituationError):
 
 
 @contextmanager
-def try_hold_file_lock(
-    path: Path, opened_as: int, how: int = EXCLUSIVE | fcntl.LOCK_NB
-) -> Iterator[bool]:
+def try_hold_file_lock(path: Path, opened_as: int) -> Iterator[bool]:
     """Hold a file lock during the block, without waiting; yield false if it cannot be locked."""
     with ExitStack() as stack:
         is_locked = False
         with suppress(OSError):
             lock = os.open(path, opened_as, 0o600)
             stack.callback(os.close, lock)
-            fcntl.flock(lock, how)
+            fcntl.flock(lock, EXCLUSIVE | fcntl.LOCK_NB)
             is_locked = True
         yield is_locked
 
@@ -102,34 +100,6 @@ def _wait_for_and_hold_lock(
                 _wait_for_lock_or_raise_busy(lock, how, where, patience, say_waiting)
             locked = lock if _try_lock_open_file(lock, how) else None
         yield locked
-
-
-@contextmanager
-def hold_file_lock(
-    path: Path,
-    how: int,
-    holder: Holder,
-    *,
-    where: str,
-    patience: WaitLimit = WaitLimit(),
-    say_waiting: Callable[[str], None] = lambda holders: None,
-) -> Iterator[bool]:
-    """Wait for the lock of a file and hold it during the block; yield whether it is held.
-
-    how : EXCLUSIVE or SHARED.
-    holder : this process, written into the file for those who wait.
-    where : the name of the lock in the error.
-    say_waiting : called once with the holders, before a wait.
-    Raises BusyError at the end of the wait.
-    """
-    with _wait_for_and_hold_lock(path, FILE, how, where, patience, say_waiting) as lock:
-        if lock is not None:
-            _write_holders_into_lock_file(lock, [*_read_holders_named_in_lock_file(lock), holder])
-        try:
-            yield lock is not None
-        finally:
-            if lock is not None:
-                _write_holders_into_lock_file(lock, _read_holders_named_in_lock_file(lock))
 
 
 @contextmanager
@@ -275,19 +245,27 @@ def find_machine_lock_holders() -> list[Holder]:
         os.close(lock)
 
 
+@contextmanager
 def hold_machine_lock(
     how: int,
     holder: Holder,
     *,
     patience: WaitLimit = WaitLimit(),
     say_waiting: Callable[[str], None] = lambda holders: None,
-) -> AbstractContextManager[bool]:
-    """Return a context that locks this machine against other campaigns; it yields whether it did.
+) -> Iterator[bool]:
+    """Lock this machine against other campaigns in the block; yield false where locks do not work.
 
-    Exclusively for timed replays, else shared; false where locks do not work. Parameters and errors
-    as in `hold_file_lock`.
+    how : EXCLUSIVE for timed replays, else SHARED.
+    holder : this process, written into the file for those who wait.
+    say_waiting : called once with the holders, before a wait.
+    Raises BusyError at the end of the wait.
     """
-    path, where = find_safe_lock_folder() / "machine", "this machine"
-    return hold_file_lock(
-        path, how, holder, where=where, patience=patience, say_waiting=say_waiting
-    )
+    path = find_safe_lock_folder() / "machine"
+    with _wait_for_and_hold_lock(path, FILE, how, "this machine", patience, say_waiting) as lock:
+        if lock is not None:
+            _write_holders_into_lock_file(lock, [*_read_holders_named_in_lock_file(lock), holder])
+        try:
+            yield lock is not None
+        finally:
+            if lock is not None:
+                _write_holders_into_lock_file(lock, _read_holders_named_in_lock_file(lock))
