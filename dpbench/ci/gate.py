@@ -24,12 +24,7 @@ from rich.console import Console
 
 from dpbench.bench.record.machine import describe_machine
 from dpbench.ci import ALLOW, DISTURBED_EXIT
-from dpbench.ci.benchmarks import (
-    Benchmark,
-    BenchmarkRun,
-    describe_disturbed_baseline,
-    load_run,
-)
+from dpbench.ci.benchmarks import Benchmark, BenchmarkRun, describe_disturbed_baseline, load_run
 from dpbench.ci.comparison import (
     DISTURBED,
     SLOWER,

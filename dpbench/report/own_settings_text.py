@@ -34,9 +34,7 @@ from dpbench.report.verdict.verdict_text import (
     format_usual_time,
 )
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
-from dpbench.solvers.settings import (
-    resolve_settings_with_fixed_options,
-)
+from dpbench.solvers.settings import resolve_settings_with_fixed_options
 
 SIMILAR = 2.0
 """Factor below which largest errors differ little, so that a wider grid would hardly help."""

@@ -14,10 +14,7 @@ from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.anytime import tabulate_limited_loops
-from dpbench.analysis.suites.capability import (
-    build_capability_results,
-    build_consequence_analyses,
-)
+from dpbench.analysis.suites.capability import build_capability_results, build_consequence_analyses
 from dpbench.analysis.suites.study_tables import (
     tabulate_differences_from_reference,
     tabulate_study_points,
@@ -47,10 +44,7 @@ from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.commands_text import describe_machine_states
 from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import Table, escape_markdown, strip_markdown
-from dpbench.report.own_settings_text import (
-    describe_own_settings,
-    describe_own_settings_in_si,
-)
+from dpbench.report.own_settings_text import describe_own_settings, describe_own_settings_in_si
 from dpbench.report.page.data import PageData
 from dpbench.report.page.live import draw_section_charts, select_static_charts
 from dpbench.report.page.recommendation import Recommendation, build_recommendation

@@ -8,11 +8,7 @@ import pandas as pd
 from dpbench.analysis.times.solver_tables import make_configuration_columns
 from dpbench.analysis.verdict.verdict import ACCURATE, Verdict, Verdicts
 from dpbench.report.formats import MISSING, Table, as_float, format_error, format_time
-from dpbench.report.own_settings_text import (
-    format_options_by_name,
-    list_grids,
-    list_varied_options,
-)
+from dpbench.report.own_settings_text import format_options_by_name, list_grids, list_varied_options
 
 
 def make_grid_tables(verdicts: Verdicts) -> list[Table]:

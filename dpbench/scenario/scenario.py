@@ -28,10 +28,7 @@ from dpbench.scenario.controllers.kinds import (
     ForceController,
     ThrusterController,
 )
-from dpbench.scenario.dotted_keys import (
-    copy_documents_with_values,
-    read_validated_vessel_documents,
-)
+from dpbench.scenario.dotted_keys import copy_documents_with_values, read_validated_vessel_documents
 from dpbench.scenario.plants.contract import refuse_loads_on_own_plant
 from dpbench.scenario.plants.fmu_interface import hash_fmu, read_fmu_interface
 from dpbench.scenario.plants.fmu_plant import FmuSource

@@ -14,10 +14,7 @@ from dpbench.solvers.contract import (
     SolverRecord,
     Workspace,
 )
-from dpbench.solvers.own_settings import (
-    parse_options_of_choice,
-    split_into_solver_and_options_text,
-)
+from dpbench.solvers.own_settings import parse_options_of_choice, split_into_solver_and_options_text
 from dpbench.solvers.settings import resolve_settings_to_options
 from dpbench.solvers.table import (
     find_solver_record,

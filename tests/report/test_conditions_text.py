@@ -6,10 +6,7 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.verdict.ship_results import ShipResult, find_ship_results
-from dpbench.report.ship.conditions_text import (
-    describe_conditions_of_ships,
-    list_conditions,
-)
+from dpbench.report.ship.conditions_text import describe_conditions_of_ships, list_conditions
 from dpbench.scenario.scenario import load_scenario
 from tests.conftest import MadeRecords
 

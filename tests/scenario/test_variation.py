@@ -13,10 +13,7 @@ from dpbench.scenario.scenario import (
     build_scenario_from_documents,
     load_scenario,
 )
-from dpbench.scenario.variation import (
-    copy_scenario_with_values,
-    differ_in_behaviour_within_steps,
-)
+from dpbench.scenario.variation import copy_scenario_with_values, differ_in_behaviour_within_steps
 
 
 def _by_hand(tmp_path: Path, name: str, *edits: tuple[str, str]) -> Path:

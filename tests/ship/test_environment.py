@@ -12,13 +12,7 @@ import pytest
 from dpbench.errors import InputError
 from dpbench.ship.environment import Current, Environment, SensorNoise, Squall
 from dpbench.ship.vessel import Vessel
-from dpbench.ship.weather import (
-    FirstOrderMotion,
-    Sea,
-    WaveDrift,
-    Wind,
-    make_random_generator,
-)
+from dpbench.ship.weather import FirstOrderMotion, Sea, WaveDrift, Wind, make_random_generator
 
 MEAN, AMPLITUDE = [-20e3, 55e3, 500e3], [10e3, 30e3, 300e3]
 PERIOD_S, PHASE_RAD = [150.0, 120.0, 100.0], [0.0, 1.0, 2.0]

@@ -23,10 +23,7 @@ from dpbench.errors import InputError, UnknownNameError
 from dpbench.qp.program import QPSequence
 from dpbench.qp.referee.optimum import Optimum
 from dpbench.qp.referee.referee import certify_all_steps
-from dpbench.scenario.problem_files import (
-    list_shipped_problem_names,
-    make_unknown_qps_name_error,
-)
+from dpbench.scenario.problem_files import list_shipped_problem_names, make_unknown_qps_name_error
 from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.own.active_set_memory import ActiveSetMemoryWorkspace

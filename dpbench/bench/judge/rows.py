@@ -26,13 +26,7 @@ from dpbench.bench.judge.evaluation import (
 )
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.judge.timing import find_disturbed_rounds, make_deadline_columns
-from dpbench.bench.record.cell import (
-    CONFIGURATION_COLUMNS,
-    Cell,
-    HardestSource,
-    Outcome,
-    QPSource,
-)
+from dpbench.bench.record.cell import CONFIGURATION_COLUMNS, Cell, HardestSource, Outcome, QPSource
 from dpbench.bench.record.raw_log import PHASES, SOLVER_PHASES
 from dpbench.bench.record.schema import (
     AXIS_FORCES,

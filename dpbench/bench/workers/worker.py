@@ -49,12 +49,7 @@ from dpbench.bench.run.timed_solver import (
     list_failure_descriptions,
     raise_at_step_limit,
 )
-from dpbench.bench.sequences.source import (
-    ReplayInput,
-    choose_source_file,
-    is_readable,
-    read_replay,
-)
+from dpbench.bench.sequences.source import ReplayInput, choose_source_file, is_readable, read_replay
 from dpbench.bench.workers.orphans import has_children
 from dpbench.bench.workers.plant_watch import PlantWatch
 from dpbench.bench.workers.shared_status import (

@@ -20,12 +20,7 @@ from dpbench.bench.workers.interrupts import first_signal_only
 from dpbench.bench.workers.scratch import open_scratch_folder
 from dpbench.bench.worst_case.search import GOALS, Case, Goal, Search, SearchedSolver, WorstStep
 from dpbench.bench.worst_case.space import SearchSpace
-from dpbench.errors import (
-    InputError,
-    SituationError,
-    begin_in_lower_case,
-    require_integer_at_least,
-)
+from dpbench.errors import InputError, SituationError, begin_in_lower_case, require_integer_at_least
 from dpbench.scenario.scenario import MAX_STEPS, Scenario, load_scenario
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.table import (

@@ -10,10 +10,7 @@ from dpbench.analysis.records.thinned_runs import (
     find_value_at_worst_step,
     find_worst_steps,
 )
-from dpbench.analysis.times.paired_times import (
-    compare_paired_times,
-    count_common_window_steps,
-)
+from dpbench.analysis.times.paired_times import compare_paired_times, count_common_window_steps
 from dpbench.analysis.verdict.verdict import (
     Verdict,
     list_best_verdict_of_each_solver,

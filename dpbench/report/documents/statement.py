@@ -38,11 +38,7 @@ from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe
 from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
-from dpbench.report.commands_text import (
-    describe_commands,
-    describe_machine_states,
-    describe_turns,
-)
+from dpbench.report.commands_text import describe_commands, describe_machine_states, describe_turns
 from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
 from dpbench.report.formats import format_time, join_with_and, strip_markdown
 from dpbench.report.page.data import PageData

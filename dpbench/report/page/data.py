@@ -9,11 +9,7 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.records import (
-    INACCURACY_COLUMNS,
-    Records,
-    count_inaccurate_steps,
-)
+from dpbench.analysis.records.records import INACCURACY_COLUMNS, Records, count_inaccurate_steps
 from dpbench.analysis.records.run_record import RunRecord, build_run_records
 from dpbench.analysis.records.run_steps import MEASURES, find_hardest_steps
 from dpbench.analysis.records.thinned_runs import FORCES, TRACK, ThinnedRun, Track, thin_track

@@ -12,10 +12,7 @@ from dpbench.analysis.times.paired_times import (
     count_common_window_steps,
     find_faster_inconclusive,
 )
-from dpbench.analysis.verdict.thruster_verdicts import (
-    copy_with_thruster_times,
-    has_times_of_both,
-)
+from dpbench.analysis.verdict.thruster_verdicts import copy_with_thruster_times, has_times_of_both
 from dpbench.analysis.verdict.time_findings import (
     SlowStep,
     compute_speed_margins,

@@ -27,12 +27,7 @@ from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.report.charts import style
 from dpbench.report.charts.render import FORMATS, compile_vega, render_svg
 from dpbench.report.commands_text import describe_how_results_were_made, describe_subject
-from dpbench.report.embedded_text import (
-    CLOCK_MHZ,
-    CYCLES,
-    describe_deadline,
-    make_calculator_rows,
-)
+from dpbench.report.embedded_text import CLOCK_MHZ, CYCLES, describe_deadline, make_calculator_rows
 from dpbench.report.formats import explain_range_of_steps, format_time
 from dpbench.report.page.citations import format_citations
 from dpbench.report.page.data import (

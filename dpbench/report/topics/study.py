@@ -16,12 +16,7 @@ from dpbench.analysis.suites.study import (
     StudiedConfiguration,
     Study,
 )
-from dpbench.analysis.suites.study_effects import (
-    ERROR,
-    LARGEST,
-    STEP_TIME,
-    compute_study_effects,
-)
+from dpbench.analysis.suites.study_effects import ERROR, LARGEST, STEP_TIME, compute_study_effects
 from dpbench.analysis.verdict.verdict import explain_outcome
 from dpbench.report.charts.study import (
     draw_effects,

@@ -25,10 +25,7 @@ from dpbench.analysis.verdict.thruster_verdicts import (
     list_late_losses,
     select_thruster_control_loops,
 )
-from dpbench.analysis.verdict.time_findings import (
-    SpeedMargin,
-    compute_speed_margins,
-)
+from dpbench.analysis.verdict.time_findings import SpeedMargin, compute_speed_margins
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, choose_solver
 from dpbench.report.formats import (
     MISSING,

@@ -22,11 +22,7 @@ import numpy as np
 from dpbench.arrays import Vector
 from dpbench.errors import InputError
 from dpbench.scenario.plants.contract import PlantError, PlantMaker
-from dpbench.scenario.plants.fmu_interface import (
-    FmuInterface,
-    hash_fmu,
-    read_fmu_interface,
-)
+from dpbench.scenario.plants.fmu_interface import FmuInterface, hash_fmu, read_fmu_interface
 from dpbench.scenario.tables.scenario_file import FmuTable
 from dpbench.ship.estimation.estimator import TURN
 from dpbench.ship.layout import HEADING

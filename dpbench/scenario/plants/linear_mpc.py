@@ -14,11 +14,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError, ShapeError, require_integer_at_least, shorten_found
 from dpbench.files.regular_files import is_plain_file_name
 from dpbench.mpc.condense import ControlProblem, Terminal
-from dpbench.mpc.model import (
-    StateSpace,
-    augment_to_incremental_model,
-    discretise_zero_order_hold,
-)
+from dpbench.mpc.model import StateSpace, augment_to_incremental_model, discretise_zero_order_hold
 from dpbench.scenario.controllers.controller import FIXED_MODEL, Controller, MetricGroup
 from dpbench.scenario.problem_files import ScenarioDocuments
 

@@ -24,12 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dpbench.arrays import Matrix
-from dpbench.ship.weather import (
-    AIR_DENSITY,
-    GRAVITY,
-    WATER_DENSITY,
-    compute_drift_factor_of_period,
-)
+from dpbench.ship.weather import AIR_DENSITY, GRAVITY, WATER_DENSITY, compute_drift_factor_of_period
 
 DP_CONDITIONS = {
     1: (1.5, 0.1, 3.5, 0.25),

@@ -17,11 +17,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution
 from dpbench.solvers.contract import Policy, Route
-from dpbench.solvers.own.paper_active_set import (
-    NOT_SOLVED_YET,
-    SOLVED,
-    PaperActiveSetWorkspace,
-)
+from dpbench.solvers.own.paper_active_set import NOT_SOLVED_YET, SOLVED, PaperActiveSetWorkspace
 
 TRIED = 4
 """Laws that a step tries, those used last first."""

@@ -7,10 +7,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.contrasts import (
-    SweptConfiguration,
-    find_sweeps,
-)
+from dpbench.analysis.times.contrasts import SweptConfiguration, find_sweeps
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.report.topics.sweeps import build_horizon_topic
 

@@ -21,11 +21,7 @@ from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.bench.record.cell import CapabilitySource
-from dpbench.report.commands_text import (
-    describe_commands,
-    describe_machine_states,
-    describe_turns,
-)
+from dpbench.report.commands_text import describe_commands, describe_machine_states, describe_turns
 from dpbench.report.compare.further_tables import make_settings_table
 from dpbench.report.documents.markdown import make_report_markdown
 from dpbench.report.report import Report

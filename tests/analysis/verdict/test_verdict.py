@@ -9,10 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.times.paired_times import (
-    compare_paired_times,
-    compare_settings_of_solvers,
-)
+from dpbench.analysis.times.paired_times import compare_paired_times, compare_settings_of_solvers
 from dpbench.analysis.verdict.requirements import MISSED, Finding, Requirements
 from dpbench.analysis.verdict.time_findings import compute_speed_margins
 from dpbench.analysis.verdict.verdict import judge_solvers, sort_fastest_first

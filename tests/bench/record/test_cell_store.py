@@ -17,11 +17,7 @@ from dpbench.bench.judge.rows import make_step_rows
 from dpbench.bench.judge.rules import StepColumns
 from dpbench.bench.progress import Silent
 from dpbench.bench.record import cell_store
-from dpbench.bench.record.cell_store import (
-    CellStore,
-    StepFile,
-    count_batches_newer_than_tables,
-)
+from dpbench.bench.record.cell_store import CellStore, StepFile, count_batches_newer_than_tables
 from dpbench.bench.record.recorded_steps import read_steps, scan_steps
 from dpbench.bench.record.schema import (
     MISSING_INT,

@@ -9,12 +9,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.bench.run.timed_solver import (
-    RunDelay,
-    RunLimit,
-    get_run_delay,
-    read_process_wait_s,
-)
+from dpbench.bench.run.timed_solver import RunDelay, RunLimit, get_run_delay, read_process_wait_s
 
 
 def _work_ms(ms: float) -> None:

@@ -17,12 +17,7 @@ from dpbench.bench.run.backup import WARM_UP_SOLVES
 from dpbench.bench.run.closed_loop import record_closed_loop
 from dpbench.bench.run.formulation import BoxFormulation
 from dpbench.bench.run.slow_computer import return_zero_usage
-from dpbench.bench.run.timed_solver import (
-    HANG_DETAIL,
-    RunDelay,
-    TimedSolver,
-    raise_at_step_limit,
-)
+from dpbench.bench.run.timed_solver import HANG_DETAIL, RunDelay, TimedSolver, raise_at_step_limit
 from dpbench.bench.workers.worker import find_hang
 from dpbench.qp.program import QPStep, QuadraticProgram
 from dpbench.qp.solution import Solution, Status

@@ -10,13 +10,7 @@ import pytest
 from dpbench.bench.record.result_folder import Results, load_results
 from dpbench.report.compare.comparison import compare
 from dpbench.report.compare.page import write_comparison
-from tests.report.browser.conftest import (
-    SIZES,
-    Opener,
-    check_accessible,
-    opening,
-    wait_until_ready,
-)
+from tests.report.browser.conftest import SIZES, Opener, check_accessible, opening, wait_until_ready
 from tests.result_folder import StepsInMemory, write_results
 
 SLOWER, FACTOR = "piqp", 1.5

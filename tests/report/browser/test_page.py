@@ -8,9 +8,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from dpbench.analysis.times.paired_times import (
-    compare_paired_times,
-)
+from dpbench.analysis.times.paired_times import compare_paired_times
 from dpbench.analysis.verdict.requirements import LATE
 from dpbench.bench.record.cell import Configuration
 from dpbench.report.formats import format_rounded_down

@@ -18,11 +18,7 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
 from dpbench.cli.main import main
 from dpbench.report.compare.comparison import _merge_verdicts
-from dpbench.report.compare.page import (
-    describe_verdict,
-    make_lead_sentences,
-    write_comparison,
-)
+from dpbench.report.compare.page import describe_verdict, make_lead_sentences, write_comparison
 from dpbench.report.ship.ship_text import BANNER
 from tests.conftest import MadeRecords
 from tests.report.conftest import run_row

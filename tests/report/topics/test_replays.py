@@ -6,9 +6,7 @@ from typing import Any
 import pytest
 
 from dpbench import load_results, run_campaign
-from dpbench.analysis.times.contrasts import (
-    compare_routes,
-)
+from dpbench.analysis.times.contrasts import compare_routes
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
 from dpbench.cli.main import main
