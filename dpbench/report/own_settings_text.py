@@ -31,7 +31,7 @@ from dpbench.report.verdict.verdict_text import (
     describe_kinds_of_reasons,
     describe_scaled_p99,
     describe_tolerances_left,
-    format_usual_time,
+    describe_usual_time,
 )
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
 from dpbench.solvers.settings import resolve_settings_with_fixed_options
@@ -102,7 +102,7 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) ->
     name = f"{_name_own_settings(verdict)} ({c.route} {c.policy}{best})"
     if verdict.refusal:
         return f"{name}: {verdict.state}: {verdict.refusal}."
-    time = f", {format_usual_time(verdict)}" if verdict.timed_on else ""
+    time = f"; {describe_usual_time(verdict)}" if verdict.timed_on else ""
     left = strip_markdown(describe_tolerances_left(verdict))
     reasons = "; ".join(filter(None, (describe_kinds_of_reasons(verdict), left)))
     why = f": {reasons}" if reasons else ""

@@ -76,7 +76,9 @@ def test_a_lost_ship_is_a_banner_with_when_and_how_far(records: Any) -> None:
         f"{BANNER}, whatever the solver: in `extreme` it leaves its station (5 m, 5°) at 9.00 s; "
         "largest offset 37.0 m at 30.0 s, last offset 36.0 m."
     )
-    assert "in 1 of 2 scenarios. The largest offset is 1.77 m in `rough` at 0.300 s" in told.text
+    assert (
+        "in 1 of 2 scenarios. The largest offset is 1.77 m in `rough` at the start (" in told.text
+    )
 
 
 @pytest.mark.parametrize(
@@ -158,8 +160,9 @@ def test_a_small_offset_that_is_largest_at_the_end_is_not_settled(
     """0.271 m after the loss and at the end, be an offset before the loss larger or not."""
     own = {"exact_loss_offset_max_m": 0.271, "exact_offset_end_m": 0.271} | columns
     records.loop("daqp", "thrusters_loss", steps=500, **own)
-    said = "0.0100°: the ship has not settled 60.0 s after the loss."
-    assert (said in _summary(records).text) != is_settled
+    said = "At the end of `thrusters_loss`, the ship has not settled."
+    assert (said in _summary(records).headline) != is_settled
+    assert "At the end, 60.0 s after the loss, the offset is 0.2" in _summary(records).details
     assert "still rises" not in _summary(records).caution
 
 
@@ -409,7 +412,7 @@ def test_the_largest_offset_in_a_study_has_its_point(records: Any) -> None:
     for point, sea, offset_m in ((0, 1, 1.5), (3, 2, 2.5), (4, 1, 2.0)):
         records.sea("daqp", point, sea, {"N_p": 20.0}, exact_offset_max_m=offset_m)
     text = summarise_ships(find_ship_results(records.view())).text
-    assert "is 2.50 m at point 3 with `N_p = 20`, realisation 2 of `seas` at 0.300 s; " in text
+    assert "is 2.50 m at point 3 with `N_p = 20`, realisation 2 of `seas` at the start (" in text
 
 
 def test_a_study_with_one_point_of_active_limits_was_hard(records: Any) -> None:
@@ -432,7 +435,7 @@ def test_the_largest_and_the_last_offset_after_a_loss_are_stated(records: Any) -
     assert _summary(records).text.count("After the loss") == 1
     assert (
         "After the loss of board A at 90 s in `thrusters_loss`, the largest offset is 2.50 m and "
-        "the largest heading error 1.25°. At the end the offset is 0.0400 m and the heading error "
+        "the largest heading error 1.25°. At the end, the offset is 0.0400 m and the heading error "
         "0.0100°."
     ) in _summary(records).text
 
@@ -457,7 +460,7 @@ def test_a_point_is_named_by_its_first_values_where_they_are_short(records: Any)
 
 def test_a_ship_that_begins_farthest_off_is_said_to(records: Any) -> None:
     records.loop("daqp", "calm", exact_offset_max_s=0.0)
-    assert " at 0 s (the start); the offset at the end " in _summary(records).text
+    assert " at the start (" in _summary(records).text
 
 
 TURN = {
@@ -476,15 +479,18 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     text = _summary(records).text
     assert text.startswith(
         "With exactly solved QPs, the controller holds the ship on station (5 m, 5°) in 2 of 2 "
-        "scenarios. In `turn`, the ship is on station from 73.8 s on, after a transfer (up to 17.0 "
-        "m off on the way). Outside transfers, the largest offset is 1.77 m in `paper` at 0.300 s; "
-        "the offset at the end is 0.0400 m."
+        "scenarios. The largest offset is 1.77 m in `paper` at the start (0.0400 m at the end), "
+        "not counting moves to a new setpoint."
+    )
+    assert text.endswith(
+        "In `turn`, the ship is on station from 73.8 s on, after a move to a new setpoint (up to "
+        "17.0 m from it on the way)."
     )
     farther = {"exact_transfer_offset_max_m": 25.0, "exact_transfer_s": 40.2}
     records.loop("daqp", "move", **TURN | farther)
     assert (
         "In `turn` and `move`, the ship is on station from 73.8 s on at the latest, after a "
-        "transfer (up to 25.0 m off on the way). Outside"
+        "move to a new setpoint (up to 25.0 m from it on the way)."
     ) in _summary(records).text
 
 
@@ -494,17 +500,17 @@ def test_a_transfer_of_an_earlier_release_is_named_without_numbers(records: Any)
         cell = json.dumps({"scenario": load_scenario(name).files})
         records.loop("daqp", name, cell=cell)
     assert (
-        "In `turn`, the ship is on station after a transfer. Outside transfers, the largest "
-        "offset is"
-    ) in _summary(records).text
+        "In `turn`, the ship is on station after a move to a new setpoint."
+        in _summary(records).details
+    )
 
 
 def test_the_line_of_a_ship_after_a_transfer_states_both_offsets(records: Any) -> None:
     records.loop("daqp", "turn", **TURN)
     (ship,) = find_ship_results(records.view())
     assert describe_ship(ship).startswith(
-        "`turn`: on station from 73.8 s on, after a transfer (up to 17.0 m off on the way); "
-        "largest offset after it 0.831 m at 104 s, last 0.0400 m; "
+        "`turn`: on station from 73.8 s on, after a move to a new setpoint (up to 17.0 m from "
+        "it on the way); largest offset after it 0.831 m at 104 s, last 0.0400 m; "
     )
 
 
@@ -515,12 +521,12 @@ def test_a_small_offset_that_grows_until_the_end_has_not_settled(records: Any) -
     """As after a loss; an offset from 0.5 m on is in the caution, and in it alone."""
     records.loop("daqp", "paper")
     records.loop("daqp", "thrusters", exact_offset_rise_m=0.3, **GROWING)
-    said = "At the end of `thrusters`, the offset still grows (0.446 m): the ship has not settled."
-    assert said in _summary(records).text and _summary(records).caution == ""
+    assert "At the end of `thrusters`, the ship has not settled." in _summary(records).headline
+    said = "At the end of `thrusters`, the offset is 0.446 m and still growing."
+    assert said in _summary(records).details and _summary(records).caution == ""
     records.loop("daqp", "waves", exact_offset_rise_m=0.1, **GROWING | {"exact_offset_end_m": 0.45})
-    assert "At the end of `thrusters` and `waves`, the offset still grows (up to 0.450 m)" in (
-        _summary(records).text
-    )
+    said = "At the end of `thrusters` and `waves`, the offset is up to 0.450 m and still growing."
+    assert said in _summary(records).details
 
 
 @pytest.mark.parametrize(
@@ -536,9 +542,11 @@ def test_a_ship_that_settles_or_is_named_elsewhere_is_not_named(
     records: Any, columns: dict[str, float]
 ) -> None:
     records.loop("daqp", "thrusters", **GROWING | columns)
-    assert "still grows" not in _summary(records).text
+    text = _summary(records).text
+    assert "still growing" not in text and "not settled" not in text
 
 
 def test_realisations_of_a_study_are_not_named_for_their_last_wave(records: Any) -> None:
     records.sea("daqp", 0, 1, {"N_p": 20.0}, **GROWING | {"exact_offset_max_s": 12.0})
-    assert "still grows" not in _summary(records).text
+    text = _summary(records).text
+    assert "still growing" not in text and "not settled" not in text

@@ -12,9 +12,11 @@ from dpbench.analysis.times.paired_times import (
     count_common_window_steps,
     find_faster_inconclusive,
 )
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.thruster_verdicts import copy_with_thruster_times, has_times_of_both
 from dpbench.analysis.verdict.time_findings import (
     SlowStep,
+    SpeedMargin,
     compute_speed_margins,
     find_largest_stall_ns,
 )
@@ -54,8 +56,8 @@ from dpbench.report.verdict.verdict_text import (
     describe_stopped_runs,
     describe_times_compared_with,
     describe_tolerances_left,
+    describe_usual_time,
     explain_no_recommendation,
-    format_usual_time,
 )
 from dpbench.solvers.settings import (
     format_library_call,
@@ -90,13 +92,15 @@ class Recommendation:
     """Headline of the report page: ship, solver to use, notes, verdicts by scenario, code to paste.
 
     ship : what the controller does to it whatever the solver; comes before `sentence` everywhere.
-    verdict : which solver to use, or why none; evidence : what its runs measured, "" without one;
-    margin : on which computer, or how much slower, the solver may run, "" without one.
+    verdict : which solver to use, or why none. Of this solver, "" without one: evidence : where it
+    was correct, and its step time; accuracy : its largest error and its answers to QPs without a
+    solution; margin : how much slower the computer may be.
     """
 
     ship: ShipSummary
     verdict: str
     evidence: str
+    accuracy: str
     margin: str
     notes: tuple[tuple[str, str], ...]
     chips: tuple[Badge, ...]
@@ -108,8 +112,8 @@ class Recommendation:
 
     @property
     def sentence(self) -> str:
-        """Verdict and evidence as one text."""
-        return " ".join(filter(None, (self.verdict, self.evidence)))
+        """Verdict, evidence and accuracy as one text."""
+        return " ".join(filter(None, (self.verdict, self.evidence, self.accuracy)))
 
     @staticmethod
     def why(verdict: Verdict) -> str:
@@ -145,16 +149,21 @@ def build_recommendation(
         fastest = find_fastest_configuration(data.verdicts, baseline)
         second = fastest.configuration if fastest else own[0]
     ship = summarise_ships(data.ships)
-    verdict, evidence = _describe_choice(data, found, is_lost=bool(ship.warning))
-    about_margin, margin = _list_margin_sentences(data, chosen)
+    alone = _describe_lone_solver(known)
+    verdict, evidence, accuracy = _describe_choice(
+        data, found, is_lost=bool(ship.warning), is_alone=len(known) == 1
+    )
+    margin = list_speed_margin_sentences(data, chosen) if chosen else []
     return Recommendation(
         ship=ship,
-        verdict=" ".join(filter(None, (_describe_lone_solver(known), verdict))),
+        verdict=" ".join(filter(None, (alone, verdict))),
         evidence=evidence,
+        accuracy=accuracy,
         margin=margin[0] if margin else "",
         notes=(
             *_yield_deployment_notes(chosen),
-            *([(about_margin, " ".join(margin))] if margin else ()),
+            *([("margin", " ".join(margin))] if margin else ()),
+            *_yield_embedded_notes(data, chosen),
             *_yield_notes_on_choice(data, found),
             *_yield_notes_on_runs(data),
         ),
@@ -177,16 +186,20 @@ def _describe_lone_solver(known: Sequence[Configuration]) -> str:
     return f"Only `{known[0].solver}` was run, in {modes}: no other solver is compared."
 
 
-def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> tuple[str, str]:
-    """Return texts on the solver to use, or why there is none, and on its p99 and error.
+def _describe_choice(
+    data: PageData, found: SolverChoice, *, is_lost: bool, is_alone: bool
+) -> tuple[str, str, str]:
+    """Return texts on the solver to use, or why there is none, its runs and its accuracy.
 
     is_lost : the controller does not hold a ship, so that the sentence speaks of the QPs alone.
+    is_alone : only one configuration was run, so that none is the fastest.
     """
     chosen = found.chosen
     if chosen is None:
-        return _explain_no_choice(data, found), ""
+        return _explain_no_choice(data, found), "", ""
     c = chosen.configuration
     call = f"`{c.solver}` ({c.route}, {c.policy}, {c.settings})"
+    is_first = chosen.state == "pass" and not is_lost and _is_fastest(data, chosen)
     if is_lost:
         verdicts = {"pass": f"{call} passes", "borderline": f"{call} is borderline"}
         verdict = verdicts.get(chosen.state, f"{call} is inconclusive")
@@ -194,35 +207,31 @@ def _describe_choice(data: PageData, found: SolverChoice, *, is_lost: bool) -> t
     else:
         openings = {"pass": f"Use {call}", "borderline": f"Borderline: {call}"}
         opening = openings.get(chosen.state, f"{call} is inconclusive")
-    lacks = "" if chosen.state == "pass" else f": {Recommendation.why(chosen)}"
+    opening += ", the fastest deployable configuration that passes" * (is_first and not is_alone)
+    opening += "" if chosen.state == "pass" else f": {Recommendation.why(chosen)}"
+    record = find_solver_record_or_none(c.solver)
+    is_own = chosen.state == "pass" and not is_lost and record and record.extra == "own"
+    own = " It is part of dpbench itself." if is_own else ""
     both = describe_consequence_solver(data.records, c.solver)
     timed = copy_with_thruster_times(data.records, data.requirements, chosen)
+    unranked = (
+        " Its settings are the most usual ones of the fastest deployable configurations that pass, "
+        "which the measurement does not rank."
+    ) * (chosen.state == "pass" and not is_lost and not is_first)
     return (
-        f"{both + ' ' if both else ''}{opening}{lacks}.",
-        f"It was correct on every step of {describe_judged_runs(chosen)}"
-        f"{_describe_infeasible_steps(data, c)}. Step time: {format_usual_time(timed)}."
-        f"{describe_scaled_p99(timed)} The largest error of the first move was "
-        f"{format_error(chosen.error_move)} times the maximum increment."
-        f"{_describe_selection(data, chosen, is_lost=is_lost)}",
+        f"{both + ' ' if both else ''}{opening}.{own}",
+        f"It was correct on every step of {describe_judged_runs(chosen)}. Its "
+        f"{describe_usual_time(timed)}.",
+        f"The largest error of the first move is {format_error(chosen.error_move)} times the "
+        f"maximum increment.{_describe_infeasible_steps(data, c)}{unranked}",
     )
 
 
-def _describe_selection(data: PageData, chosen: Verdict, *, is_lost: bool) -> str:
-    """Return why a solver was selected, and that it is of this project if it is; or ""."""
+def _is_fastest(data: PageData, chosen: Verdict) -> bool:
+    """Return whether a configuration ranks first of those of its solver."""
     solver = chosen.configuration.solver
-    if chosen.state != "pass" or is_lost:
-        return ""
-    record = find_solver_record_or_none(solver)
-    own = ", and part of dpbench itself" if record and record.extra == "own" else ""
     of_solver = (v for v in rank_configurations(data.verdicts) if v.configuration.solver == solver)
-    if next(of_solver, chosen) is not chosen:
-        return (
-            " Its settings are the most usual ones of the fastest deployable configurations that "
-            "pass, which the measurement does not rank."
-            + " The solver is part of dpbench itself."
-            * bool(own)
-        )
-    return f" It is the fastest deployable configuration that passes{own}."
+    return next(of_solver, chosen) is chosen
 
 
 def _describe_infeasible_steps(data: PageData, c: Configuration) -> str:
@@ -230,7 +239,7 @@ def _describe_infeasible_steps(data: PageData, c: Configuration) -> str:
     steps, is_reported = data.count_infeasible_steps(c)
     reported = ", which the solver reported correctly" if is_reported else ""
     has = "has" if steps == 1 else "have"
-    return f" ({plural(steps, 'step')} {has} no feasible solution{reported})" if steps else ""
+    return f" {plural(steps, 'step')} {has} no feasible solution{reported}." if steps else ""
 
 
 def _explain_no_choice(data: PageData, found: SolverChoice) -> str:
@@ -243,14 +252,11 @@ def _explain_no_choice(data: PageData, found: SolverChoice) -> str:
     return "" if other else NOBODY
 
 
-def _list_margin_sentences(data: PageData, chosen: Verdict | None) -> tuple[str, list[str]]:
-    """Return the keyword and sentences of the margin: counted instructions, else measured times."""
-    if chosen is None:
-        return "", []
-    solver = chosen.configuration.solver
+def _yield_embedded_notes(data: PageData, chosen: Verdict | None) -> Iterator[tuple[str, str]]:
+    """Yield the note on the cost of the recommended solver on an embedded core, if counted."""
+    solver = chosen.configuration.solver if chosen else ""
     if counted := list_embedded_cost_sentences(data.counts, data.requirements, solver):
-        return "counted", counted
-    return "slower", list_speed_margin_sentences(data, chosen)
+        yield "counted", " ".join(counted)
 
 
 def _yield_deployment_notes(chosen: Verdict | None) -> Iterator[tuple[str, str]]:
@@ -277,12 +283,12 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
         pair = data.records, chosen, found.runner_up
         timed = copy_with_thruster_times(data.records, data.requirements, found.runner_up)
         label = found.runner_up.configuration.marked_label
-        time = f"{format_usual_time(timed)}.{describe_scaled_p99(timed)}"
+        time = f"{describe_usual_time(timed)}.{describe_scaled_p99(timed)}"
         first = chosen.configuration.marked_label
         beside = describe_times_compared_with(
             first, compare_paired_times(*pair), count_common_window_steps(*pair)
         )
-        yield "next", f"Next: {label}, {time} {beside}"
+        yield "next", f"The next is {label}. Its {time} {beside}"
     named = [*filter(None, (chosen, found.faster, found.runner_up))]
     if short := describe_short_times(data.records, named):
         yield "checked", short
@@ -334,44 +340,67 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
         least = format_rounded_down(of_all.allowed_slowness_factor)
         controller, also = "With commanded thrusters, ", f" (× {least} over all replays)"
         also *= least != format_rounded_down(margin.allowed_slowness_factor)
-    wait = describe_hardest_wait(data.records, margin.hardest.run)
-    hardest = p99 = _describe_slow_step(margin.hardest, wait)
-    longest_step = "This is its longest step, which"
-    if margin.p99.time_ns != margin.hardest.time_ns:
-        longest_step, p99 = f"Its longest step takes {hardest} and", _describe_slow_step(margin.p99)
-    if (more := margin.p99.run.untimed_iterations) > 1.0:
-        bound = format_time(margin.p99.time_ns * more)
-        p99 = f"{p99}. Scaled up to the iterations of its closed loop, it is {bound}"
-        longest_step = f"Its longest step takes {hardest} and"
     is_short = 0 < margin.p99.run.steps_searched_for_hardest < LEAST_STRETCH
     time = "largest step time (in place of a p99)"
     time = "limiting p99" if isfinite(chosen.p99_ns) and not is_short else time
     is_of_own_plant = any(run.is_of_own_plant for run in data.records.runs)
     computer = "the computer" if is_of_own_plant else "the ship's computer"
     opening = f"{controller}{computer}"
-    parts = [
+    return [
         f"{opening[0].upper()}{opening[1:]} may be up to "
-        f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this one{also}.",
+        f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this one{also}: "
+        f"{_describe_margin_limit(margin, requirements, time)}.",
+        *_list_limiting_steps(data, margin, time),
+        *_yield_longest_timing(data, chosen.configuration),
+        *_yield_untimed_loops_sentences(data),
+    ]
+
+
+def _describe_margin_limit(margin: SpeedMargin, requirements: Requirements, time: str) -> str:
+    """Return in words which time of a solver first reaches its limit on a slower computer."""
+    if margin.deadline < margin.p99_limit:
+        longest, deadline = format_time(margin.hardest.time_ns), f"{requirements.deadline_ms:g} ms"
+        return f"the solver's longest step, {longest}, then reaches the deadline of {deadline}"
+    scaled = ""
+    if margin.p99.run.untimed_iterations > 1.0:
+        scaled = f" (scaled to the iterations of the closed loop of `{margin.p99.run.scenario}`)"
+    bound, limit = format_time(margin.limiting_p99_ns), f"{requirements.p99_ms:g} ms"
+    return f"the solver's {time}, {bound}{scaled}, then reaches the limit of {limit}"
+
+
+def _list_limiting_steps(data: PageData, margin: SpeedMargin, time: str) -> list[str]:
+    """Return sentences on the steps that limit a speed margin, and each one's largest slowdown."""
+    wait = describe_hardest_wait(data.records, margin.hardest.run)
+    hardest = p99 = _describe_slow_step(margin.hardest, wait)
+    longest_step = "This is its longest step, which"
+    if margin.p99.time_ns != margin.hardest.time_ns:
+        longest_step, p99 = f"Its longest step takes {hardest} and", _describe_slow_step(margin.p99)
+    if margin.p99.run.untimed_iterations > 1.0:
+        bound = format_time(margin.limiting_p99_ns)
+        p99 = f"{p99}. Scaled to the iterations of its closed loop, it is {bound}"
+        longest_step = f"Its longest step takes {hardest} and"
+    requirements = data.requirements
+    return [
         f"The solver's {time} is {p99} and reaches the limit of {requirements.p99_ms:g} ms at × "
         f"{format_rounded_down(margin.p99_limit)}.",
         f"{longest_step} reaches the deadline of "
         f"{requirements.deadline_ms:g} ms at × {format_rounded_down(margin.deadline)}.",
     ]
-    longest, arms_ns = (
-        data.find_longest_timing(chosen.configuration),
-        find_largest_stall_ns(data.records),
+
+
+def _yield_longest_timing(data: PageData, c: Configuration) -> Iterator[str]:
+    """Yield a sentence on a configuration's largest single timing beside the machine's stalls."""
+    longest, stall_ns = data.find_longest_timing(c), find_largest_stall_ns(data.records)
+    if longest is None:
+        return
+    experiment, run = longest
+    stall = f"; the largest stall of a calibration run is {format_time(stall_ns)}"
+    stall *= stall_ns > 0.0
+    wait = describe_longest_wait(data.records, run)
+    yield (
+        "Stalls do not scale with the speed of the computer. The largest single timing is "
+        f"{format_time(run.raw_max_ns)}{wait} in `{experiment.label}`{stall}."
     )
-    if longest is not None:
-        experiment, run = longest
-        arms = f"; the largest stall of a calibration run is {format_time(arms_ns)}"
-        arms *= arms_ns > 0.0
-        wait = describe_longest_wait(data.records, run)
-        largest = f"{format_time(run.raw_max_ns)}{wait} in `{experiment.label}`{arms}"
-        parts.append(
-            "Stalls do not scale with the speed of the computer. The largest single timing is "
-            f"{largest}."
-        )
-    return [*parts, *_yield_untimed_loops_sentences(data)]
 
 
 def _yield_untimed_loops_sentences(data: PageData) -> Iterator[str]:

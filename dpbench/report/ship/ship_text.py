@@ -34,9 +34,9 @@ class ShipSummary:
     """First lines of a report: a warning where the controller does not hold a ship, and results.
 
     warning : begins with `BANNER`, or with `LOST` where the loops of all lost ships are unstable
-    without limits; "" where no ship is lost. state : where the ship is on station; "" without any
-    ship. limits : the share of steps with active limits. details : losses, scenarios without a
-    result.
+    without limits; "" where no ship is lost. state : where the ship is on station, has not settled
+    or has no result; "" without any ship. limits : the share of steps with active limits.
+    details : moves to a new setpoint, losses, offsets that still grow.
     caution : of ships on station with little margin, still moving away, or farther off since a
     loss, and in a report of losses that no closed loop shows to be held; "" without any.
     conditions : sensors, estimator, lag, delay and mismatch, by scenarios with equal ones.
@@ -50,9 +50,14 @@ class ShipSummary:
     conditions: str = ""
 
     @property
+    def headline(self) -> str:
+        """State and active limits of the ships as one text."""
+        return " ".join(filter(None, (self.state, self.limits)))
+
+    @property
     def text(self) -> str:
-        """State, details and active limits of the ships as one text."""
-        return " ".join(filter(None, (self.state, self.details, self.limits)))
+        """State, active limits and details of the ships as one text."""
+        return " ".join(filter(None, (self.headline, self.details)))
 
     @property
     def lines(self) -> list[str]:
@@ -69,12 +74,19 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
         return ShipSummary(state=NOT_RUN)
     lost = [ship for ship in known if ship.has_left_station]
     warning = " ".join(_warn_of_lost(lost))
-    details = [*_describe_after_losses(known), *_describe_unsettled(known), *_describe_rest(ships)]
-    caution, limits = _describe_small_margins(known), _describe_limits(known)
-    details_text, caution_text, limits_text = map(" ".join, (details, caution, limits))
-    conditions = describe_conditions_of_ships(known)
+    state = [_describe_kept(known), _name_unsettled(known), *_describe_rest(ships)]
+    details = [
+        *_describe_transfers(known),
+        *_describe_after_losses(known),
+        *_describe_growth(known),
+    ]
     return ShipSummary(
-        warning, _describe_kept(known), details_text, caution_text, limits_text, conditions
+        warning,
+        state=" ".join(filter(None, state)),
+        details=" ".join(details),
+        caution=" ".join(_describe_small_margins(known)),
+        limits=" ".join(_describe_limits(known)),
+        conditions=describe_conditions_of_ships(known),
     )
 
 
@@ -161,33 +173,34 @@ def describe_ship(ship: ShipResult) -> str:
         left, since = f" {_describe_arrival([ship])}", " after it"
     return (
         f"`{ship.name}`: {ship.state}{left}; largest offset{since} "
-        f"{significant(run.exact_offset_max_m)} m at {_format_time_of_offset(run)}, last "
+        f"{significant(run.exact_offset_max_m)} m {_format_time_of_offset(run)}, last "
         f"{significant(run.exact_offset_end_m)} m; limits active in "
         f"{format_share(run.exact_active_share)} of {plural(run.exact_steps, 'step')}"
     )
 
 
 def _describe_arrival(moved: Sequence[ShipResult]) -> str:
-    """Return as text from when on ships are on station after a transfer, and how far off before.
+    """Return as text from when on ships are on station after a move, and how far off before.
 
     The last time and the largest offset of all; without numbers where they are unknown.
     """
     known = [ship.run for ship in moved if not math.isnan(ship.run.exact_transfer_s)]
     if not known:
-        return "after a transfer"
+        return "after a move to a new setpoint"
     last_s = max(run.exact_transfer_s for run in known)
     off_m = max(run.exact_transfer_offset_max_m for run in known)
     latest = " at the latest" if len(moved) > 1 else ""
     return (
-        f"from {significant(last_s)} s on{latest}, after a transfer (up to {significant(off_m)} m "
-        "off on the way)"
+        f"from {significant(last_s)} s on{latest}, after a move to a new setpoint (up to "
+        f"{significant(off_m)} m from it on the way)"
     )
 
 
 def _format_time_of_offset(run: RunRecord) -> str:
-    """Return the time of a ship's largest offset as text; that of a ship that begins there."""
-    start = " (the start)" if run.exact_offset_max_s == 0.0 else ""
-    return f"{significant(run.exact_offset_max_s)} s{start}"
+    """Return the time of a ship's largest offset as text; the start includes the first sample."""
+    if run.exact_offset_max_s <= run.sample_s:
+        return "at the start"
+    return f"at {significant(run.exact_offset_max_s)} s"
 
 
 def describe_unmet(ships: Sequence[ShipResult], scenarios: Sequence[Scenario]) -> list[str]:
@@ -252,17 +265,19 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         there = f" at {_locate_ship(farthest)}" if run.study else f" in `{farthest.name}`"
     from_deg = find_weather_direction(ship.run for ship in known)
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
-    moved = [ship for ship in kept if ship.has_transfer]
-    arrival = f"In {_name_ships(moved)}, the ship is on station {_describe_arrival(moved)}. "
-    transfers = arrival if moved else ""
-    largest = "Outside transfers, the largest" if moved else "The largest"
+    moves = ", not counting moves to a new setpoint" * any(ship.has_transfer for ship in kept)
     return (
         f"With exactly solved QPs, the controller holds the ship on station "
-        f"({_format_station_limits(farthest)}){weather} {where}. {transfers}{largest} offset is "
-        f"{significant(run.exact_offset_max_m)} m{there} at "
-        f"{_format_time_of_offset(run)}; the offset at the end is "
-        f"{significant(run.exact_offset_end_m)} m."
+        f"({_format_station_limits(farthest)}){weather} {where}. The largest offset is "
+        f"{significant(run.exact_offset_max_m)} m{there} {_format_time_of_offset(run)} "
+        f"({significant(run.exact_offset_end_m)} m at the end){moves}."
     )
+
+
+def _describe_transfers(known: Sequence[ShipResult]) -> Iterator[str]:
+    """Yield a sentence on ships that move to a new setpoint and then stay on station, if any."""
+    if moved := [ship for ship in known if ship.state == "on station" and ship.has_transfer]:
+        yield f"In {_name_ships(moved)}, the ship is on station {_describe_arrival(moved)}."
 
 
 def find_weather_direction(runs: Iterable[RunRecord]) -> float:
@@ -291,8 +306,6 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
         run = ship.run
         losses = [f"{join_with_and(names)} at {at_s:g} s" for at_s, names in list_losses(run)]
         what = join_with_and(losses) or "part of the force"
-        since = _format_time_since_loss(run)
-        unsettled = ": the ship has not settled" + (f" {since}" if since != AT_END else "")
         largest = (
             f"{significant(run.exact_loss_offset_max_m)} m",
             f"{significant(run.exact_loss_heading_max_deg)}°",
@@ -301,36 +314,44 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
             f"{significant(run.exact_offset_end_m)} m",
             f"{significant(run.exact_heading_end_deg)}°",
         )
-        ending = f"At the end the offset is {last[0]} and the heading error {last[1]}"
+        since = _format_time_since_loss(run)
+        end = AT_END if since == AT_END else f"{AT_END}, {since}"
+        ending = f". {end.capitalize()}, the offset is {last[0]} and the heading error {last[1]}"
         if ship.is_unsettled and last == largest:
-            ending = "Both are reached at the end of the run"
+            ending = f", both {end}"
         yield (
             f"After the loss of {what} in `{ship.name}`, the largest offset is {largest[0]} and "
-            f"the largest heading error {largest[1]}. {ending}"
-            f"{unsettled if ship.is_unsettled else ''}."
+            f"the largest heading error {largest[1]}{ending}."
         )
 
 
-def _describe_unsettled(known: Sequence[ShipResult]) -> list[str]:
-    """Return a line on ships outside of studies whose small offset grows until the run ends.
+def _name_unsettled(known: Sequence[ShipResult]) -> str:
+    """Return a sentence that names ships outside of studies whose small offset still grows."""
+    growing = [ship for ship in known if ship.is_unsettled and _has_small_growth(ship)]
+    return f"{AT_END.capitalize()} of {_name_ships(growing)}, the ship has not settled." * bool(
+        growing
+    )
 
-    Those after a loss, and those that a caution names, are left out.
-    """
+
+def _describe_growth(known: Sequence[ShipResult]) -> Iterator[str]:
+    """Yield a sentence on the last offsets of such ships without a loss, if any."""
     growing = [
         ship
         for ship in known
-        if ship.state == "on station"
-        and ship.is_unsettled
-        and not (ship.run.study or _has_loss(ship) or ship.is_moving_away)
+        if ship.is_unsettled and _has_small_growth(ship) and not _has_loss(ship)
     ]
-    if not growing:
-        return []
-    far_m = max(ship.run.exact_offset_end_m for ship in growing)
-    far = f"{'up to ' * (len(growing) > 1)}{significant(far_m)} m"
-    return [
-        f"At the end of {_name_ships(growing)}, the offset still grows ({far}): the ship has not "
-        "settled."
-    ]
+    if growing:
+        far_m = max(ship.run.exact_offset_end_m for ship in growing)
+        up_to = "up to " * (len(growing) > 1)
+        yield (
+            f"{AT_END.capitalize()} of {_name_ships(growing)}, the offset is "
+            f"{up_to}{significant(far_m)} m and still growing."
+        )
+
+
+def _has_small_growth(ship: ShipResult) -> bool:
+    """Return whether no study and no caution names a ship that stays on station."""
+    return ship.state == "on station" and not (ship.run.study or ship.is_moving_away)
 
 
 def _has_loss(ship: ShipResult) -> bool:

@@ -284,18 +284,20 @@ def _explain_lack_of_optima(runs: Sequence[RunRecord], requirements: Requirement
     )
 
 
-def format_usual_time(verdict: Verdict) -> str:
-    """Format a configuration's p99 step time, or its p50 if there are too few steps."""
+def describe_usual_time(verdict: Verdict) -> str:
+    """Return a configuration's p99 step time in words, or its p50 if there are too few steps."""
     if verdict.p99_run is None or math.isnan(verdict.p99_ns):
-        return f"p50 {format_time(verdict.p50_ns)} in the replay of `{verdict.timed_on}`"
+        time = format_time(verdict.p50_ns)
+        return f"p50 step time is {time} in the replay of `{verdict.timed_on}`"
     searched = verdict.p99_run.steps_searched_for_hardest
-    name = "largest" if 0 < searched < LEAST_STRETCH else "p99"
     time = format_time(verdict.p99_ns)
     if searched:
+        name = "longest step time" if searched < LEAST_STRETCH else "largest p99 step time"
         steps = f"the {plural(searched, 'step')} of `{verdict.p99_run.scenario}`"
-        few = ", from the replay of its window of hardest steps (no interval)"
-        return f"{name} {time} over {steps}{few * (name == 'p99')}"
-    return f"{name} {time}{describe_p99_interval(verdict)} in {name_experiment(verdict.p99_run)}"
+        few = " (only its hardest steps were replayed, so there is no interval)"
+        return f"{name} is {time}, over {steps}{few * (searched >= LEAST_STRETCH)}"
+    interval = describe_p99_interval(verdict)
+    return f"largest p99 step time is {time}{interval}, in {name_experiment(verdict.p99_run)}"
 
 
 def describe_scaled_p99(verdict: Verdict) -> str:
@@ -303,9 +305,10 @@ def describe_scaled_p99(verdict: Verdict) -> str:
     run = verdict.p99_bound_run
     if run is None or not verdict.p99_bound_ns > verdict.p99_ns:
         return ""
-    time = format_time(verdict.p99_bound_ns)
-    loop = f"the closed loop of `{run.scenario}`"
-    return f" Scaled up to the iterations of {loop}, the p99 is {time}."
+    return (
+        f" The closed loop of `{run.scenario}` needs more iterations: scaled to them, the p99 is "
+        f"estimated at {format_time(verdict.p99_bound_ns)}."
+    )
 
 
 def describe_p99_interval(verdict: Verdict) -> str:

@@ -339,8 +339,12 @@ def _check_speed_margins(page: Any, facts: Any, slow: int) -> None:
                 output.replace("`", "")
             )
             continue
-        assert (" is in time up to × " in output) == (bound >= slow)
-        late = " is late beyond × " if bound >= 1 else " is late on this machine (speed margin × "
+        assert (" meets both limits up to a slowdown of × " in output) == (bound >= slow)
+        late = (
+            " is late beyond a slowdown of × "
+            if bound >= 1
+            else " is late on this machine (speed margin × "
+        )
         assert (late in output) == (bound < slow)
         other = f" (overall verdict: {verdict.state})"
         assert (other in output) == (bound >= 1 and verdict.state != "pass")

@@ -55,9 +55,9 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
     margin = written.report.data.get_speed_margin(chosen.configuration)
     for output in (page, text, terminal):
         plain = output.replace("`", "")
-        assert "Use daqp (qpsolvers, fresh, default)." in plain
+        assert "Use daqp (qpsolvers, fresh, default), the fastest deployable" in plain
         assert "It was correct on every step of 4 closed loops" in plain
-        assert f"p99 {format_time(chosen.p99_ns)}" in output
+        assert f"step time is {format_time(chosen.p99_ns)}" in output
         assert format_error(chosen.error_move) in output
         factor = format_rounded_down(margin.allowed_slowness_factor)
         assert f"may be up to {factor} times slower" in output
@@ -112,7 +112,7 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
         " (including a wait of 6.00 ms for the core)",
         " (including a wait of 39.0 ms for the core)",
     )
-    slower = dict(report.summary_rows())["slower"]
+    slower = dict(report.summary_rows())["margin"]
     hardest = f"Its longest step takes 10.0 ms{waits[0]} in step 7 of paper"
     assert hardest in slower and "reaches the deadline of 300 ms at × 30.0." in slower
     assert f"The largest single timing is 40.0 ms{waits[1]} in paper" in slower
@@ -130,10 +130,10 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
     [
         (
             450,
-            "p99 {} over the 450 steps of `paper`, from the replay of its window of hardest steps "
-            "(no interval)",
+            "largest p99 step time is {}, over the 450 steps of `paper` (only its hardest steps "
+            "were replayed, so there is no interval)",
         ),
-        (60, "largest {} over the 60 steps of `paper`"),
+        (60, "longest step time is {}, over the 60 steps of `paper`"),
     ],
 )
 def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int, time: str) -> None:
@@ -174,12 +174,13 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
     report = Report.from_results(records.results())
     lines = [text for about, text in report.summary_rows() if about == "options"]
     assert lines[0].startswith(
-        "osqp[rho=0.16] (native warm): fail, largest error 0.55, 2 failed steps, "
+        "osqp[rho=0.16] (native warm): fail, largest error 0.55, 2 failed steps; "
     )
     assert "the error of its first move reaches 0.55 times the maximum increment" in lines[0]
     # With the steps that the percentile is of: other settings may have those of a window.
     assert re.search(
-        r"steps, p99 [\d.]+ µs \(95 %: .*\) in the replay of paper: the error", lines[0]
+        r"; largest p99 step time is [\d.]+ µs \(95 %: .*\), in the replay of paper: the error",
+        lines[0],
     )
     best = "Best of 3 settings of osqp by largest error (0.22): rho=16.0"
     best += ", at the edge of the grid in rho: widen it."
@@ -443,7 +444,7 @@ def test_open_is_not_recommended(records: Any) -> None:
     records.replay("daqp")
     sentence = _answer(records).sentence
     assert "`daqp` (qpsolvers, fresh, default) is inconclusive: no closed loop" in sentence
-    assert "was correct on every step of 1 replay. Step time: p99 " in sentence
+    assert "was correct on every step of 1 replay. Its largest p99 step time is " in sentence
     records.replay("daqp", policy="reuse", route="native", median_us=5.0)
     assert "inconclusive" not in dict(_answer(records).notes), "the sentence says so"
 
@@ -463,7 +464,7 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     data = Report.from_results(records.results()).data
     (verdict,) = data.verdicts.all_verdicts
     text = " ".join(list_speed_margin_sentences(data, verdict))
-    scaled = "Scaled up to the iterations of its closed loop, it is 40.0 µs"
+    scaled = "Scaled to the iterations of its closed loop, it is 40.0 µs"
     assert f"{scaled} and reaches the limit of 3 ms at × 75.0." in text
 
 
@@ -487,7 +488,7 @@ def test_the_table_has_the_times_that_give_each_speed_margin(records: Any) -> No
     facts = make_page_document(report.data, report.results, report.recommendation, {})
     limits = dict(zip(*(facts["configurations"][n] for n in ("solver", "limited_by")), strict=True))
     assert limits == {
-        "daqp": "p99 of 40.0 µs, scaled up (limit 3 ms)",
+        "daqp": "scaled p99 of 40.0 µs (limit 3 ms)",
         "osqp": "longest step of 60.0 ms (deadline 300 ms)",
     }
     verdicts = tabulate_verdicts(report.data).set_index("solver")
@@ -501,7 +502,7 @@ def test_a_replay_of_the_same_horizons_by_another_name_times_the_loop(records: A
     files = records.scenario("paper").files
     same = json.dumps({"scenario": {**files, "name": "paper-30-5"}})
     records.replay("osqp", scenario="paper-30-5", cell=same)
-    slower = dict(_answer(records).notes)["slower"]
+    slower = dict(_answer(records).notes)["margin"]
     assert slower.endswith("Not timed, as no replay has their QPs: `calm`.")
 
 
@@ -510,7 +511,7 @@ def test_loops_without_times_and_stopped_runs_are_named(records: Any) -> None:
         records.loop("osqp", scenario)
     records.replay("osqp", stopped=True)
     notes = dict(_answer(records).notes)
-    assert notes["slower"].endswith("Not timed, as no replay has their QPs: `calm` and `rough`.")
+    assert notes["margin"].endswith("Not timed, as no replay has their QPs: `calm` and `rough`.")
     assert notes["stopped"] == (
         "The time limit (`cell_limit_s`) stopped 1 of 4 started runs: 1 of `osqp` (qpsolvers "
         "fresh). Its outcome is `timed_out` in `tables/runs.csv`."
@@ -544,8 +545,8 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     assert (answer.first.solver, answer.second.solver) == ("daqp", "qtqp")
     notes = dict(answer.notes)
     assert "is not recommended: written in Python" in notes["faster"]
-    assert notes["next"].startswith("Next: `scs` (qpsolvers fresh), p99 ")
-    assert records.ending()["next"].startswith("scs (qpsolvers fresh), p99 ")
+    assert notes["next"].startswith("The next is `scs` (qpsolvers fresh). Its largest p99 ")
+    assert records.ending()["next"].startswith("scs (qpsolvers fresh). Its largest p99 ")
     assert notes["deployment"] == (
         "Licence: MIT. Language: C, without external libraries. Embeddable C code: yes (the "
         "solver writes its workspace as C code)."
@@ -556,7 +557,7 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     ("median_us", "says"),
     [
         (8.9, "Its settings are the most usual ones of the fastest deployable configurations"),
-        (12.0, "It is the fastest deployable configuration that passes"),
+        (12.0, ", the fastest deployable configuration that passes"),
     ],
 )
 def test_defaults_are_not_called_faster_than_settings_of_ones_own(
@@ -569,7 +570,7 @@ def test_defaults_are_not_called_faster_than_settings_of_ones_own(
     records.loop("daqp", **own)
     records.replay("daqp", median_us=median_us, **own)
     answer = records.ending()["answer"]
-    assert "Use daqp (native, fresh, default)." in answer
+    assert "Use daqp (native, fresh, default)" in answer
     assert says in answer
 
 
@@ -583,9 +584,8 @@ def test_the_p99_of_a_replay_has_its_interval(records: Any) -> None:
     ordered = np.sort(view.get_step_times(verdict.p99_run).algo_ns)
     low, high = verdict.p99_interval.low, verdict.p99_interval.high
     assert {low, high} < {*ordered} and low < verdict.p99_ns < high
-    interval = (
-        f"p99 {format_time(verdict.p99_ns)} (95 %: {format_time(low)} to {format_time(high)})"
-    )
+    bounds = f"{format_time(low)} to {format_time(high)}"
+    interval = f"p99 step time is {format_time(verdict.p99_ns)} (95 %: {bounds})"
     answer = _answer(records)
     assert interval in answer.sentence and " (95 %: " in dict(answer.notes)["next"]
     row = tabulate_verdicts(_facts(records)).iloc[0]
@@ -642,12 +642,11 @@ def test_steps_without_a_solution_are_said(records: Any) -> None:
     records.loop("daqp", "thruster_loss_hard", infeasible_steps=40, units="si")
     records.replay("daqp")
     output = (
-        "of 2 closed loops and 1 replay (3 steps have no feasible solution, which the solver "
-        "reported correctly). "
+        "maximum increment. 3 steps have no feasible solution, which the solver reported correctly."
     )
-    assert output in _answer(records).sentence
+    assert output in _answer(records).accuracy
     records.replay("daqp", "thruster_loss_hard", infeasible_steps=6, rounds=3, true_share=0.99)
-    assert "(5 steps have no feasible solution). " in _answer(records).sentence
+    assert " 5 steps have no feasible solution." in _answer(records).accuracy
     records.loop("osqp")
     assert _facts(records).count_infeasible_steps(_facts(records).configurations[-1]) == (0, True)
 

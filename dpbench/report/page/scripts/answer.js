@@ -13,7 +13,7 @@ function paceOf(c, margin) {
   if (late) return `is late on this machine (${late})${margin < 1 ? `. Its speed margin is ${limited}` : ""}`;
   if (margin < 1) return `is late on this machine (speed margin ${limited})`;
   const other = ["pass", "not judged"].includes(verdict) ? "" : ` (overall verdict: ${verdict})`;
-  return `is ${margin < state.slow ? "late beyond" : "in time up to"} ${limited}${other}`;
+  return `${margin < state.slow ? "is late beyond a slowdown of" : "meets both limits up to a slowdown of"} ${limited}${other}`;
 }
 
 // The speed margin of the chosen configuration, and the solvers that stay within both limits on the
