@@ -59,6 +59,13 @@ def _make_value_sort_key(value: str) -> tuple[float, str]:
     return (math.inf if math.isnan(number) else number), value
 
 
+COLUMNS = (
+    *("solver", "route", "policy", "settings", "options"),
+    *("verdict", "error_move", "failed_steps", "p50_us", "p99_us"),
+)
+"""Columns of the table of grids besides those of the varied options."""
+
+
 def tabulate_settings_grids(verdicts: Verdicts) -> pd.DataFrame:
     """Return a table with one row per point of each grid; columns `x_<option>` are its options."""
     rows = []
@@ -78,4 +85,4 @@ def tabulate_settings_grids(verdicts: Verdicts) -> pd.DataFrame:
                     "p99_us": verdict.p99_ns / 1e3,
                 }
             )
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows) if rows else pd.DataFrame(columns=COLUMNS)

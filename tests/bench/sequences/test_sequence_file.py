@@ -306,7 +306,7 @@ def test_a_sequence_without_si_units_is_refused(tmp_path: Path) -> None:
 
 def test_no_other_format_is_written_under_a_foreign_suffix(tmp_path: Path) -> None:
     sequence, path = load_sequence("paper-30-5"), tmp_path / "x.mat"
-    with pytest.raises(InputError, match=r"path: found 'x\.mat'; allowed: .*dpbench export"):
+    with pytest.raises(InputError, match=r"path: found 'x\.mat'; allowed: .*export_sequence"):
         save_sequence(path, sequence)
     with pytest.raises(InputError, match=r'ends in \.npz, or "mat" as `format`'):
         export_sequence(sequence, path)

@@ -293,7 +293,7 @@ def test_the_ship_comes_first_and_is_drawn(drawn: str) -> None:
     texts = ["".join(element.itertext()) for element in _texts(drawn)]
     assert texts[2] == "Ship, independent of the solver"
     assert texts[3].startswith("With exactly solved QPs, the controller holds the ship")
-    assert "paper: on station; largest offset 1.77 m at 0.300 s, last 0.0400 m" in "".join(texts)
+    assert "paper: on station; largest offset 1.77 m at the start, last 0.0400 m" in "".join(texts)
     root = ElementTree.fromstring(drawn)
     line, *_ = (element for element in root.iter() if element.tag.endswith("polyline"))
     corners = [tuple(map(float, pair.split(","))) for pair in line.get("points", "").split()]
