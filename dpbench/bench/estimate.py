@@ -341,10 +341,10 @@ def estimate_campaign(
 
     Its options are checked as those of `run_campaign`.
     """
-    if engine != "local":
-        raise InputError("--dry-run", "", f"--engine {engine}", "--engine local")
     WaitLimit(wait_s)
     slots = check_engine_options(engine, jobs, scheduler, tls)
+    if engine != "local":
+        raise InputError("--dry-run", "", f"--engine {engine}", "--engine local")
     plan = RunRequest(None if suite is None else str(suite), **asked).make_plan()
     return estimate_plan(plan, choose_result_folder(plan, out), slots, fresh=fresh)
 

@@ -146,7 +146,7 @@ def _refuse_unsupported_controller(scenario: Scenario, controller: Controller) -
         raise InputError(where, "controller", found, allowed)
     if controller.amplitude == "soft" or controller.outputs is not None:
         found = "soft limits" if controller.amplitude == "soft" else "output bounds"
-        raise InputError(where, "controller", found, "hard or reachable limits of the command")
+        raise InputError(where, "controller", found, "neither soft limits nor output bounds")
     if scenario.preview:
         raise InputError(where, "reference.preview", "true", "false")
     if scenario.estimation.kind != "measured":

@@ -118,7 +118,7 @@ class Recipe:
             if key not in self.file.settings:
                 known = list(self.file.settings)
                 allowed = format_allowed_names(key, known) if known else "no settings"
-                raise InputError(f"settings of {self.solver}", key, "an unknown key", allowed)
+                raise InputError(f"settings of {self.solver}", key, "an unknown option", allowed)
         return {**self.file.settings, **given}
 
     def check(self, sequence: QPSequence, *, single: bool) -> None:

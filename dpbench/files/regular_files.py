@@ -112,8 +112,11 @@ def read_csv_rows(path: Path) -> list[list[str]]:
     try:
         lines = io.StringIO(content.decode("utf-8-sig"), newline="")
         rows = [row for row in csv.reader(lines) if row and not row[0].startswith("#")]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(str(path), "", str(error), what) from error
+    except UnicodeDecodeError as error:
+        found = f"byte {error.start + 1}, 0x{content[error.start]:02x}, which is not UTF-8"
+        raise InputError(str(path), "", found, what) from error
+    except csv.Error as error:
+        raise InputError(str(path), "", f"invalid CSV ({error})", what) from error
     return rows
 
 

@@ -46,7 +46,7 @@ class RandomMPC:
     def __post_init__(self) -> None:
         n = self.inputs * self.horizon
         if min(self.states, self.inputs) < 1 or not 2 <= self.horizon < REFERENCE_STEPS:
-            found = f"{self.states} states, {self.inputs} inputs, horizon {self.horizon}"
+            found = f"states {self.states}, inputs {self.inputs}, horizon {self.horizon}"
             allowed = f"1 or more states and inputs, and a horizon of 2 to {REFERENCE_STEPS - 1}"
             raise InputError("random MPC", "size", found, allowed)
         if max(n, self.states) > MOST_VARIABLES:

@@ -13,6 +13,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.display import format_numbers_with_units, make_html_field_table
 from dpbench.errors import (
     InputError,
+    SituationError,
     UnknownNameError,
     require_integer_at_least,
     require_name_or_file,
@@ -36,6 +37,7 @@ from dpbench.scenario.problem_files import (
     ScenarioDocuments,
     VesselDocuments,
     find_problem_path,
+    read_toml_as_dict,
     read_toml_as_model,
     validate_settings_as_model,
 )
@@ -386,7 +388,11 @@ def _check_and_identify_fmu(spec: ScenarioFile, table: FmuTable, path: Path) -> 
 def load_vessel(name_or_path: str | Path) -> Vessel:
     """Return a vessel by name or from a TOML file."""
     path = find_problem_path("vessels", name_or_path)
-    return read_toml_as_model(path, VesselFile).build_vessel(path.stem, str(path))
+    document = read_toml_as_dict(path)
+    if "controller" in document:
+        raise SituationError(str(path), "found a scenario; required: a vessel")
+    file = validate_settings_as_model(document, VesselFile, str(path))
+    return file.build_vessel(path.stem, str(path))
 
 
 def build_vessel_from_documents(files: VesselDocuments, where: str = "vessel") -> Vessel:

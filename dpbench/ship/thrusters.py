@@ -175,7 +175,7 @@ class ThrusterSet:
             )
         if np.linalg.matrix_rank(self.T_e / [[1.0], [1.0], [self.longest_arm_m]]) < AXES:
             key = "" if self.where == "thrusters" else "thrusters"
-            allowed = "thrusters that together make surge, sway and yaw force independently"
+            allowed = "thrusters that give surge force, sway force and yaw moment independently"
             raise InputError(self.where, key, ", ".join(names) or "none", allowed)
 
     @property

@@ -52,7 +52,7 @@ def parse_options_of_choice(choice: str) -> Options:
         # Without the position, as it is in the text above.
         options, reason = {}, f" ({str(error).partition(' (at ')[0]})"
     if not options or not choice.endswith("]"):
-        allowed = f"options as in TOML, such as {solver}[max_iter=50]"
+        allowed = f"names with TOML values, such as {solver}[max_iter=50]"
         raise InputError(f"solver {solver}", "", f"{choice!r}{reason}"[:200], allowed)
     return dict(options)
 

@@ -48,7 +48,7 @@ from dpbench.solvers.contract import (
 
 GROUP = "dpbench.solvers"
 _IMPORTABLE = "a file that can be imported"
-_PLUGIN_FILE = "a Python file with RECORD and open"
+_PLUGIN_FILE = "a Python file that defines RECORD and open()"
 TRIAL_S = 60.0  # Time limit of a plug-in's file in `try_plugin_file_in_child`
 # The last line that the process of `try_plugin_file_in_child` prints.
 _RAN = b"\ndpbench: ran\n"

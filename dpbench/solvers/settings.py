@@ -178,7 +178,7 @@ def refuse_unknown_option_names(
         for key in keys:
             if key not in known:
                 allowed = format_allowed_names(key, known) if known else "no settings"
-                raise SettingsError(f"settings of {solver}", key[:80], "an unknown key", allowed)
+                raise SettingsError(f"settings of {solver}", key[:80], "an unknown option", allowed)
 
 
 def _refuse_text_and_limits_below_zero(

@@ -25,8 +25,12 @@ def changed(text: str, key: str, line: str) -> str:
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
-        (HEAD, ["x.toml: found nothing to run", "[[closed_loop]]"]),
+        (HEAD, ["x.toml: nothing to run; required: [[closed_loop]]"]),
         (HEAD + '[[closed_loop]]\nscenarios = ["papr"]\n', ["x.toml: scenario name", "paper"]),
+        (
+            HEAD + '[[closed_loop]]\nscenarios = ["my.toml"]\n',
+            ["x.toml: scenario name: found 'my.toml'; allowed: an existing scenario file"],
+        ),
         (
             HEAD + '[[replay]]\nscenario = "paper"\nsettings = ["hgh"]\n',
             ["x.toml: settings", "'hgh'", "high"],
@@ -35,7 +39,7 @@ def changed(text: str, key: str, line: str) -> str:
         (VESSEL, ["x.toml: found a vessel", "a suite"]),
         (HEAD + "[[replay]]\nscenario = ", ["x.toml: found invalid TOML", "end of document"]),
     ],
-    ids=["nothing to run", "unknown scenario", "settings", "scenario", "vessel", "cut"],
+    ids=["nothing to run", "unknown scenario", "no file", "settings", "scenario", "vessel", "cut"],
 )
 def test_a_suite_that_cannot_be_run(
     text: str, parts: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refuse: Say
@@ -70,6 +74,16 @@ def test_a_ship_in_other_units_is_none(
         (["check", "no/such/file.toml"], ["no/such/file.toml", "no such file"]),
         (["run", "smoke", "--dry-run", "--wait", "-1"], ["dpbench: --wait: found -1.0; allowed"]),
         (["run", "smoke", "--dry-run", "--scheduler", "tcp://[::1]:1"], ["allowed: --engine dask"]),
+        (["run", "smoke", "--dry-run", "--engine", "spark"], ["--engine: found 'spark'; allowed"]),
+        (
+            ["run", "smoke", "--solver", "unconstrained_clipped", "--policy", "warm"],
+            ["smoke.toml: no run of unconstrained_clipped is left", "the policy fresh"],
+        ),
+        (
+            ["capability", str(find_problem_path("scenarios", "rough"))],
+            ["rough.toml: found a scenario; required: a vessel"],
+        ),
+        (["init", "no_ship", "--sea", "4"], ["no_ship.toml does not exist; give --length"]),
         (["tune-solver", "osqp", "--dry-run", "--wait", "nan"], ["dpbench: --wait: found nan"]),
         (
             ["run", "smoke", "--dry-run", "--solver", "osqp[rho=[1,-1]]"],

@@ -212,6 +212,8 @@ def test_a_folder_without_steps_has_the_tables_of_its_report(
     part.mkdir()
     for name in ("runs.parquet", "suite.json", "machine.json"):
         shutil.copy(campaign / name, part / name)
+    with pytest.raises(InputError, match=r"found 'x'; allowed: none, as there are no tables"):
+        load_results(part).to_latex("x")
     results.to_csv(part / "tables")
     stored = load_results(part)
     assert repr(stored) == repr(results)
@@ -233,7 +235,7 @@ def test_a_folder_without_steps_has_the_tables_of_its_report(
         stored.paired_ratios("daqp", "osqp")
     with pytest.raises(ResultsError, match=r"study\.csv.*required: .*verdicts"):
         stored.tables["study"]
-    required = r"this one was published without them: open its report\.html, .* `dpbench run SUITE`"
+    required = r"This one was published without them: open its report\.html, .* `dpbench run SUITE`"
     with pytest.raises(ResultsError, match=rf"steps\.parquet: no such file; .*{required}"):
         write_report(part)
 

@@ -170,14 +170,24 @@ def delete(table: str, key: str) -> Change:
         (CASCADE, lambda s: of_thrusters(s, thrust_weight_relative=0.0), None, "above 0"),
         (CASCADE, lambda s: of_thrusters(s, allocation="lp"), None, "pseudo_inverse"),
         (CASCADE, lambda s: of_thrusters(s, azimuth_turning=True), None, "azimuth_turning"),
-        (CASCADE, lambda s: s["controller"].pop("thrusters"), None, "only if, kind"),
+        (
+            CASCADE,
+            lambda s: s["controller"].pop("thrusters"),
+            None,
+            'controller: found kind = "cascade" without [controller.thrusters]; allowed: both',
+        ),
         (
             CASCADE,
             lambda s: s["controller"].pop("move_weight_relative"),
             None,
             "allowed: one of the two",
         ),
-        (CASCADE, lambda s: s["controller"].update(kind="forces"), None, "only if, kind"),
+        (
+            CASCADE,
+            lambda s: s["controller"].update(kind="forces"),
+            None,
+            'allowed: this table with kind = "thrusters" or "cascade"',
+        ),
         (CASCADE, lambda s: None, lambda v: v.update(thrusters=[]), "cascade"),
         ("thrusters", lambda s: of_thrusters(s, allocation="qp"), None, '"cascade" only'),
         # The fault at fault is the second in the file and the first in time.

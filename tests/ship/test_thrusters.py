@@ -89,7 +89,10 @@ def test_limits_of_a_ship_are_those_of_each_axis_by_itself() -> None:
     ("thrusters", "said"),
     [
         (lambda: ship(azimuth(0, 0), azimuth(0, 0)), "'azimuth 0 0' twice"),
-        (lambda: ThrusterSet((azimuth(0, 0),)), "make surge, sway and yaw force independently"),
+        (
+            lambda: ThrusterSet((azimuth(0, 0),)),
+            "give surge force, sway force and yaw moment independently",
+        ),
         (lambda: azimuth(0, 0, sector_rad=(0.0, 6.28)), "above 0 and up to 359"),
         (lambda: azimuth(0, 0, controller_sector_rad=(0.0, 3.5)), "above 0 and up to 180"),
         (

@@ -55,7 +55,9 @@ def test_options_are_the_same_text_in_any_order() -> None:
     "choice", ["osqp[", "osqp[]", "osqp[rho]", "osqp[rho=1", "osqp[rho=1]x", "osqp[rho=1,rho=2]"]
 )
 def test_what_is_no_choice_is_refused_in_one_line(choice: str) -> None:
-    with pytest.raises(InputError, match=r"^solver osqp: found .*allowed: options as in TOML") as e:
+    with pytest.raises(
+        InputError, match=r"^solver osqp: found .*allowed: names with TOML values"
+    ) as e:
         expand_choice_over_option_grid(choice)
     assert "\n" not in str(e.value)
 

@@ -187,7 +187,7 @@ def test_an_unknown_key_is_refused(installed, key):
 def test_the_refusal_names_the_nearest_keys(solver, key, near):
     group, _, name = key.rpartition(".")
     settings = {group: {name: 1.0}} if group else {name: 1.0}
-    with pytest.raises(SettingsError, match=f"{key}: found an unknown key; allowed: .*{near}"):
+    with pytest.raises(SettingsError, match=f"{key}: found an unknown option; allowed: .*{near}"):
         open_workspace(solver, settings=settings)
 
 

@@ -36,11 +36,11 @@ from dpbench.tuning.tune import tune_solver
         ("osqp", {"error_move": 0.0}, "--error: found 0"),
         ("osqp", {"name": "high"}, "--name: found 'high'"),
         ("osqp", {"name": "../x"}, "--name: found '../x'; allowed: 1 to 80 letters"),
-        ("osqp", {"ranges": ["rhoo=[1,2]"]}, "settings of osqp: rhoo: found an unknown key"),
+        ("osqp", {"ranges": ["rhoo=[1,2]"]}, "settings of osqp: rhoo: found an unknown option"),
         ("osqp", {"route": "c"}, "`route`: found 'c'"),
         ("clarabel", {"policy": "warm"}, "`policy`: found 'warm' .*no interface.*; allowed: "),
         ("nobody", {}, "found 'nobody'"),
-        ("osqp[rhoo=1]", {}, "settings of osqp: rhoo: found an unknown key"),
+        ("osqp[rhoo=1]", {}, "settings of osqp: rhoo: found an unknown option"),
         ("osqp[rho=[1,2]]", {}, r"found osqp\[rho=\[1,2\]\]; allowed: one value per option"),
     ],
 )

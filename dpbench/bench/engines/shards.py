@@ -26,7 +26,7 @@ from dpbench.bench.workers.jobs import (
     group_by_problem,
     group_by_source,
 )
-from dpbench.errors import InputError, require_type
+from dpbench.errors import InputError, SituationError, require_type
 
 SHARD_FILE = "shard.json"
 """File that identifies the folder of a shard, there from its beginning on."""
@@ -131,7 +131,7 @@ class ShardRecord:
             allowed = "a folder written by `dpbench cells`"
             if not folder.exists():
                 raise InputError(str(folder), "", "no such folder", allowed)
-            raise InputError("gather", "", f"no shard in {folder}", allowed)
+            raise SituationError(str(folder), f"no shard in this folder; required: {allowed}")
         read = check_document_as_type(read_json(path), _ShardFile, path)
         return cls(**{name: getattr(read, name) for name in _ShardFile.model_fields})
 

@@ -34,7 +34,7 @@ from dpbench.bench.record.cell import (
     StudyRealisation,
 )
 from dpbench.bench.sequences.loop_sequences import select_thruster_rows
-from dpbench.errors import InputError, format_allowed_names
+from dpbench.errors import InputError, SituationError, format_allowed_names
 from dpbench.scenario.dotted_keys import copy_documents_with_values, read_value_of_dotted_key
 from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.scenario import Scenario, load_scenario
@@ -69,7 +69,7 @@ def plan_suite(
             if known:
                 allowed = f"a scenario of the suite: {format_allowed_names(name, known)}"
             raise InputError("`scenarios`", "", repr(name), allowed)
-    loaded = {name: load_scenario(name, beside=beside) for name in known}
+    loaded = {name: _load_scenario_of_suite(name, beside) for name in known}
     swept = _load_horizon_variants(suite, loaded)
     stems = _list_unique_names([*loaded.values(), *swept.values()])
     wanted = set(scenarios) if scenarios else set(known)
@@ -92,9 +92,29 @@ def plan_suite(
     for plot in suite.capability if not scenarios else ():
         cells += plan_capability_replays(suite, plot, chosen, beside)
     if not cells:
-        allowed = "[[closed_loop]] or another table of runs, with a solver to run"
-        raise InputError("suite", "", "nothing to run", allowed)
+        raise SituationError("suite", _explain_empty_plan(suite, chosen))
     return _merge_equal_cells(_unify_own_settings(cells))
+
+
+def _load_scenario_of_suite(name: str, beside: Path | None) -> Scenario:
+    """Return a scenario that a suite names; InputError, at the suite, for a missing file."""
+    try:
+        return load_scenario(name, beside=beside)
+    except InputError as error:
+        if (error.where, error.found) != (name, "no such file"):
+            raise
+        allowed = "an existing scenario file"
+        raise InputError("scenario name", "", repr(name), allowed) from None
+
+
+def _explain_empty_plan(suite: SuiteFile, solvers: Sequence[str]) -> str:
+    """Return why a suite, reduced to the requested runs, has no run."""
+    if not any(getattr(suite, key) for key in SuiteFile.list_names_of_run_tables()):
+        return "nothing to run; required: [[closed_loop]] or another table of runs"
+    if set(solvers) == {BASELINE_LAW}:
+        where = "closed loops, with the settings default and the policy fresh"
+        return f"no run of {BASELINE_LAW} is left, as it runs only in {where}"
+    return f"no run is left; no table includes these solvers: {', '.join(solvers)}"
 
 
 def _list_unique_names(scenarios: Sequence[Scenario]) -> list[str]:

@@ -35,8 +35,8 @@ STEPS_NEEDED = (
 )
 """Remedy in a folder without steps, and the data that are available there."""
 _NOT_PUBLISHED = (
-    "a folder with its steps; this one was published without them: open its report.html, or make "
-    "one with steps by `dpbench run SUITE`"
+    "a folder with steps. This one was published without them: open its report.html, or repeat "
+    "its run with `dpbench run SUITE`"
 )
 CACHED_GROUPS = 2
 """Number of row groups, with the columns requested, that are kept for the next request."""

@@ -328,8 +328,9 @@ def _rebuild_allocation_steps(
     """Return a cascade's thrust-allocation QPs, and the problem of the first."""
     allocation, demand = builder.allocation, exact.demand
     if allocation is None or demand is None:
-        allowed = '"controller", as only a cascade with allocation = "qp" has allocation QPs'
-        raise InputError(f"sequence of {scenario.name}", "part", '"allocation"', allowed)
+        why = 'as only a cascade with allocation = "qp" has allocation QPs'
+        allowed = f"controller for scenario {scenario.name}, {why}"
+        raise InputError("`part`", "", "'allocation'", allowed)
     emitted = [builder.rebuild_allocation(k, demand, exact.thrust) for k in steps]
     return emitted, allocation.problem(emitted[0])
 

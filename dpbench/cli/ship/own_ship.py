@@ -136,6 +136,9 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
     texts: dict[str, str] = {}
     remarks: list[str] = []
     if described or not os.path.isfile(vessel_file):
+        if not described and sea is not None:
+            remedy = "give --length and the other data of a new ship"
+            raise SituationError(WHERE, f"{vessel_file} does not exist; {remedy}")
         ship = _scale_new_ship(options, numbers)
         texts[vessel_file.name] = render_vessel_file(ship, _restate_command(options))
         vessel = ship.vessel

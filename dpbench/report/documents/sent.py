@@ -197,7 +197,7 @@ def check_sent_folder(folder: Path) -> str:
     strangers = _list_unknown_files(folder)
     if strangers:
         sent = f"{join_with_and([*SENT, *WHERE_THERE])}, as in a folder of `dpbench report --send`"
-        raise ResultsError(f"{where}/{strangers[0]}", "", "a file", f"only {sent}")
+        raise ResultsError(f"{where}/{strangers[0]}", "", "an unexpected file", f"only {sent}")
     sender = read_toml_as_model(folder / SENDER, Sender)
     load_capability_plots(folder)
     load_counted_steps_of_folder(folder)

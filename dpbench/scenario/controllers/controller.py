@@ -143,7 +143,7 @@ class ControllerSpec:
     def require_thrusters_for_key(self, key: str, value: str, otherwise: str) -> ThrusterSet:
         """Return the vessel's thrusters; InputError if a key needs them and there are none."""
         if self.vessel.thrusters is None:
-            allowed = f'"{otherwise}", or thrusters in the file of vessel {self.vessel.id}'
+            allowed = f'"{otherwise}" for vessel {self.vessel.id}, as its file has no [[thrusters]]'
             raise InputError(self.where, f"controller.{key}", f'"{value}"', allowed)
         return self.vessel.thrusters
 
@@ -152,9 +152,9 @@ class ControllerSpec:
         for _, i, fault in self._samples_and_faults_in_order:
             if not (lost if fault.lost is not None else limit_share):
                 found, allowed = (
-                    ("lost", "limit_share, as each axis of the force has its own limit")
+                    ("key lost", "key limit_share, as the controller has no thrusters to lose")
                     if fault.lost is not None
-                    else ("limit_share", "lost, as thrusters limit the force or are commanded")
+                    else ("key limit_share", "key lost, as the controller's limits are thrusters'")
                 )
                 raise InputError(
                     self.where, format_key_path(["faults", i], is_table=True), found, allowed

@@ -241,8 +241,10 @@ class ControllerTable(FileModel):
         of_forces = (self.move_weight is not None) + (self.move_weight_relative is not None)
         plans_thrusters = self.kind == "thrusters"
         if (self.kind != "forces") != (self.thrusters is not None):
-            allowed = 'controller.thrusters if, and only if, kind is "thrusters" or "cascade"'
-            raise ValueError(allowed)
+            if self.thrusters is None:
+                raise KeysError(f'kind = "{self.kind}" without [controller.thrusters]', "both")
+            found = 'kind = "forces" with [controller.thrusters]'
+            raise KeysError(found, 'this table with kind = "thrusters" or "cascade"')
         if of_forces != (not plans_thrusters):
             if plans_thrusters:
                 raise ValueError("the move weight of thrusters in controller.thrusters, not here")

@@ -59,7 +59,7 @@ def test_a_solver_alone_is_its_default_settings_or_the_first_that_were_timed(rec
         (["osqp", "scs"], "found 'scs'; allowed: one of osqp, osqp high"),
         (["osqp", "osqp[rho=7]"], r"found 'osqp\[rho=7\]'"),
         (["osqp"], "`choices`: found osqp; allowed: two or more, such as daqp and osqp"),
-        (["osqp", "osqp[rho="], "allowed: options as in TOML"),
+        (["osqp", "osqp[rho="], "allowed: names with TOML values"),
     ],
 )
 def test_a_choice_that_was_not_timed_is_refused(

@@ -186,7 +186,7 @@ def test_a_mistake_in_a_suite_is_named(
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
-        ("osqp[rhoo=1.6]", r"`solvers`: osqp\[rhoo\]: found an unknown key; allowed: rho, "),
+        ("osqp[rhoo=1.6]", r"`solvers`: osqp\[rhoo\]: found an unknown option; allowed: rho, "),
         ("quadprog[tol=1e-6]", r"`solvers`: quadprog\[tol\]: .*: no settings"),
         ("all[rho=1]", "found 'all'"),
     ],

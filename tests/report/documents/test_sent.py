@@ -145,7 +145,7 @@ def _gone(name: str) -> Callable[[Path], None]:
         (_written("runs.parquet", "PAR1"), ("runs.parquet", "a damaged file")),
         (_written("suite.json", "{"), ("suite.json", "invalid JSON")),
         (_written("report.html", " " * MOST_BYTES), (f"at most {MOST_BYTES} in all",)),
-        (_written("notes.txt", ""), ("notes.txt", "a file", "only report.html")),
+        (_written("notes.txt", ""), ("notes.txt", "an unexpected file", "only report.html")),
         (_written(SENDER, ""), (SENDER, "who", "missing")),
         (_written(SENDER, SIGNED.replace("Ada", " ")), (SENDER, "who: found ' '")),
         (_written(SENDER, SIGNED.replace("2026-11-22", '"today"')), (SENDER, "when")),
