@@ -27,7 +27,7 @@ def describe_subject(records: Records, suite: SuiteDescription) -> str:
 def describe_disturbed_times(records: Records) -> str:
     """Return what disturbed the timed replays, and what to do, as text; "" on a quiet machine."""
     states = describe_machine_states(select_timed_replays(records))
-    note = "measure the times again, as they do not rank solvers of similar speed"
+    note = "such times do not rank solvers of similar speed; measure them again on an idle machine"
     return "" if states.startswith("quiet") else f"{states}; {note}"
 
 

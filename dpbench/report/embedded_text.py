@@ -128,7 +128,7 @@ def list_embedded_cost_sentences(
     share = format_sample_share(worst_ns / requirements.deadline_ns)
     of_deadline = f", {share} of the {describe_deadline(requirements)}"
     return [
-        f"On {core}, it executes at most {format_count(one.worst)} instructions per step "
+        f"On {core}, `{solver}` executes at most {format_count(one.worst)} instructions per step "
         f"({describe_range_of_steps(sequence.sequence)}), which take {format_time(worst_ns)} at "
         f"an assumed {CYCLES:g} cycle per instruction and {CLOCK_MHZ:g} MHz"
         f"{of_deadline * requirements.judges_step_times}.",
@@ -163,7 +163,8 @@ def yield_uncounted_loops_sentences(results: EmbeddedResults) -> Iterator[str]:
         more = len(names) - MOST_SCENARIOS
         listed = [*names[:MOST_SCENARIOS], *[f"{more} more scenarios"] * (more > 0)]
         yield (
-            f"The QPs of {join_with_and(listed)} were not counted and may take more instructions."
+            f"Instructions were not counted for the QPs of {join_with_and(listed)}, which may "
+            "take more."
         )
 
 

@@ -44,8 +44,8 @@ class RunRecord:
     files : the documents of its scenario, or empty; first, fallback, backup : as in its cell.
     x : of a study, the values of its keys at the run's point.
     default_route : whether it runs on its solver's own route, set by `Records`.
-    untimed_iterations : of a replay, the iterations that one in a hundred steps of its solver's
-        closed loop exceeds over those of the replay, set by `Records`; at least 1.
+    untimed_iterations : of a replay, the factor that bounds its p99 by the iterations of its
+        solver's closed loop, set by `Records`; at least 1.
     own_switches_a_step : involuntary switches a step of the configuration's own making, set by
         `machine.py` and then not among `involuntary_switches`; NaN for none.
     """

@@ -32,9 +32,18 @@ def relate_replays_to_closed_loops(runs: Sequence[RunRecord]) -> list[RunRecord]
 
 
 def _compute_excess(replay: RunRecord, of_loop: float) -> float:
-    """Return the iterations of a closed loop over those of a replay; 1 where either is unknown.
+    """Return the factor that bounds a replay's p99 by the iterations of a closed loop; at least 1.
 
-    A solver without an iteration in the replay still makes a step there, which counts as one.
+    of_loop : iterations that one in a hundred steps of the loop exceeds; NaN gives 1.
+
+    A solver without an iteration in the replay still makes a step there, which counts as one. If
+    the replay has a step with as many iterations as the loop, its longest step bounds the p99.
     """
     excess = (1.0 + of_loop) / (1.0 + replay.iterations_p99)
-    return max(1.0, excess) if math.isfinite(excess) else 1.0
+    if not math.isfinite(excess):
+        return 1.0
+    if replay.iterations_max >= of_loop:
+        p99s = (replay.window_p99_ns, replay.algo_p99_ns)
+        p99_ns = next(filter(math.isfinite, p99s), replay.algo_max_ns)
+        excess = min(excess, replay.algo_max_ns / p99_ns)
+    return max(1.0, excess)

@@ -295,7 +295,7 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
         replayed=_FIGURE.format("replay_p99_ms"),
         single=_FIGURE.format("raw_p99_ms"),
     )
-    times = (("a", "p50"), ("c", "worst p99"), ("m", "longest step"))
+    times = (("a", "p50"), ("c", "largest p99"), ("m", "longest step"))
     tips = [
         style.tooltip("label:N", "configuration"),
         style.tooltip("computer:N", "slowdown of the computer"),

@@ -58,7 +58,7 @@ HEAD: tuple[str, ...] = (
         "p50",
         "p99",
         "p99 of single timings",
-        "worst p99",
+        "largest p99",
     ),
     *("limiting p99", "longest step", "speed margin"),
     *("largest error [maximum increments]", "failed steps"),
@@ -215,8 +215,7 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
     requirements = data.requirements
     is_scaled = any(margin.p99.run.untimed_iterations > 1.0 for margin in margins)
     scaled = (
-        " Each p99 is first scaled up to the iterations of the closed loop in its scenario, so it "
-        "can exceed the longest step."
+        " Each p99 is first scaled up to the iterations of the closed loop in its scenario."
     ) * is_scaled
     return (
         f"Limiting p99: the largest p99 of all replays and windows.{scaled} If there is no p99, "
@@ -288,8 +287,8 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
         names, are = join_with_and(["The p50", *known]), "are" if known else "is"
         yield f"{names} {are} {_most_and_others(usual, 'from')}."
     if any(v.p99_run is not None and v.p99_run.steps_searched_for_hardest for v in timed):
-        yield "A p99 of hardest steps has no interval, because the other steps were not replayed."
-    for name, found in (("worst p99", worst), ("longest step", hardest)):
+        yield "A p99 estimated from hardest steps has no interval: others were not replayed."
+    for name, found in (("largest p99", worst), ("longest step", hardest)):
         if any(found[label] != usual[label] for label in found):
             yield f"The {name} is {_most_and_others(found, 'in')}."
     own = {

@@ -299,7 +299,7 @@ LABELS = {
     "algo_p50_ns": "p50",
     "algo_p99_ns": "p99",
     "window_p99_ns": "p99 of window",
-    "limiting_p99_ns": "limiting p99",
+    "limiting_p99_ns": "scaled p99",
     "algo_max_ns": "longest step",
     "raw_p50_ns": "p50 of single timings",
     "raw_p99_ns": "p99 of single timings",
@@ -338,7 +338,8 @@ COLUMNS = {
     **RUN_COLUMNS,
     "limiting_p99_ns": (
         "float64",
-        "p99 for the speed margin, scaled up to the iterations of the closed loop",
+        "p99 scaled up to the iterations of the closed loop; the largest of a configuration is its "
+        "limiting p99",
     ),
 }
 """Type and meaning of the columns of runs, with that which only the page has."""

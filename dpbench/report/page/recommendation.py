@@ -288,7 +288,7 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
         beside = describe_times_compared_with(
             first, compare_paired_times(*pair), count_common_window_steps(*pair)
         )
-        yield "next", f"The next is {label}. Its {time} {beside}"
+        yield "next", f"The next fastest is {label}. Its {time} {beside}"
     named = [*filter(None, (chosen, found.faster, found.runner_up))]
     if short := describe_short_times(data.records, named):
         yield "checked", short
@@ -361,30 +361,33 @@ def _describe_margin_limit(margin: SpeedMargin, requirements: Requirements, time
     if margin.deadline < margin.p99_limit:
         longest, deadline = format_time(margin.hardest.time_ns), f"{requirements.deadline_ms:g} ms"
         return f"the solver's longest step, {longest}, then reaches the deadline of {deadline}"
-    scaled = ""
-    if margin.p99.run.untimed_iterations > 1.0:
-        scaled = f" (scaled to the iterations of the closed loop of `{margin.p99.run.scenario}`)"
     bound, limit = format_time(margin.limiting_p99_ns), f"{requirements.p99_ms:g} ms"
-    return f"the solver's {time}, {bound}{scaled}, then reaches the limit of {limit}"
+    if margin.p99.run.untimed_iterations > 1.0:
+        loop = f"the closed loop of `{margin.p99.run.scenario}`"
+        bound = f"estimated at {bound} from the iterations of {loop}"
+    return f"the solver's {time}, {bound}, then reaches the limit of {limit}"
 
 
 def _list_limiting_steps(data: PageData, margin: SpeedMargin, time: str) -> list[str]:
     """Return sentences on the steps that limit a speed margin, and each one's largest slowdown."""
     wait = describe_hardest_wait(data.records, margin.hardest.run)
-    hardest = p99 = _describe_slow_step(margin.hardest, wait)
-    longest_step = "This is its longest step, which"
-    if margin.p99.time_ns != margin.hardest.time_ns:
-        longest_step, p99 = f"Its longest step takes {hardest} and", _describe_slow_step(margin.p99)
+    p99 = _describe_slow_step(margin.p99)
+    first, second = f"The {time} is {p99}", ""
+    if margin.p99.time_ns == margin.hardest.time_ns:
+        first = f"The {time} is {_describe_slow_step(margin.hardest, wait)}"
     if margin.p99.run.untimed_iterations > 1.0:
-        bound = format_time(margin.limiting_p99_ns)
-        p99 = f"{p99}. Scaled to the iterations of its closed loop, it is {bound}"
-        longest_step = f"Its longest step takes {hardest} and"
+        first = f"The timed p99 is {p99}"
+        second = (
+            f". Scaled to the iterations of its closed loop, the {time} is "
+            f"{format_time(margin.limiting_p99_ns)}"
+        )
     requirements = data.requirements
     return [
-        f"The solver's {time} is {p99} and reaches the limit of {requirements.p99_ms:g} ms at × "
+        f"{first}{second}. It reaches the limit of {requirements.p99_ms:g} ms at a slowdown of × "
         f"{format_rounded_down(margin.p99_limit)}.",
-        f"{longest_step} reaches the deadline of "
-        f"{requirements.deadline_ms:g} ms at × {format_rounded_down(margin.deadline)}.",
+        f"The longest step takes {_describe_slow_step(margin.hardest, wait)}. It reaches the "
+        f"deadline of {requirements.deadline_ms:g} ms at a slowdown of × "
+        f"{format_rounded_down(margin.deadline)}.",
     ]
 
 
@@ -394,7 +397,7 @@ def _yield_longest_timing(data: PageData, c: Configuration) -> Iterator[str]:
     if longest is None:
         return
     experiment, run = longest
-    stall = f"; the largest stall of a calibration run is {format_time(stall_ns)}"
+    stall = f"; calibration runs, which run no solver, have stalls of up to {format_time(stall_ns)}"
     stall *= stall_ns > 0.0
     wait = describe_longest_wait(data.records, run)
     yield (

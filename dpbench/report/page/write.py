@@ -138,9 +138,8 @@ def _describe_margin(data: PageData, c: Configuration, v: Verdict | None) -> dic
         limit = f"p99 limit {requirements.p99_ms:g} ms, as too few steps give a p99"
         limited_by = f"longest step of {longest} ({limit})"
     else:
-        scaled = "scaled " * (margin.p99.run.untimed_iterations > 1.0)
         p99 = format_time(margin.limiting_p99_ns)
-        limited_by = f"{scaled}p99 of {p99} (limit {requirements.p99_ms:g} ms)"
+        limited_by = f"limiting p99 of {p99} (limit {requirements.p99_ms:g} ms)"
     allowed = convert_to_json_number(margin.allowed_slowness_factor)
     return {"margin": allowed, "limited_by": limited_by}
 

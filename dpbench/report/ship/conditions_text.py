@@ -74,5 +74,5 @@ def _list_differences(known: Conditions) -> Iterator[str]:
         losses = "/".join(f"{share:g}" for share in known.thrust_loss_percent)
         found.append(f"thrust loss {losses} %")
     if known.has_drag:
-        found.append("the ship has cross-flow drag, the controller's model is linear")
+        found.append("the ship has cross-flow drag; the controller's model is linear")
     yield f"model mismatch ({'; '.join(found)})" if found else "no model mismatch"

@@ -186,13 +186,13 @@ def _describe_arrival(moved: Sequence[ShipResult]) -> str:
     """
     known = [ship.run for ship in moved if not math.isnan(ship.run.exact_transfer_s)]
     if not known:
-        return "after a move to a new setpoint"
+        return "after the approach to a new setpoint"
     last_s = max(run.exact_transfer_s for run in known)
     off_m = max(run.exact_transfer_offset_max_m for run in known)
     latest = " at the latest" if len(moved) > 1 else ""
     return (
-        f"from {significant(last_s)} s on{latest}, after a move to a new setpoint (up to "
-        f"{significant(off_m)} m from it on the way)"
+        f"from {significant(last_s)} s on{latest}, after the approach to a new setpoint (up to "
+        f"{significant(off_m)} m from it)"
     )
 
 
@@ -265,12 +265,12 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         there = f" at {_locate_ship(farthest)}" if run.study else f" in `{farthest.name}`"
     from_deg = find_weather_direction(ship.run for ship in known)
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
-    moves = ", not counting moves to a new setpoint" * any(ship.has_transfer for ship in kept)
+    moves = ", except while it approaches a new setpoint" * any(ship.has_transfer for ship in kept)
     return (
         f"With exactly solved QPs, the controller holds the ship on station "
-        f"({_format_station_limits(farthest)}){weather} {where}. The largest offset is "
+        f"({_format_station_limits(farthest)}){weather} {where}{moves}. The largest offset is "
         f"{significant(run.exact_offset_max_m)} m{there} {_format_time_of_offset(run)} "
-        f"({significant(run.exact_offset_end_m)} m at the end){moves}."
+        f"({significant(run.exact_offset_end_m)} m at the end)."
     )
 
 

@@ -63,8 +63,7 @@ def _describe_round_spread(records: Records, *, is_quiet: bool) -> list[str]:
         *([few] if count < LEAST_CONFIGURATIONS else ()),
     ]
     spread = (
-        "How far runs on other days differ cannot be estimated from this run: "
-        f"{join_with_and(why)}."
+        f"This run gives no estimate of how much times differ between days: {join_with_and(why)}."
         if why
         else f"In 95 % of the configurations the rounds of this run agree within a factor of "
         f"{significant(high)} (median {significant(usual)}). Runs on other days can differ by more."

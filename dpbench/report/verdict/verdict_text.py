@@ -294,8 +294,9 @@ def describe_usual_time(verdict: Verdict) -> str:
     if searched:
         name = "longest step time" if searched < LEAST_STRETCH else "largest p99 step time"
         steps = f"the {plural(searched, 'step')} of `{verdict.p99_run.scenario}`"
-        few = " (only its hardest steps were replayed, so there is no interval)"
-        return f"{name} is {time}, over {steps}{few * (searched >= LEAST_STRETCH)}"
+        if searched < LEAST_STRETCH:
+            return f"{name} is {time}, over {steps}"
+        return f"{name} is {time}, estimated for {steps} from its hardest steps (no interval)"
     interval = describe_p99_interval(verdict)
     return f"largest p99 step time is {time}{interval}, in {name_experiment(verdict.p99_run)}"
 
@@ -306,8 +307,8 @@ def describe_scaled_p99(verdict: Verdict) -> str:
     if run is None or not verdict.p99_bound_ns > verdict.p99_ns:
         return ""
     return (
-        f" The closed loop of `{run.scenario}` needs more iterations: scaled to them, the p99 is "
-        f"estimated at {format_time(verdict.p99_bound_ns)}."
+        f" The closed loop of `{run.scenario}` needs more iterations than the replayed steps: "
+        f"scaled to them, the p99 is estimated at {format_time(verdict.p99_bound_ns)}."
     )
 
 

@@ -435,6 +435,20 @@ def test_a_replay_of_a_part_is_bounded_by_the_iterations_of_the_whole_loop(recor
     assert margin.p99_limit == pytest.approx(1.25)
 
 
+@pytest.mark.parametrize(("most", "bound_ns"), [(8.0, 8e5), (9.0, 6e5), (30.0, 6e5)])
+def test_a_step_with_the_iterations_of_the_loop_bounds_the_p99(
+    records: Any, most: float, bound_ns: float
+) -> None:
+    """The longest step takes 600 µs; one of at most 8 iterations is none of the loop's 9."""
+    records.loop("daqp", "turn", iterations_p99=9.0)
+    columns = {"iterations_p99": 4.0, "iterations_max": most, "slow": {7: 1.5}}
+    times = {"algo_p99_ns": 4e5, "algo_max_ns": 6e5}
+    _even_replay(
+        records, 400_000, 1000, sequence="turn[0:1000]", scenario="turn", **columns, **times
+    )
+    assert _judged(records)[1]["p99_bound_ns"] == pytest.approx(bound_ns)
+
+
 def test_a_loop_without_iterations_leaves_a_window_as_it_was_timed(records: Any) -> None:
     records.loop("daqp", "turn")
     _window(records, 450, 400_000, scenario="turn", iterations_p99=4.0)

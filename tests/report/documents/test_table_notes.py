@@ -55,8 +55,8 @@ def test_the_replays_of_worst_p99_and_hardest_step_are_named() -> None:
     turn = f"{window} `turn`; for `scs` (native warm), in the replay of `move`"
     rough = f"for `piqp` (native warm), {window} `rough`"
     assert notes == [
-        "A p99 of hardest steps has no interval, because the other steps were not replayed.",
-        f"The worst p99 is {turn}.",
+        "A p99 estimated from hardest steps has no interval: others were not replayed.",
+        f"The largest p99 is {turn}.",
         f"The longest step is {turn}; {rough}.",
     ]
 

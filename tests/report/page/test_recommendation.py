@@ -62,9 +62,9 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
         factor = format_rounded_down(margin.allowed_slowness_factor)
         assert f"may be up to {factor} times slower" in output
         limit = format_rounded_down(margin.p99_limit)
-        assert f"reaches the limit of 3 ms at × {limit}." in output
+        assert f"reaches the limit of 3 ms at a slowdown of × {limit}." in output
         deadline = format_rounded_down(margin.deadline)
-        assert f"reaches the deadline of 300 ms at × {deadline}." in output
+        assert f"reaches the deadline of 300 ms at a slowdown of × {deadline}." in output
         for step in (margin.p99, margin.hardest):
             where = f"{format_time(step.time_ns)} in step {step.k} of {step.run.scenario} ("
             assert where in plain
@@ -91,7 +91,7 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
         assert row["verdict"] == verdict.state
         assert row["p99"] == format_time(verdict.replay_p99_ns)
         interval = format_p99_interval(verdict.p99_interval)
-        assert row["worst p99"] == format_time(verdict.p99_ns) + interval
+        assert row["largest p99"] == format_time(verdict.p99_ns) + interval
         assert row.get("p99 of single timings", MISSING) == format_time(verdict.raw_p99_ns)
         assert row["longest step"] == format_time(verdict.algo_max_ns)
         assert row["largest error [maximum increments]"] == format_error(verdict.error_move)
@@ -113,8 +113,8 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
         " (including a wait of 39.0 ms for the core)",
     )
     slower = dict(report.summary_rows())["margin"]
-    hardest = f"Its longest step takes 10.0 ms{waits[0]} in step 7 of paper"
-    assert hardest in slower and "reaches the deadline of 300 ms at × 30.0." in slower
+    hardest = f"The longest step takes 10.0 ms{waits[0]} in step 7 of paper"
+    assert hardest in slower and "reaches the deadline of 300 ms at a slowdown of × 30.0." in slower
     assert f"The largest single timing is 40.0 ms{waits[1]} in paper" in slower
     assert f"| 10.0 ms{waits[0]} |" in make_report_markdown(report)
     text, worst = compare_solver(report, "daqp")
@@ -130,8 +130,8 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
     [
         (
             450,
-            "largest p99 step time is {}, over the 450 steps of `paper` (only its hardest steps "
-            "were replayed, so there is no interval)",
+            "largest p99 step time is {}, estimated for the 450 steps of `paper` from its hardest "
+            "steps (no interval)",
         ),
         (60, "longest step time is {}, over the 60 steps of `paper`"),
     ],
@@ -464,8 +464,8 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     data = Report.from_results(records.results()).data
     (verdict,) = data.verdicts.all_verdicts
     text = " ".join(list_speed_margin_sentences(data, verdict))
-    scaled = "Scaled to the iterations of its closed loop, it is 40.0 µs"
-    assert f"{scaled} and reaches the limit of 3 ms at × 75.0." in text
+    scaled = "Scaled to the iterations of its closed loop, the limiting p99 is 40.0 µs"
+    assert f"{scaled}. It reaches the limit of 3 ms at a slowdown of × 75.0." in text
 
 
 def test_the_table_has_the_times_that_give_each_speed_margin(records: Any) -> None:
@@ -481,14 +481,14 @@ def test_the_table_has_the_times_that_give_each_speed_margin(records: Any) -> No
     table = [line for line in text.splitlines() if line.startswith("| ")]
     head, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in table)
     found = {row[0]: dict(zip(head, row, strict=True)) for row in rows}
-    columns = ("worst p99", "limiting p99", "longest step", "speed margin")
+    columns = ("largest p99", "limiting p99", "longest step", "speed margin")
     assert [found["daqp"][name] for name in columns] == ["20.0 µs", "40.0 µs", "20.0 µs", "× 75.0"]
     assert [found["osqp"][name] for name in columns[1:]] == ["20.0 µs", "60.0 ms", "× 5.00"]
     assert "the smaller of 3 ms divided by the limiting p99 and 300 ms divided by" in text
     facts = make_page_document(report.data, report.results, report.recommendation, {})
     limits = dict(zip(*(facts["configurations"][n] for n in ("solver", "limited_by")), strict=True))
     assert limits == {
-        "daqp": "scaled p99 of 40.0 µs (limit 3 ms)",
+        "daqp": "limiting p99 of 40.0 µs (limit 3 ms)",
         "osqp": "longest step of 60.0 ms (deadline 300 ms)",
     }
     verdicts = tabulate_verdicts(report.data).set_index("solver")
@@ -545,7 +545,7 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     assert (answer.first.solver, answer.second.solver) == ("daqp", "qtqp")
     notes = dict(answer.notes)
     assert "is not recommended: written in Python" in notes["faster"]
-    assert notes["next"].startswith("The next is `scs` (qpsolvers fresh). Its largest p99 ")
+    assert notes["next"].startswith("The next fastest is `scs` (qpsolvers fresh). Its largest p99 ")
     assert records.ending()["next"].startswith("scs (qpsolvers fresh). Its largest p99 ")
     assert notes["deployment"] == (
         "Licence: MIT. Language: C, without external libraries. Embeddable C code: yes (the "
@@ -787,5 +787,5 @@ def test_a_margin_of_too_few_steps_names_no_p99(records: Any, steps: int, named:
     data = Report.from_results(records.results()).data
     (verdict,) = data.verdicts.all_verdicts
     margin = " ".join(list_speed_margin_sentences(data, verdict))
-    assert f"The solver's {named} is 20.0 µs in step " in margin
-    assert "and reaches the limit of 3 ms at × 150." in margin
+    assert f"The {named} is 20.0 µs in step " in margin
+    assert "It reaches the limit of 3 ms at a slowdown of × 150." in margin

@@ -98,7 +98,7 @@ def test_unequal_settings_and_loops_without_counts_are_named(judged: MadeRecords
         "and rho = 0.25, the solver on this machine with the default settings (adaptive_rho = 1, "
         "adaptive_rho_interval = 50)."
     ) in topic.lines
-    uncounted = "The QPs of `turn` were not counted and may take more instructions."
+    uncounted = "Instructions were not counted for the QPs of `turn`, which may take more."
     assert uncounted in topic.lines and uncounted in notes(report)["counted"]
 
 

@@ -101,7 +101,7 @@ function verdictOf(run, name) {
 function resultOf(run) {
   const solver = `\`${C().solver[state.c]}\``;
   const within = run.settle_s === null || run.settle_s === "inf" ? ""
-    : ` From ${run.settle_s === 0 ? "the start" : `${figure(run.settle_s)} s on`}, the ship stayed within 1 m and 1° of its setpoint for at least 30 s.`;
+    : ` At ${run.settle_s === 0 ? "the start" : `${figure(run.settle_s)} s`}, the ship came within 1 m and 1° of its setpoint, and it stayed there for at least 30 s.`;
   const unverified = unverifiedOf(run), all = ", and all are accurate";
   return [
     `${verdictOf(run, solver)}${facts.experiments[state.p].study ? `, ${solver}` : ": it"} ran ${grouped(run.steps)} of ${grouped(run.planned)} steps${
@@ -132,7 +132,7 @@ async function drawOne() {
   const judged = C().verdict[state.c] !== "not judged";
   text.replaceChildren(...coded([
     resultOf(run),
-    judged ? `Overall verdict on all judged scenarios and replays: ${C().verdict[state.c]}${C().why[state.c] ? `, because ${C().why[state.c]}` : ""}.` : "",
+    judged ? `Overall verdict, without runs in SI units: ${C().verdict[state.c]}${C().why[state.c] ? `, because ${C().why[state.c]}` : ""}.` : "",
     solver.method ? `Method: ${solver.method}.` : "",
   ].filter(Boolean).join(" ")));
   drawHard(run);
@@ -140,7 +140,7 @@ async function drawOne() {
   $("figure-strips").hidden = $("strips-said").hidden = !drawn;
   $("strips-time").textContent = facts.experiments[state.p].mode === "replay"
     ? "Dot: fastest round that counts; grey line: up to the largest timing. A replay has no plant, so no ship is shown."
-    : "Dot: one step, timed once while other work was running. Compare times in replays only.";
+    : "Dot: one step, timed once, while other runs used the machine. Compare times in replays only.";
   const thinned = drawn && facts.arrays[run.t][4] !== undefined;
   $("strips-kept").hidden = !thinned;
   if (thinned) $("strips-kept").replaceChildren(...coded(
@@ -215,7 +215,7 @@ function drawHard(run) {
     ...[...worst, ...most].map((m) => [m, names[m]]),
     [0, "largest single timings of all closed loops, stalls included", "closed_loop"]];
   const all = document.createElement("details"), title = document.createElement("summary"), heading = document.createElement("h3");
-  title.textContent = "Hardest steps of all judged scenarios and replays";
+  title.textContent = "Hardest steps of all scenarios and replays, without runs in SI units";
   heading.replaceChildren(...coded(`Hardest steps of \`${facts.experiments[state.p].label}\``));
   all.open = $("hard").querySelector("details")?.open ?? false;
   all.append(title, ...(several ? everywhere : []).map(([m, name, mode]) => row(name, worstAnywhere(m, mode).map(said(m))))
