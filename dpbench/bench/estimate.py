@@ -122,7 +122,7 @@ class Estimate:
         """Lines to print for `--dry-run`: the refused cells by reason, most first."""
         totals = {reason: sum(cells.values()) for reason, cells in self.refusals.items()}
         return [
-            f"{totals[reason]} refused, of {', '.join(self.refusals[reason])}: {reason}"
+            f"{totals[reason]} refused ({', '.join(self.refusals[reason])}): {reason}"
             for reason in sorted(totals, key=lambda reason: -totals[reason])
         ]
 
@@ -133,15 +133,18 @@ class Estimate:
         cells, finished, refused, more, steps = (f"{n:,}".replace(",", " ") for n in numbers)
         done = f"{', ' if self.refused else ' and '}{finished} finished" if self.finished else ""
         without = f" and {refused} refused" if self.refused else ""
-        apart = f"; {more} more cells, of capability plots, not included" if self.unmeasured else ""
+        apart = f" {more} more cells, of capability plots, are not included." * bool(
+            self.unmeasured
+        )
         parts = f"{format_duration(self.report_s)} for the report"
         if self.compile_s:
-            parts += f" and {format_duration(self.compile_s)} to compile kernels, once"
+            parts += f" and {format_duration(self.compile_s)} to compile kernels once"
+        loops = "1 closed loop" if self.slots == 1 else f"{self.slots} closed loops in parallel"
         return [
             f"{cells} cells to run{done}{without}; {steps} steps to record",
-            f"{'at least' if self.is_lower_bound else 'about'} {format_duration(self.time_s)} on "
-            f"this machine, {self.slots} closed loops at a time, including {parts}; "
-            f"{self.size_bytes / 1e6:.1f} MB of tables{apart}",
+            f"Estimated time: {'at least ' * self.is_lower_bound}{format_duration(self.time_s)} on "
+            f"this machine with {loops}, including {parts}. "
+            f"Tables: {self.size_bytes / 1e6:.1f} MB.{apart}",
             *([f"estimated from {self.rates}"] if self.cells else []),
             *([LONG_CERTIFICATES] if self.is_lower_bound else []),
             *self.remarks,

@@ -10,6 +10,10 @@ from rich.console import Group, RenderableType
 from dpbench.cli.terminal import format_heading_and_paragraphs, make_small_table, make_unstyled_text
 from dpbench.report.formats import MISSING, plural
 
+VESSELS_ARE = """
+largest acceleration: by the largest force in an axis with forces in the other
+axes; `dpbench check` has that without forces in the other axes."""
+
 SEQUENCES_ARE = """
 Each sequence has QPs of the reference loop of the scenario in its name, at the
 horizons N_p-N_c. Every optimum is certified. n: variables; m: rows; K: QPs;
@@ -27,7 +31,7 @@ def list_table(kind: str) -> RenderableType:
 
 
 def _list_vessels() -> RenderableType:
-    """Return a table of all stored vessels: time constants and acceleration at full thrust."""
+    """Return a table of all stored vessels: time constants and largest accelerations."""
     from dpbench.scenario import problem_files as problems
     from dpbench.scenario.tables.vessel_file import VesselFile
     from dpbench.ship.characteristics import compute_axis_time_constants_s
@@ -38,13 +42,13 @@ def _list_vessels() -> RenderableType:
         vessel = problems.read_toml_as_model(path, VesselFile).build_vessel(name, str(path))
         times = [f"{t:.3g}" for t in compute_axis_time_constants_s(vessel)]
         surge, sway, yaw = 1e3 * vessel.accelerations_at_force_limits()[1]
-        reached = f"surge {surge:.3g}, sway {sway:.3g} mm/s², yaw {yaw:.3g} mrad/s²"
+        reached = f"surge {surge:.3g} mm/s², sway {sway:.3g} mm/s², yaw {yaw:.3g} mrad/s²"
         about = [
-            f"time constants: surge {times[0]}, sway {times[1]}, yaw {times[2]} s",
-            f"acceleration at full thrust: {reached}",
+            f"time constants: surge {times[0]} s, sway {times[1]} s, yaw {times[2]} s",
+            f"largest acceleration: {reached}",
         ]
         entries.append(format_heading_and_paragraphs(name, [vessel.title, *about]))
-    return make_unstyled_text("\n".join(entries))
+    return make_unstyled_text("\n".join([*entries, VESSELS_ARE]))
 
 
 def _list_scenarios() -> RenderableType:

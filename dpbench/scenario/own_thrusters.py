@@ -221,7 +221,7 @@ def describe_assumed_values(
     values = list_assumed_values(rows, tables)
     rises, sizes = values.get("rise times", ""), values.get("diameters", "")
     propellers = values.get("propellers", "")
-    astern = values.get("thrust astern over that ahead", "")
+    astern = values.get("ratio of thrust astern to thrust ahead", "")
     sentences = {
         f"Rise times: {rises}, scaled from the ship of Xia, Liu, Pang & Xue with the square root "
         "of the length.": rises,
@@ -230,7 +230,7 @@ def describe_assumed_values(
         "Shaft heights are unknown: loss of thrust by ventilation in waves is neglected.": any(
             "height_m" not in row for row in rows if "power_kW" in row
         ),
-        f"Thrust astern over that ahead: {astern}.": astern,
+        f"Ratio of thrust astern to thrust ahead: {astern}.": astern,
         "A thruster without a group fails alone.": any("group" not in row for row in rows),
     }
     return [sentence for sentence, is_needed in sentences.items() if is_needed]
@@ -247,7 +247,7 @@ def list_assumed_values(
         "rise times": _list_left_out(named, "rise_s", " s"),
         "diameters": _list_left_out(by_power, "diameter_m", " m"),
         "propellers": _list_left_out(by_power, "propeller"),
-        "thrust astern over that ahead": _list_left_out(mains, "astern"),
+        "ratio of thrust astern to thrust ahead": _list_left_out(mains, "astern"),
     }
     return {quantity: text for quantity, text in values.items() if text}
 

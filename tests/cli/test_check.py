@@ -70,9 +70,13 @@ def test_check_takes_every_suite(suite: str, say: Say) -> None:
     text = " ".join(say("check", suite).split())
     about, _, rest = text.partition(": a suite of ")
     assert about.endswith(f"{suite}.toml") and int(rest.split(" cells")[0]) > 0
-    counts = r" cells(, \d+ of them refused)?(; \d+ rows in runs.parquet)?"
+    counts = (
+        r" cells(, of which \d+ are refused \(reasons: --dry-run\))?(; \d+ rows in runs.parquet)?"
+    )
     expected = (
-        counts + r" (about|at least) [\d.]+ (s|min|h) on this machine, .*; [\d.]+ MB of tables"
+        counts
+        + r" Estimated time: (at least )?[\d.]+ (s|min|h) on this machine with .*\. "
+        + r"Tables: [\d.]+ MB\."
     )
     assert re.search(expected, rest)
 
@@ -81,7 +85,7 @@ def test_check_takes_every_suite(suite: str, say: Say) -> None:
 def test_check_and_run_count_the_same_cells(say: Say) -> None:
     """Those to run and the refused ones of `run --dry-run` are the cells of `check`."""
     shown = " ".join(say("check", "thrusters", "--quick").split())
-    checked = re.search(r"a suite of (\d+) cells, (\d+) of them refused", shown)
+    checked = re.search(r"a suite of (\d+) cells, of which (\d+) are refused", shown)
     dry = re.search(
         r"([\d ]+) cells to run and ([\d ]+) refused", say("run", "thrusters", "--dry-run")
     )
@@ -102,7 +106,7 @@ def test_a_suite_in_which_nothing_can_pass_is_said_to_be(
         encoding="utf-8",
     )
     text = " ".join(say("check", "suite.toml").split())
-    assert "suite.toml: a suite of 2 cells about " in text
+    assert "suite.toml: a suite of 2 cells Estimated time: " in text
     assert ("both a closed loop and a replay, so none can pass" in text) is warned
 
 

@@ -190,7 +190,7 @@ def test_the_hardest_sea_that_the_ship_holds_is_suggested(
     main([*SHIP, "--out", "ships"])
     printed = capsys.readouterr().out
     (command,) = re.findall(r"harder: dpbench (init my_ship --sea \d .*)", printed)
-    more = "(more wind from the same direction: 7.9 m/s from 30°; level-1 mean force: 97% of the"
+    more = "(more wind from the same direction: 7.9 m/s from 30°; mean force of level 1: 97% of the"
     assert more in " ".join(printed.split())
     assert main(shlex.split(command)) == 0
     harder = capsys.readouterr().out

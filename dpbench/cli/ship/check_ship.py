@@ -49,6 +49,7 @@ _KILO = np.array([1e3, 1e3, 1e3])
 _SAME = 1e-3
 """Relative difference of forces that counts as none: azimuths are polygons in a sector."""
 _WIDTHS = (22, 19, 19, 19)
+LEVEL_1 = "DNV-ST-0111, level 1"
 FACTOR = 2.0
 """Ratio of a mean load in simulation to that of level 1 beyond which a caution is printed."""
 MATTERS = 0.05
@@ -83,7 +84,8 @@ def describe_checked_scenario(
     quick : simulate nothing, and state what is left out.
     """
     shown = name.name if isinstance(name, Path) else name
-    first = f"{shown}: a scenario of {scenario.steps} steps with vessel {scenario.vessel.id}"
+    steps = f"{scenario.steps} step{'s' * (scenario.steps != 1)}"
+    first = f"{shown}: a scenario of {steps} with vessel {scenario.vessel.id}"
     loads = compare_with_level_1(scenario) or textwrap.wrap(_describe_weather_load(scenario), WIDTH)
     turning = textwrap.wrap(describe_unused_turning(scenario), WIDTH)
     sensors = textwrap.wrap(describe_ideal_sensors(scenario.files["scenario"]), WIDTH)
@@ -105,9 +107,9 @@ def format_limits_by_axis(vessel: Vessel) -> list[str]:
     unit = f"{kilo}N"
     reach = None if vessel.thrusters is None else ThrusterReach(vessel.thrusters)
     pure = vessel if reach is None else _limit_to_pure_forces(vessel, reach)
-    forces = [("largest force", *_format_forces(pure, unit, per))]
+    forces = [("largest force alone", *_format_forces(pure, unit, per))]
     if (np.abs(vessel.tau_max - pure.tau_max) > _SAME * vessel.tau_max).any():
-        forces.append(("combined with others", *_format_forces(vessel, unit, per)))
+        forces.append(("with other axes", *_format_forces(vessel, unit, per)))
     rise = vessel.tau_max / vessel.rate_max
     acceleration = pure.accelerations_at_force_limits()[1] * _KILO
     speeds = (
@@ -123,15 +125,15 @@ def format_limits_by_axis(vessel: Vessel) -> list[str]:
             "time constant",
             *(f"{_format_number(t)} s" for t in ships.compute_axis_time_constants_s(vessel)),
         ),
-        ("acceleration at full", *_format_with_units(acceleration, ("mm/s²", "mm/s²", "mrad/s²"))),
+        ("acceleration alone", *_format_with_units(acceleration, ("mm/s²", "mm/s²", "mrad/s²"))),
         ("speed at full force", *drift),
     ]
     table = [f"{row[0]:<22}" + "".join(f"{cell:<19}" for cell in row[1:]) for row in rows]
     find_share = None if reach is None else reach.find_least_thrust_share
     current_mps = ships.find_largest_current_abeam_mps(vessel, find_share)
     lines = [line.rstrip() for line in table]
-    lines.append(_describe_sideways_force(pure, current_mps, unit, per))
-    lines.append(_describe_drag(vessel, unit, per))
+    sideways = _describe_sideways_force(pure, current_mps, unit, per)
+    lines += textwrap.wrap(f"{sideways} {_describe_drag(vessel, unit, per)}", WIDTH)
     if vessel.thrusters is None:
         return lines
     on_thrusters = [
@@ -156,11 +158,14 @@ def _format_forces(vessel: Vessel, unit: str, per: float) -> list[str]:
 
 
 def _describe_drag(vessel: Vessel, unit: str, per: float) -> str:
-    """Return a line on a ship's drag, and on how far the controller's model is from it."""
+    """Return sentences on a ship's drag, and on how far the controller's model is from it."""
     if vessel.drag is None:
-        return "damping is linear at every speed, as in the controller's model"
+        return "The damping is linear at every speed, as in the controller's model."
     linear = f"{_format_number(vessel.D[ships.SWAY, ships.SWAY] / per)} {unit}"
-    return f"drag is cross-flow; the controller's linear model has {linear} at 1 m/s sideways"
+    return (
+        "The simulated drag is cross-flow. The controller's linear model gives "
+        f"{linear} at 1 m/s sideways."
+    )
 
 
 def _format_range(low: float, high: float) -> str:
@@ -185,7 +190,7 @@ def _format_number(value: float) -> str:
 
 
 def _describe_sideways_force(vessel: Vessel, current_mps: float, unit: str, per: float) -> str:
-    """Return a line on a ship's force at 1 m/s sideways, its sway limit, the current it holds."""
+    """Return sentences on the force at 1 m/s sideways, the sway limit and the current held."""
     needs = ships.compute_force_of_unit_current_abeam(vessel)[ships.SWAY] / per
     has = min(-vessel.tau_min[ships.SWAY], vessel.tau_max[ships.SWAY]) / per
     most = ships.compute_linear_damping_speeds(vessel)[ships.SWAY]
@@ -195,7 +200,7 @@ def _describe_sideways_force(vessel: Vessel, current_mps: float, unit: str, per:
     needed = (
         f"1 m/s sideways needs {_format_number(needs)} {unit} (limit {_format_number(has)} {unit})"
     )
-    return f"{needed}; holds {largest} m/s of current abeam"
+    return f"{needed}. The ship holds a current of {largest} m/s abeam."
 
 
 def _describe_weather_load(scenario: Scenario) -> str:
@@ -234,7 +239,7 @@ def compare_with_level_1(scenario: Scenario) -> list[str]:
     level_1 = level_1 + _compute_level_1_load(vessel.capability, weather, heading_rad)
     reach = None if vessel.thrusters is None else ThrusterReach(vessel.thrusters)
     pure = vessel if reach is None else _limit_to_pure_forces(vessel, reach)
-    loads = {"simulated": simulated, "level 1": level_1}
+    loads = {"simulated": simulated, LEVEL_1: level_1}
     shares = {
         name: np.abs(load) / np.where(load < 0.0, pure.tau_max, -pure.tau_min)
         for name, load in loads.items()
@@ -248,16 +253,16 @@ def compare_with_level_1(scenario: Scenario) -> list[str]:
         "".join(f"{cell:<{at}}" for cell, at in zip(row, _WIDTHS, strict=True)) for row in rows
     ]
     most = float(shares["simulated"].max())
-    about = "Percentages are of the largest force"
+    about = "Percentages are of the largest force alone."
     if reach is not None:
         taken = {name: reach.find_least_thrust_share(-load) for name, load in loads.items()}
         # A force in one axis may make one in another easier.
         most = taken["simulated"]
         about += (
-            f"; all axes together need {taken['simulated']:.0%} of the thrust (simulated) or "
-            f"{taken['level 1']:.0%} (level 1, which allows at most {SPARE:.0%})"
+            f" All axes together need {taken['simulated']:.0%} of the thrust (simulated) or "
+            f"{taken[LEVEL_1]:.0%} (level 1, which allows at most {SPARE:.0%})."
         )
-    about += " - the simulated one cannot be held" if most > 1.0 else ""
+    about += " The ship cannot hold the simulated mean load." if most > 1.0 else ""
     notes = [about, *_caution_on_difference(loads, shares, has_current=weather.current is not None)]
     wrapped = (line for note in notes for line in textwrap.wrap(note, WIDTH))
     return [*(line.rstrip() for line in lines), *wrapped]
@@ -293,10 +298,10 @@ def _caution_on_difference(
     loads: Mapping[str, Vector], shares: Mapping[str, Vector], *, has_current: bool
 ) -> list[str]:
     """Return a caution on axes whose mean loads differ by more than a factor; none without any."""
-    simulated, level_1 = loads["simulated"], loads["level 1"]
+    simulated, level_1 = loads["simulated"], loads[LEVEL_1]
     least, most = np.sort(np.abs([simulated, level_1]), axis=0)
     differs = (most > FACTOR * least) | (simulated * level_1 < 0.0)
-    matters = np.maximum(shares["simulated"], shares["level 1"]) > MATTERS
+    matters = np.maximum(shares["simulated"], shares[LEVEL_1]) > MATTERS
     axes = [name for name, is_off in zip(AXIS_NAMES, differs & matters, strict=True) if is_off]
     if not axes:
         return []
@@ -339,8 +344,8 @@ def _describe_bracket(bracket: Bracket, scale: float) -> str:
     """Return in words the largest sideways offset recovered and the smallest that is not [m]."""
     holds = f"{float(format_rounded_down(scale * bracket.holds_m)):g}"
     if bracket.fails_m is None:
-        return f"calm-water recovery from {holds} m sideways (largest tried)"
+        return f"recovers {holds} m sideways in calm water (largest tried)"
     fails = f"{float(format_rounded_up(scale * bracket.fails_m)):g}"
     if bracket.holds_m == 0.0:
-        return f"no calm-water recovery from {fails} m sideways"
-    return f"calm-water recovery from {holds} m sideways, not {fails} m"
+        return f"does not recover {fails} m sideways in calm water"
+    return f"recovers {holds} m sideways in calm water, not {fails} m"

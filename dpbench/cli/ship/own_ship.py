@@ -57,6 +57,7 @@ SETTLED_S = 180.0
 AFTER_LOSS_S = 420.0
 """Time simulated after a loss [s], and as long without one: a ship may leave its station slowly."""
 SAMPLE_S = 0.3
+INDENT = "  "
 START_M = (1.2, 1.3)  # North and east; sample and start are the paper's
 YAW_WEIGHT = 3000.0
 """Heading weight of the robust tuning of the paper's ship [1/rad²]; its lever is 0.72 L."""
@@ -69,6 +70,8 @@ LAG_S = 1.0
 supply vessel of 76.2 m in the MSS toolbox and the Python Vehicle Simulator (`T_n`)."""
 FORM_DIFFERS = 0.2
 """Relative difference of a ratio from the library vessel's that counts as another form."""
+CONTROL_HORIZON = 10
+"""Control increments of each axis of force, or of each thruster's forces."""
 SOLVERS = ("daqp", "quadprog", "osqp", "piqp", "proxqp", "clarabel", "paper_active_set")
 
 
@@ -148,7 +151,8 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
             *list_cautions(ship),
         ]
         if ship.thrusters is not None:
-            remarks.append(f"assumed for the thrusters: {' '.join(ship.thrusters.assumed)}")
+            remarks.append("assumed for the thrusters:")
+            remarks += [f"{INDENT}{sentence}" for sentence in ship.thrusters.assumed]
             thrusters = ship.thrusters.thrusters
             remarks += [*thrusters.sector_descriptions, *ship.thrusters.half_turns]
             remarks += [*caution_on_wash(thrusters), *list_zone_cautions(thrusters)]
@@ -197,7 +201,7 @@ def _render_sea_files(
         left_out = describe_losses_left_out(held, [*losses])
         weak = held.weak_side
         apart[_name_weak_side_file(stem)] = (
-            "The weak side: weather from the direction of least wind held."
+            "The weak side: weather from the direction from which the ship holds the least wind."
         )
         texts[_name_weak_side_file(stem)] = render_scenario_file(
             name, vessel, number, held, chosen=chosen, steered=True, lost=weak.lost, weak=weak
@@ -363,22 +367,21 @@ def _list_files_and_commands(
     paths = [str(folder / name) for name in texts]
     share, whole = find_mean_share(vessel, number, held)
     lines = [f"wrote {path}" for path in paths]
-    lines += [line for remark in remarks for line in textwrap.wrap(remark, WIDTH)]
+    for remark in remarks:
+        indent = INDENT if remark.startswith(INDENT) else ""
+        lines += textwrap.wrap(remark, WIDTH, subsequent_indent=2 * indent)
     wind_mps = scaling.DP_NUMBERS[number][0]
     sea = f"sea: DP capability number {number}, wind {wind_mps:g} m/s"
-    mean = f"{sea}; its level-1 mean force takes {share:.0%} of {whole}"
+    mean = f"{sea}. The mean force of level 1 needs {share:.0%} of {whole}"
     if vessel.thrusters is not None:
-        edge = (
-            f"{scaling.SPARE:.0%} ({MISCELLANEOUS:g} of the thrust, divided by {DYNAMIC_FACTOR:g})"
-        )
-        mean += f"; level 1 allows at most {edge}"
-    lines += textwrap.wrap(mean, WIDTH)
+        edge = f"{scaling.SPARE:.0%} ({MISCELLANEOUS:g} / {DYNAMIC_FACTOR:g})"
+        mean += f"; at most {edge} is allowed"
+    lines += textwrap.wrap(f"{mean}.", WIDTH)
     if share > 1.0:
-        forces = "--sway-thrust and --yaw-moment" if vessel.thrusters is None else "--thrusters"
-        smaller = ", or a smaller sea (--sea)" if number > 1 else ""
-        lines.append(
-            f"This ship cannot hold station there: it needs more force ({forces}){smaller}."
-        )
+        forces = "--sway-thrust, --yaw-moment" if vessel.thrusters is None else "--thrusters"
+        smaller = " or choose a smaller sea (--sea)" if number > 1 else ""
+        weak = "This ship cannot hold station in this sea. Give it more force"
+        lines += textwrap.wrap(f"{weak} ({forces}){smaller}.", WIDTH)
     lines += textwrap.wrap(describe_missing_tables([*SENSOR_TABLES]), WIDTH)
     return [*lines, f"next: dpbench check {paths[0]}", f"      dpbench run {paths[-1]}"]
 
@@ -396,11 +399,11 @@ def _suggest_harder_sea(
     wind_mps = scaling.DP_NUMBERS[harder][0]
     from_deg = scaling.FROM_DEG if held is None else held.from_deg
     about = (
-        f"(more wind from the same direction: {wind_mps:g} m/s from {from_deg:g}°; level-1 mean "
-        f"force: {share:.0%} of {whole}"
+        f"(more wind from the same direction: {wind_mps:g} m/s from {from_deg:g}°; mean force of "
+        f"level 1: {share:.0%} of {whole}"
     )
     lost = held is not None and held.list_groups_not_held(harder)
-    about += "; not held after every loss)" if lost else ")"
+    about += "; not held after some losses)" if lost else ")"
     return [
         f"harder: dpbench init {vessel.id} --sea {harder}{where}",
         *textwrap.wrap(about, WIDTH, initial_indent="      ", subsequent_indent="      "),
@@ -545,6 +548,8 @@ def render_scenario_file(
         scaled_s=_scale_sample_s(vessel),
         steps=_find_step_of_loss(vessel) + math.ceil(AFTER_LOSS_S / step_s) if steered else STEPS,
         start=[round(metres * longer, 2) for metres in START_M],
+        start_m=math.hypot(*START_M) * longer,
+        control_horizon=CONTROL_HORIZON,
         sea=scaling.make_environment_of_dp_number(number, from_deg),
         lag_s=round(LAG_S * scaling.compute_froude_time_scale(vessel.length_m), 2),
         move_weight=MOVE_WEIGHT,
@@ -599,6 +604,8 @@ def render_suite_file(
         apart=apart or {},
         comment=_wrap_as_comment,
         toml_strings=partial(json.dumps, ensure_ascii=False),
+        variables=vessel.thrusters and CONTROL_HORIZON * vessel.thrusters.n_f,
+        variables_of_forces=CONTROL_HORIZON * len(vessel.tau_max),
         name=name,
         weather=weather,
         number=number,

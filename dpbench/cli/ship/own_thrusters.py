@@ -56,7 +56,7 @@ HINTS = {
     "kind": "azimuth, tunnel or main; empty to finish",
     "x_m": "ahead of midships",
     "y_m": "to starboard; empty: 0",
-    "power_kW": "empty: by thrust",
+    "power_kW": "empty: enter thrust_kN instead",
     "thrust_kN": "",
     "group": "switchboard; empty: fails alone",
 }
@@ -71,7 +71,7 @@ class OwnThrusters:
     tables: tuple[ThrusterTable, ...]
     thrusters: ThrusterSet
     half_turns: tuple[str, ...] = ()
-    """Sentence on each azimuth whose sector is too wide for controllers: half turns tried."""
+    """Lines on each azimuth whose sector is too wide for controllers: half turns tried."""
 
     @property
     def assumed(self) -> list[str]:
@@ -121,7 +121,7 @@ class OwnThrusters:
         """
         every, tables = list(self.thrusters.thrusters), list(self.tables)
         wide = [i for i, t in enumerate(every) if t.convex_sector_rad != t.sector_rad]
-        sentences = {}
+        lines_by_azimuth = {}
         for i in 2 * wide:
             thruster, tried = self.thrusters.thrusters[i], {}
             for half in _list_half_turns(thruster):
@@ -131,14 +131,15 @@ class OwnThrusters:
             # Of equals `max` takes the first.
             best = max(tried, key=lambda half: _list_winds_as_compared(tried[half]))
             every[i] = replace(thruster, sector_rad=best)
-            sentences[i] = _describe_half_turns(thruster.name, tried, best)
+            lines_by_azimuth[i] = _describe_half_turns(thruster.name, tried, best)
             half_deg = [round(math.degrees(angle) % 360.0, 9) for angle in best]
             tables[i] = tables[i].model_copy(update={"controller_sector_deg": half_deg})
         thrusters = replace(self.thrusters, thrusters=tuple(t.build_thruster() for t in tables))
-        said = tuple(sentences.values())
-        if said:
-            said += (f"To show what they cost: dpbench capability {vessel.id}.toml --planned.",)
-        return replace(self, tables=tuple(tables), thrusters=thrusters, half_turns=said)
+        lines = [line for of_one in lines_by_azimuth.values() for line in of_one]
+        if lines:
+            command = f"dpbench capability {vessel.id}.toml --planned"
+            lines += ["To show the wind lost through these half turns, run:", f"  {command}"]
+        return replace(self, tables=tuple(tables), thrusters=thrusters, half_turns=tuple(lines))
 
 
 def _list_half_turns(thruster: Thruster) -> list[tuple[float, float]]:
@@ -152,26 +153,26 @@ def _describe_half_turns(
     name: str,
     tried: Mapping[tuple[float, float], Mapping[str, WindLimit]],
     best: tuple[float, float],
-) -> str:
-    """Return sentences on the winds held with each half turn tried, and why one was chosen."""
+) -> list[str]:
+    """Return lines, with a table, on the winds held with each half turn tried and the choice."""
     winds = {half: _list_winds_as_compared(held) for half, held in tried.items()}
-    each = [
-        f"{format_sector(half)} {intact:.1f} ({', '.join(f'{wind:.1f}' for wind in losses)})"
-        for half, (*losses, intact) in winds.items()
-    ]
-    equal = [half for half in tried if winds[half] == winds[best]]
-    tie = ""
-    if len(equal) > 1:
-        tie = (
-            f" Equal to 0.1 m/s: {join_with_and([format_sector(half) for half in equal])}; of "
-            "equals the middle one comes first, then that from the end of the barred zone."
-        )
-    return (
-        f"{name}: controllers plan with {format_sector(best)}. Wind held off the bow [m/s] intact "
-        f"(after each loss, the worst first), by half turn: {', '.join(each)}. The half turn "
-        "with the most wind after the worst loss is chosen; equal ones are compared after the next "
-        f"loss, then intact.{tie}"
+    cases = {INTACT: "intact"} | {case: f"after {case}" for case in tried[best] if case != INTACT}
+    rows = [("wind held [m/s]", *map(format_sector, tried))]
+    for case, label in cases.items():
+        held = (f"{floor_to_tenth(of_half[case].wind_mps):.1f}" for of_half in tried.values())
+        rows.append((textwrap.shorten(label, 27, placeholder=" …"), *held))
+    equal = [format_sector(half) for half in tried if winds[half] == winds[best]]
+    tie = (
+        f"{join_with_and(equal)} are equal within 0.1 m/s. Ties go to the middle half turn, then "
+        "to the one that starts at the end of the barred zone."
     )
+    return [
+        f"{name}: controllers plan with {format_sector(best)}. Of three half turns, this one holds "
+        "the most wind off the bow after the worst loss; if equal, after the next loss, then "
+        "intact.",
+        *("  " + f"{row[0]:<28}" + "".join(f"{cell:>16}" for cell in row[1:]) for row in rows),
+        *([tie] if len(equal) > 1 else []),
+    ]
 
 
 def _list_winds_as_compared(held: Mapping[str, WindLimit]) -> list[float]:
@@ -274,10 +275,11 @@ class WeakSide:
 
     def explain_sea(self, number: int) -> str:
         """Return a sentence on the choice of its sea, up to a DP capability number."""
-        where = f"from {self.from_deg:g}°, the direction of least wind held {self.when}"
+        where = f"from {self.from_deg:g}° according to level 1"
+        why = f"From {self.from_deg:g}°, the ship holds the least wind {self.when}"
         if not self.limit.number:
-            return f"the smallest, as the thrusters hold none by level 1 {where}"
-        return f"the largest up to number {number} that the thrusters hold by level 1 {where}"
+            return f"the smallest, as the thrusters hold none {where}. {why}"
+        return f"the largest up to number {number} that the thrusters hold {where}. {why}"
 
     def describe(self, number: int, file: str) -> str:
         """Return a sentence on the scenario of a file with a sea up to a DP capability number."""
@@ -328,15 +330,17 @@ class HeldSea:
         """Return text on the choice of a DP capability number, of the ship or the intact ship."""
         if number == self.number:
             return self.reason
-        return f"the largest that the intact ship holds by level 1 from {self.from_deg:g}°"
+        return (
+            f"the largest that the intact ship holds from {self.from_deg:g}° according to level 1"
+        )
 
     def describe_intact_sea(self, file: str) -> str:
         """Return a sentence on the scenario of a file with the intact ship in its largest sea."""
         wind_mps = scaling.DP_NUMBERS[self.intact_number][0]
         return (
             f"intact ship, without a loss: DP capability number {self.intact_number}, "
-            f"wind {wind_mps:g} m/s from {self.from_deg:g}°, the largest held there by level 1 "
-            f"({file})"
+            f"wind {wind_mps:g} m/s from {self.from_deg:g}°, the largest that it holds from there "
+            f"according to level 1 ({file})"
         )
 
     def list_groups_not_held(self, number: int) -> list[str]:
@@ -345,7 +349,7 @@ class HeldSea:
 
 
 def find_held_sea(vessel: Vessel) -> HeldSea:
-    """Return the largest sea that a ship's thrusters hold, by level 1 of DNV-ST-0111.
+    """Return the largest sea that a ship's thrusters hold, according to level 1 of DNV-ST-0111.
 
     The plot has all directions of each azimuth, the sea those that controllers plan with.
     """
@@ -363,13 +367,15 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
         "the largest at which the ship holds station according to level 1",
     )
     if lost is not None:
-        number, reason = held[lost].number, f"{largest}, intact and after the loss of {lost}"
-        if lost != worst:
-            reason += f"; it holds none after the loss of {worst}"
+        number, reason = held[lost].number, f"{largest}, intact and after the loss of "
+        if lost == worst:
+            reason += f"any failure group ({lost} is the worst)"
+        else:
+            reason += f"{lost}; it holds none after the loss of {worst}"
     elif intact.number:
         number, reason = intact.number, f"{largest} intact; it holds none after the loss of {worst}"
     else:
-        number, reason = 1, "the smallest, as the ship holds station in none by level 1"
+        number, reason = 1, "the smallest, as the ship holds station in none according to level 1"
     numbers = {case: held[case].number for case in losses}
     number, intact_mps = min(number, most), intact.wind_mps
     halves = vessel.thrusters.has_half_turns
@@ -485,7 +491,7 @@ def describe_losses(
         lines.append(
             f"CAUTION: the wind of {wind_mps:g} m/s is beyond the "
             f"{format_wind_held(held.intact_mps)} that the thrusters hold from "
-            f"{held.from_deg:g}° by level 1."
+            f"{held.from_deg:g}° according to level 1."
         )
     # In the sea that is held, not where each loss is simulated whatever it leaves.
     held_after = choose_loss(held, number) if held.lost != next(iter(held.losses)) else None
@@ -493,7 +499,7 @@ def describe_losses(
     simulated = ", ".join(
         f"{group} ({path.name}{notes.get(group, '')})" for group, path in files.items()
     )
-    lines.append(f"lost after {at_s:g} s, one in each scenario: {simulated}")
+    lines.append(f"Each of these scenarios loses one failure group after {at_s:g} s: {simulated}")
     lines += _describe_losses_not_held(held, number)
     if left_out := describe_losses_left_out(held, [*files]):
         another = f"Name another in `lost` of {next(iter(files.values())).name}."
@@ -514,8 +520,10 @@ def _describe_losses_not_held(held: HeldSea, number: int) -> list[str]:
     if not weak:
         return []
     without = _name_groups_lost_one_by_one(weak)
-    by = "level 1, with the half turns of controllers," if held.has_half_turns else "level 1"
-    lines = [f"CAUTION: by {by} the thrusters do not hold this sea {without}."]
+    halves = " and with the half turns of controllers" if held.has_half_turns else ""
+    lines = [
+        f"CAUTION: according to level 1{halves}, the thrusters do not hold this sea {without}."
+    ]
     for group in weak:
         if smaller := held.losses[group]:
             held_sea = f"DP capability number {smaller}"
@@ -525,7 +533,7 @@ def _describe_losses_not_held(held: HeldSea, number: int) -> list[str]:
         lines.append(
             f"Not even DP capability number 1, {wind}, is held "
             f"{_name_groups_lost_one_by_one(none)}: a smaller --sea does not help. "
-            "The thrusters left have to push ahead, astern and to both sides, and turn the ship "
+            "The remaining thrusters must push ahead, astern and to both sides, and turn the ship "
             "both ways."
         )
         lines += [f"After the loss of {group}: {held.remedies[group]}." for group in none]

@@ -19,7 +19,7 @@ from itertools import combinations
 from statistics import NormalDist
 
 from dpbench.ship.capability.loads import CapabilityHull, Condition, mirror_angle_to_one_side
-from dpbench.ship.thrusters import Thruster, ThrusterSet, format_directions
+from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 MISCELLANEOUS = 0.9  # β_misc
 FLUSHING_DIAMETERS = 15.0
@@ -105,11 +105,11 @@ def list_zone_cautions(thrusters: ThrusterSet) -> list[str]:
             and not thruster.may_push(to + math.pi)
         ]
         if hit and thruster.sector_rad is not None:
-            start, end = (math.degrees(edge) + 180.0 for edge in thruster.sector_rad)
+            start, end = (round(math.degrees(edge) + 180.0, 2) for edge in thruster.sector_rad)
             cautions.append(
                 f"CAUTION: barred directions are those of the push. {thruster.name} may not push "
-                f"towards {' or '.join(hit)}, but may send its race there. To bar the race: "
-                f"{format_directions(end, start)}."
+                f"towards {' or '.join(hit)}, but may send its race there. To bar the race, set "
+                f"barred_deg = [{end % 360.0:g}, {start % 360.0:g}]."
             )
     return cautions
 
@@ -136,8 +136,8 @@ def caution_on_wash(thrusters: ThrusterSet) -> list[str]:
     )
     return [
         f"CAUTION: closed loops do not model the wash of one azimuth on another ({apart}); {plot}. "
-        "To bar the wash in closed loop, enter barred_deg (in a table barred_from_deg and "
-        "barred_to_deg)."
+        "To bar these directions in closed loop, set barred_deg in the vessel file, or the columns "
+        "barred_from_deg and barred_to_deg in the CSV file."
     ]
 
 
