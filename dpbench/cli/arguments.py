@@ -25,9 +25,9 @@ _STORED = {
 }
 """Arguments whose values are names of stored files, with their kind."""
 _BAD_INPUT = "2 bad input"
-_LOST = "1 runs were lost through a fault of dpbench (run the same command again)"
+_LOST = "1 a run failed with a harness error (run the same command again)"
 _NOT_HELD = "with --strict, a ship does not hold station in closed loop"
-_BUSY = f"{_BAD_INPUT}, or another dpbench campaign is running (--no-wait, or after --wait)"
+_BUSY = f"{_BAD_INPUT}, or another dpbench run is active (--no-wait, or after --wait)"
 
 
 @dataclass(frozen=True)
@@ -272,8 +272,8 @@ COMMANDS: dict[str, CommandHelp] = {
         "Prove a bound on iterations of the solver paper_active_set",
         options.add_iteration_bound_options,
         ("iteration-bound surge", "iteration-bound sway-yaw --box 0.016"),
-        "0 proved; 1 not proved in time, or the C library takes a different number of iterations; "
-        f"{_BAD_INPUT}",
+        "0 proved; 1 not proved in time, or the C code of paper_active_set takes a different "
+        f"number of iterations than the proof; {_BAD_INPUT}",
         "Prove a bound on the iterations that the solver paper_active_set takes from a cold start. "
         "The bound covers all QPs of a controller whose parameters (offset, speed, applied force) "
         "lie in a given box.",
@@ -292,8 +292,9 @@ COMMANDS: dict[str, CommandHelp] = {
         f"0 settings found; 1 none is accurate on every training sequence; {_BUSY}; "
         "130 interrupted",
         "Search in N trials for the fastest settings of a solver that are accurate on the training "
-        "sequences. Measure the best of them, which is not an optimum, on test sequences of other "
-        "loops. Ctrl-C writes the best settings so far; the same command continues the search.",
+        "sequences. Measure the best settings found (not a proven optimum) on test sequences of "
+        "other loops. Ctrl-C writes the best settings so far; the same command continues the "
+        "search.",
     ),
     "init": CommandHelp(
         _SHIP,
@@ -325,15 +326,15 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "tune": CommandHelp(
         _SHIP,
-        "Search for weights and horizons that hold a ship",
+        "Search for controller weights and horizons for a ship",
         options.add_tune_options,
         ("tune my_ship_weather.toml --seas 4,5", "tune my_ship_weak_side.toml my_ship_intact.toml"),
         "0 a controller within the margin was found; 1 the best controller exceeds the "
         f"margin in the search or in the test; {_BAD_INPUT}",
-        "Find weights and horizons that hold the ship with a margin and little thruster wear, test "
-        "them in other realisations of the sea, and write the scenario with them. The largest "
-        "offset of all scenarios counts. After an interruption, run the same "
-        "command again.",
+        "Find controller weights and horizons with which the ship holds station with a margin and "
+        "little thruster wear. Test them in other realisations of the sea and write a scenario "
+        "with them. The largest offset of all scenarios counts. After an interruption, run the "
+        "same command again.",
     ),
     "capability": CommandHelp(
         _SHIP,

@@ -40,9 +40,9 @@ def describe_machine_and_clock(*, offline: bool) -> list[str]:
     newer = [] if offline else find_newer_releases(_INDEX_TIMEOUT_S)
     facts += [("newer releases", ", ".join(map(str, newer)))] if newer else []
     verdicts = (
-        f"machine: {verdict.describe_disturbance(harness.disturbance)}",
-        f"a quiet machine has {QUIET_RULE}",
-        f"timing: {verdict.describe_calibration(harness.p50_ns)}",
+        f"This machine is {verdict.describe_disturbance(harness.disturbance)}",
+        f"Limits for a quiet machine: {QUIET_RULE}",
+        f"Timing: {verdict.describe_calibration(harness.p50_ns)}",
     )
     blank = " " * _WIDTH
     lines = [wrap_paragraph(fact, first=f"{what:<{_WIDTH}}", others=blank) for what, fact in facts]

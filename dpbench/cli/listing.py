@@ -19,6 +19,10 @@ Each sequence has QPs of the reference loop of the scenario in its name, at the
 horizons N_p-N_c. Every optimum is certified. n: variables; m: rows; K: QPs;
 active: share of active limits; samples: stored samples of the loop."""
 
+SUITES_ARE = """
+cells: solver configurations, each in one scenario or replay. Rounds are
+repetitions of a replay."""
+
 SOLVERS_ARE = """
 form: matrix format. native, qpsolvers: routes, each with its call policies.
 low, mid, high: tolerance presets."""
@@ -74,7 +78,7 @@ def _list_scenarios() -> RenderableType:
 
 
 def _list_suites() -> RenderableType:
-    """Return a table of all stored suites: number of cells and purpose."""
+    """Return a table of all stored suites, with a legend: number of cells and purpose."""
     from dpbench.bench.plan.plan import plan_suite
     from dpbench.bench.plan.suite import load_path_and_suite
     from dpbench.scenario import problem_files as problems
@@ -85,7 +89,7 @@ def _list_suites() -> RenderableType:
         purpose = suite.title.removeprefix(f"{name.capitalize()}: ")
         described = ", ".join(filter(None, (purpose, suite.duration)))
         table.add_row(name, str(len(plan_suite(suite, beside=path.parent))), described)
-    return table
+    return Group(table, make_unstyled_text(SUITES_ARE))
 
 
 def _list_sequences() -> RenderableType:

@@ -45,7 +45,10 @@ def add_run_options(run: Command) -> None:
     _option(engine, "--scheduler", "ADDRESS", scheduler)
     tls = "PEM files for a scheduler at tls://HOST:PORT (default: Dask's configuration)"
     engine.add_argument("--tls", nargs=3, metavar=("CA", "CERT", "KEY"), help=tls)
-    estimate = "estimate the number of runs, time and disk use, then exit"
+    estimate = (
+        "estimate the number of cells (one solver configuration in one scenario or replay), "
+        "time and disk use, then exit"
+    )
     _flag(engine, "--dry-run", estimate)
     output = run.add_argument_group("output")
     _option(output, "--out", "DIR", "result folder (default: results/SUITE)")
@@ -82,7 +85,7 @@ def _add_suite_options(run: Command) -> None:
         "(workspace and last solution); overrides the suite"
     )
     _repeated(choice, "--policy", "POLICY", policy, dest="policies")
-    _option(choice, "--steps", "N", "run at most N steps of each run", type=int)
+    _option(choice, "--steps", "N", "stop each run after N steps", type=int)
     _add_module_option(choice)
 
 
@@ -93,19 +96,16 @@ def _add_execution_options(group: Command) -> None:
         "(default: one per core)"
     )
     _option(group, "--jobs", "N", jobs, type=int)
-    _flag(group, "--fresh", "repeat runs that are already finished")
+    _flag(group, "--fresh", "run again what is finished (not related to --policy fresh)")
     _add_wait_options(group)
 
 
 def _add_wait_options(group: Command) -> None:
     """Add the options on how long to wait for another campaign to a command or a group of it."""
     wait = group.add_mutually_exclusive_group()
-    longest = (
-        "longest time to wait for another dpbench campaign on this machine to end "
-        "(default: no limit)"
-    )
+    longest = "longest time to wait for another dpbench run on this machine (default: no limit)"
     _option(wait, "--wait", "SECONDS", longest, type=float, dest="wait_s")
-    never = "exit with 2 if another dpbench campaign is running on this machine"
+    never = "exit with 2 if another dpbench run is active on this machine"
     wait.add_argument("--no-wait", action="store_const", const=0.0, dest="wait_s", help=never)
 
 
@@ -152,7 +152,7 @@ def add_report_options(report: Command) -> None:
     _option(more, "--for", "SOLVER", beside, dest="solver")
     against = "with --for: compare with this solver (default: osqp and daqp)"
     _repeated(more, "--against", "SOLVER", against, default=[])
-    _option(more, "--send", "FOLDER", "write a folder to submit to results/community")
+    _option(more, "--send", "DIR", "write a folder to submit to results/community")
     _flag(more, "--tables", "list the tables of the folder and their contents instead")
     _option(more, "--latex", "TABLE", "print a table as a LaTeX tabular (booktabs) instead")
     _option(more, "--columns", "A,B,C", "with --latex: only these columns, in this order")
@@ -291,7 +291,7 @@ def add_init_options(init: Command) -> None:
     thrust = init.add_argument_group("thrust")
     _option(thrust, "--thrust", "KN", "largest force ahead [kN]")
     _option(
-        thrust, "--sway-thrust", "KN", "largest force abeam [kN] (default: a third of --thrust)"
+        thrust, "--sway-thrust", "KN", "largest force abeam [kN] (default: 0.34 times --thrust)"
     )
     moment = "largest yaw moment [kN·m] (default: 0.57 times sway thrust times length)"
     _option(thrust, "--yaw-moment", "KNM", moment)
@@ -324,7 +324,12 @@ def add_capability_options(capability: Command) -> None:
     solver = "judge this solver's answers to the QPs at the wind limit; all: every installed solver"
     _repeated(capability, "--solver", "SOLVER", solver)
     output = capability.add_argument_group("output")
-    _option(output, "--out", "DIR", "folder for these QPs (default: results/capability-VESSEL)")
+    _option(
+        output,
+        "--out",
+        "DIR",
+        "folder for the results of --solver (default: results/capability-VESSEL)",
+    )
     _option(output, "--figure", "FILE", "write the plot: .svg, .html, .png or .pdf")
     _flag(output, "--json", "print the result as JSON")
 
@@ -356,14 +361,17 @@ def add_embedded_options(embedded: Command) -> None:
     recipe = "folder with your own build recipe for a solver's C code (recipe.toml and shim.c)"
     repeated(solver, "--recipe", "DIR", recipe)
     repeated(solver, "--source", "SOLVER=DIR", "folder with the sources of a solver, such as hpipm")
-    repeated(solver, "--settings", "SOLVER.KEY=N", "setting of a solver, such as osqp.rho=0.1")
+    repeated(
+        solver,
+        "--settings",
+        "SOLVER.KEY=N",
+        "solver option (not a tolerance preset), such as osqp.rho=0.1",
+    )
     _flag(solver, "--float", "compile in single precision", dest="single")
     core = embedded.add_argument_group("core")
     repeated(core, "--target", "CORE", "core: m7 (default), a53, riscv or x86")
-    fit = (
-        "find the largest control horizon of a scenario (default: paper) that fits in KB kilobytes"
-    )
-    repeated(core, "--fit", "KB", fit)
+    fit = "find the largest control horizon of a scenario (default: paper) that fits in N kB"
+    repeated(core, "--fit", "N", fit)
     opinion = "compare with the counts of valgrind (x86) or QEMU (a53, m7), if installed"
     _flag(core, "--second-opinion", opinion)
     _option(core, "--steps", "N", "count at most N steps (default: all)", type=int, default=0)
@@ -388,10 +396,10 @@ def add_tune_solver_options(tune: Command) -> None:
     search = tune.add_argument_group("search")
     ranges = "search only this option, in this range, such as 'rho=[1e-3,10]'"
     repeated(search, "--range", "RANGE", ranges, dest="ranges")
-    widened = "search this option in this range, in addition to the usual options"
+    widened = "also search this option, in this range, in addition to the predefined ones"
     repeated(search, "--widen", "RANGE", widened, dest="widened")
     error = (
-        "largest allowed error of the first control move, as a share of the maximum increment "
+        "largest allowed error of the first control increment, as a share of the maximum increment "
         "(default: 0.01)"
     )
     _option(search, "--error", "X", error, type=float, default=0.01, dest="error_move")

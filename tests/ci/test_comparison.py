@@ -44,7 +44,7 @@ def verdicts(base: BenchmarkRun, head: BenchmarkRun, **options: bool) -> tuple[s
     ("changed", "text"),
     [
         ({}, ""),
-        ({"involuntary_switches": 30.0}, "30 involuntary context switches a second"),
+        ({"involuntary_switches": 30.0}, "30 involuntary context switches per second"),
         ({"processor_s": 0.6}, "a processor for only 60 % of the time"),
         # A solver that sleeps or waits for a device is not put off.
         ({"processor_s": 0.6, "voluntary_switches": 200.0}, ""),

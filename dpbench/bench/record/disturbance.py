@@ -28,9 +28,9 @@ MAX_SWITCHES_PER_S = 10.0
 """Largest rate of switches [1/s]: at it fewer than one in a hundred samples of 1 ms is hit, so a
 p99 is still a solver's; of shorter samples fewer are."""
 QUIET_RULE = (
-    f"at most {100 * MAX_DISTURBED_SHARE:g} % of the rounds disturbed after a second attempt, at "
-    f"most {100 * MAX_STEAL_SHARE:g} % of the replays' time stolen by the host, at most "
-    f"{MAX_SWITCHES_PER_S:g} involuntary context switches a second, no throttling"
+    f"{100 * MAX_DISTURBED_SHARE:g} % of rounds affected after a repeat, "
+    f"{100 * MAX_STEAL_SHARE:g} % of replay time stolen by the host, {MAX_SWITCHES_PER_S:g} "
+    "involuntary context switches per second, no throttling"
 )
 
 
@@ -137,7 +137,7 @@ class Disturbance:
         lines = {}
         if self.rounds > 0 and self.disturbed > MAX_DISTURBED_SHARE * self.rounds:
             lines[f"disturbed rounds (limit {100 * MAX_DISTURBED_SHARE:g} %)"] = (
-                f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed after a second attempt"
+                f"{self.disturbed:.0f} of {self.rounds:.0f} rounds affected after a repeat"
             )
         if self.steal_share > MAX_STEAL_SHARE:
             lines[f"stolen time (limit {100 * MAX_STEAL_SHARE:g} %)"] = (
@@ -145,7 +145,7 @@ class Disturbance:
             )
         if self.switches_per_s > MAX_SWITCHES_PER_S:
             lines[f"context switches (limit {MAX_SWITCHES_PER_S:g} per second)"] = (
-                f"{self.switches_per_s:.0f} involuntary context switches a second"
+                f"{self.switches_per_s:.0f} involuntary context switches per second"
             )
         if self.throttled > 0:
             lines["throttle events (limit 0)"] = f"{self.throttled:.0f} throttle events"

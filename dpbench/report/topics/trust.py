@@ -103,9 +103,10 @@ def _describe_machine_load(records: Records, timed: Sequence[RunRecord]) -> str:
     """
     states, disturbance = describe_machine_states(timed), sum_disturbances(timed)
     if not states.startswith("quiet"):
+        causes = states.replace("affected by other load: ", "")
         return (
-            f"Other work disturbed the machine: {states.replace('disturbed: ', '')}. Times may be "
-            "too long; run again when it is idle."
+            f"Other work disturbed the machine: {causes}. Times may be too long; run again when it "
+            "is idle."
         )
     if timed[0].mode != "replay":
         return f"Other work did not disturb these closed loops.{_describe_hidden(records.machine)}"

@@ -22,7 +22,7 @@ from dpbench.report.formats import (
 def describe_disturbance(disturbance: Disturbance) -> str:
     """Return words on whether other programs disturbed timing: "quiet", or disturbed by what."""
     complaints = disturbance.complaints()
-    return f"disturbed: {join_with_and(complaints)}" if complaints else "quiet"
+    return f"affected by other load: {join_with_and(complaints)}" if complaints else "quiet"
 
 
 def describe_calibration(p50_ns: dict[str, float]) -> str:
@@ -65,8 +65,8 @@ def list_disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
     stolen = "not visible" if isnan(steal_share) else format_share(steal_share)
     return [
         (
-            "rounds still disturbed after a repeat",
-            f"{disturbed}; {format_count(disturbance.rerun)} repeated",
+            "rounds affected by other load",
+            f"{disturbed} after a repeat; {format_count(disturbance.rerun)} repeated",
         ),
         (
             "involuntary context switches",

@@ -122,7 +122,7 @@ def test_nobody_survives_is_said(records: Any) -> None:
 def test_the_machine_of_slow_loops_is_judged(records: Any) -> None:
     slow(records, "daqp", 1, 100.0, replay_s=2.0, involuntary_switches=400, steal_s=0.0)
     slow(records, "osqp", 1, 100.0, replay_s=2.0, involuntary_switches=420, steal_s=0.0)
-    assert "involuntary context switches a second" in records.ending()["machine"]
+    assert "involuntary context switches per second" in records.ending()["machine"]
 
 
 @pytest.mark.parametrize(

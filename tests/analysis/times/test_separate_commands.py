@@ -198,8 +198,8 @@ def test_the_state_of_each_command_is_given_worst_first(records: Any) -> None:
     runs = select_timed_replays(records.view())
     assert [*sum_disturbances_by_campaign(runs)] == [LATE["campaign_utc"], EARLY["campaign_utc"]]
     assert describe_machine_states(runs) == (
-        "disturbed: 4 of 8 rounds disturbed after a second attempt (command of 2026-11-28 09:30:00 "
-        "UTC); quiet (command of 2026-11-28 08:00:00 UTC)"
+        "affected by other load: 4 of 8 rounds affected after a repeat (command of 2026-11-28 "
+        "09:30:00 UTC); quiet (command of 2026-11-28 08:00:00 UTC)"
     )
     assert describe_machine_states(runs[:1]) == "quiet"
     assert describe_machine_states([runs[0], runs[0]]) == "quiet"

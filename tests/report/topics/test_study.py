@@ -131,7 +131,7 @@ def test_a_disturbed_machine_is_said_of_a_study(records: Any, switches: int) -> 
     assert found is not None
     said = [line for line in found.lines if "other work disturbed the machine" in line]
     expected = (
-        "`seas`: other work disturbed the machine: 10 involuntary context switches a second. "
+        "`seas`: other work disturbed the machine: 10 involuntary context switches per second. "
         "Effects on step times are not shown, because the machine may have caused them."
     )
     assert said == ([expected] if switches == 101 else [])
