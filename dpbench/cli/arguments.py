@@ -305,18 +305,22 @@ COMMANDS: dict[str, CommandHelp] = {
             "      --displacement 6000 --thrust 300",
             "init my_ship --sea 4",
         ),
-        text="Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml; their comments "
-        "explain how each value was derived. With --thrusters, also write: NAME_thrusters.toml, a "
-        "scenario whose controller commands the thrusters, with the most severe loss of a "
-        "switchboard in which the ship still holds station; NAME_loss_*.toml, scenarios with other "
-        "losses; NAME_weak_side.toml, a scenario with weather from the direction in which the ship "
-        "holds the least wind; and NAME_capability.svg, the capability plot. Give the sector or "
-        "barred zone of an azimuth thruster as the directions in which it pushes the ship, "
-        "clockwise from ahead; its race (wash) goes the opposite way. For example, if the race of "
-        "a port azimuth thruster must not point between 60° and 120°, towards the starboard one, "
-        "set the columns barred_from_deg and barred_to_deg of FILE.csv to 240 and 300. If "
-        "NAME.toml exists and only --sea is given, write the scenario and the suite of that ship "
-        "for that sea.",
+        text="Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml; comments explain "
+        "how the main values were derived. With --thrusters, also write:\n"
+        "  NAME_thrusters.toml   commanded thrusters; the most severe loss of a\n"
+        "                        switchboard in which the ship still holds station\n"
+        "  NAME_loss_*.toml      other losses\n"
+        "  NAME_intact.toml      no loss, in the largest sea that the intact ship holds\n"
+        "                        off the bow (if larger)\n"
+        "  NAME_weak_side.toml   weather from the direction of least wind held\n"
+        "  NAME_capability.svg   capability plot\n"
+        "Give the sector or barred zone of an azimuth thruster as the directions in which it "
+        "pushes the ship, clockwise from ahead; its race (wash) goes the opposite way. For "
+        "example, if the race of a port azimuth thruster must not point between 60° and 120°, "
+        "towards the starboard one, set the columns barred_from_deg and barred_to_deg of FILE.csv "
+        "to 240 and 300.\n"
+        "If NAME.toml exists and only --sea is given, write the scenario and the suite of that "
+        "ship for that sea.",
     ),
     "check": CommandHelp(
         _SHIP,

@@ -33,7 +33,7 @@ def describe_machine_and_clock(*, offline: bool) -> list[str]:
         ("versions", ", ".join(f"{k} {v}" for k, v in machine["versions"].items())),
         ("solver builds", ", ".join(builds) or MISSING),
         ("load average", loads or MISSING),
-        ("energy counters", f"not available: {without}" if without else "readable"),
+        ("energy counters", f"not visible: {without}" if without else "readable"),
         *verdict.list_disturbance_facts(harness.disturbance),
     ]
     # After the measurement, which pip would disturb.
