@@ -80,7 +80,7 @@ def write_report_with_summary(
     require_type("out", out, str | PathLike, "the path of a result folder")
     for kind in figures:
         if kind not in FORMATS:
-            raise InputError("`figures`", "", repr(kind), " | ".join(FORMATS))
+            raise InputError("`figures`", "", repr(kind), ", ".join(FORMATS))
     folder, progress = Path(out), progress or Silent()
     with lock_for_writing(folder):
         progress.advance(0, "report: judging the runs")

@@ -110,8 +110,8 @@ def _require_route_and_policy(row: SolverRecord, route: Route, policy: Policy) -
     """Raise PolicyError if a solver lacks this interface or this way of starting each solve."""
     where = f"solver {row.name}"
     if route not in row.routes:
-        raise PolicyError(where, "route", repr(route), " | ".join(row.routes))
-    runs = " | ".join(row.get_route_record(route).policies)
+        raise PolicyError(where, "route", repr(route), ", ".join(row.routes))
+    runs = ", ".join(row.get_route_record(route).policies)
     for other in row.routes:
         if other != route:
             runs += f" (route {other}: {', '.join(row.get_route_record(other).policies)})"

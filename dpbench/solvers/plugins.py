@@ -250,7 +250,7 @@ def _check_and_register_plugin(
         allowed = f"one or more of {', '.join(POLICIES)}"
         raise InputError(where, "RECORD.policies", repr(policies), allowed)
     if record.family not in get_args(Family):
-        raise InputError(where, "RECORD.family", repr(record.family), " | ".join(get_args(Family)))
+        raise InputError(where, "RECORD.family", repr(record.family), ", ".join(get_args(Family)))
     row = replace(
         record, extra="plugin", levels=_read_tolerance_levels_of_plugin(where, module, record)
     )

@@ -150,7 +150,7 @@ def find_options_of_preset(name: str, solver: str) -> Options:
     """Return the options of a solver's preset or tolerance; SettingsError if there is none."""
     names, options = list_preset_names(solver), _make_options_at_tolerance(solver, name)
     if name not in names and options is None:
-        allowed = f"{' | '.join(names)} | a tolerance such as 1e-4, above 0 and below 1"
+        allowed = f"{', '.join(names)}, or a tolerance such as 1e-4, above 0 and below 1"
         raise SettingsError(f"settings of {solver}", "", repr(name), allowed)
     return find_solver_record(solver).levels.get(name, {}) if options is None else options
 

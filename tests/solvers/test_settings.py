@@ -249,7 +249,7 @@ def test_a_tolerance_is_no_text_where_the_library_has_no_defaults():
 
 
 def test_an_unknown_name_is_refused(installed):
-    with pytest.raises(SettingsError, match=r"'hihg'; allowed: default \| low \| mid \| high"):
+    with pytest.raises(SettingsError, match=r"'hihg'; allowed: default, low, mid, high"):
         open_workspace(installed, settings="hihg")
 
 

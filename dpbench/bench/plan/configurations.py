@@ -149,7 +149,7 @@ def refuse_unknown_settings_names(
         ):
             presets = [preset for solver in solvers for preset in list_preset_names(solver)]
             known = dict.fromkeys((*presets, *suite.settings))
-            allowed = f"{' | '.join(known)} | a tolerance such as 1e-4, above 0 and below 1"
+            allowed = f"{', '.join(known)}, or a tolerance such as 1e-4, above 0 and below 1"
             raise SettingsError("settings", "", repr(name), allowed)
 
 
@@ -190,10 +190,10 @@ def _refuse_unavailable_call_mode(solver: str, table: SettingsTable) -> None:
     """Raise PolicyError where a solver has no route, or no policy of it, that settings name."""
     row = find_solver_record(solver)
     if (route := table.route) is not None and route not in row.routes:
-        raise PolicyError("", "route", repr(route), " | ".join(row.routes))
+        raise PolicyError("", "route", repr(route), ", ".join(row.routes))
     offered = [p for own in ([route] if route else row.routes) for p in row.policies_by_route[own]]
     if table.policy is not None and table.policy not in offered:
-        raise PolicyError("", "policy", repr(table.policy), " | ".join(dict.fromkeys(offered)))
+        raise PolicyError("", "policy", repr(table.policy), ", ".join(dict.fromkeys(offered)))
 
 
 def _refuse_unaccepted_options(solver: str, options: Options) -> None:

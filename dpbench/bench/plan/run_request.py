@@ -337,7 +337,7 @@ def check_mode_names(routes: Sequence[str] | None, policies: Sequence[str] | Non
     ):
         for name in chosen or ():
             if name not in known:
-                raise PolicyError(argument, "", repr(name)[:90], " | ".join(known))
+                raise PolicyError(argument, "", repr(name)[:90], ", ".join(known))
 
 
 def check_call_modes(suite: SuiteFile, solvers: Sequence[str], has_routes: bool) -> list[str]:

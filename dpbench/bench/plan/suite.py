@@ -60,14 +60,14 @@ def _require_slowdown_0_or_from_1(value: float) -> float:
 def _require_known_fallback(name: str) -> str:
     """Return the name of a policy for unanswered steps unchanged; ValueError if unknown."""
     if name not in FALLBACKS:
-        raise ValueError(" | ".join(map(repr, FALLBACKS)))
+        raise ValueError(", ".join(map(repr, FALLBACKS)))
     return name
 
 
 def _require_known_core(name: str) -> str:
     """Return the name of an embedded core unchanged; ValueError for an unknown one."""
     if name not in TARGETS:
-        raise ValueError(" | ".join(map(repr, TARGETS)))
+        raise ValueError(", ".join(map(repr, TARGETS)))
     return name
 
 

@@ -195,7 +195,7 @@ def _yield_columns_and_invalid_masks(
 ) -> "Iterator[tuple[str, pd.Series[Any], str]]":
     """Yield a column of `runs.parquet`, a mask of its invalid values, and the allowed ones."""
     for column, words in _WORDS.items():
-        yield column, ~runs[column].isin(words), " | ".join(words)
+        yield column, ~runs[column].isin(words), ", ".join(words)
     for column, least in _LEAST.items():
         yield column, (runs[column] < least).fillna(False), f"{least:g} or more"
     finished = (runs["mode"] == "replay") & (runs["outcome"] == "finished")

@@ -109,7 +109,7 @@ def export_sequence(
     require_type("out", out, str | PathLike, "a path")
     target = Path(out)
     if format not in FORMATS:
-        raise InputError("`format`", "", repr(format), " | ".join(FORMATS))
+        raise InputError("`format`", "", repr(format), ", ".join(FORMATS))
     if (suffix := FILES.get(format)) and target.suffix != suffix:
         others = [name for name, end in FILES.items() if end == target.suffix]
         instead = "".join(f', or "{name}" as `format`' for name in others)
@@ -123,7 +123,7 @@ def export_sequence(
             "one step with `at`, or several with `steps` and `every`",
         )
     if part not in get_args(Part):
-        raise InputError("`part`", "", repr(part), " | ".join(get_args(Part)))
+        raise InputError("`part`", "", repr(part), ", ".join(get_args(Part)))
     recorded = _record_requested(what, _parse_horizons(horizons), steps, every, at, part)
     target.parent.mkdir(parents=True, exist_ok=True)
     if format == "npz":

@@ -147,7 +147,7 @@ def find_worst_case(
 def _refuse_bad_options(goal: str, budget: int, steps: int, seed: int) -> None:
     """Raise InputError, naming the option, for a bad goal, budget, number of steps or seed."""
     if goal not in GOALS:
-        raise InputError("--goal", "", repr(goal), " | ".join(GOALS))
+        raise InputError("--goal", "", repr(goal), ", ".join(GOALS))
     require_integer_at_least("--budget", budget, 1)
     require_integer_at_least("--seed", seed, 0)
     if not 1 <= steps <= MAX_STEPS:

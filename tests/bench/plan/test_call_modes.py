@@ -100,7 +100,7 @@ def test_a_policy_alone_keeps_the_routes_of_the_suite(suite: str) -> None:
     ("chosen", "message"),
     [
         ({"routes": ["nativ"]}, "`routes`: found 'nativ'; allowed: .*native"),
-        ({"policies": ["hot"]}, "`policies`: found 'hot'; allowed: fresh | reuse | warm"),
+        ({"policies": ["hot"]}, "`policies`: found 'hot'; allowed: fresh, reuse, warm"),
         (
             {"routes": ["native"], "policies": ["warm"], "solvers": ["quadprog"]},
             "`routes`: found native warm, which quadprog does not have; allowed: native fresh",

@@ -71,7 +71,7 @@ def test_a_table_of_loops_may_ask_only_some_solvers_of_its_suite() -> None:
 
 
 def test_a_fallback_is_one_of_the_policies_by_name() -> None:
-    with pytest.raises(ValueError, match=r"'shifted_plan' \| 'hold' \| 'clip'"):
+    with pytest.raises(ValueError, match=r"'shifted_plan', 'hold', 'clip'"):
         ClosedLoopTable(scenarios=["calm"], fallback="shifted")
 
 

@@ -31,8 +31,8 @@ def copy(made: Path, tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("column", "value", "found"),
     [
-        ("policy", "x", "policy[0]: found x; allowed: fresh | reuse | warm"),
-        ("mode", "", "mode[0]: found ''; allowed: closed_loop | replay"),
+        ("policy", "x", "policy[0]: found x; allowed: fresh, reuse, warm"),
+        ("mode", "", "mode[0]: found ''; allowed: closed_loop, replay"),
         ("outcome", "done", "outcome[0]: found done"),
         ("rounds", 0, "rounds[1]: found 0; allowed: 1 or more, as it finished"),
         ("steps_done", -1, "steps_done[0]: found -1; allowed: 0 or more"),

@@ -291,7 +291,7 @@ def test_every_figure_is_a_valid_specification(written: Any) -> None:
 @pytest.mark.parametrize(
     ("options", "output"),
     [
-        ("--figures gif", "--figures: found 'gif'; allowed: svg | pdf | png"),
+        ("--figures gif", "--figures: found 'gif'; allowed: svg, pdf, png"),
         (
             "--baseline nope",
             "--baseline: found 'nope'; allowed: a solver that was run: one of daqp",
