@@ -159,7 +159,7 @@ def list_tables_of_folder(folder: Path) -> list[str]:
             f"{TABLES.get(name, 'a table of the part of the page of this name.')}"
             for name, rows in known.items()
         ),
-        f"CSV: {folder / 'tables'}, with the columns in README.md there; "
-        f"LaTeX: dpbench report {folder} --latex NAME; "
+        f"CSV: {folder / 'tables'} (columns described in {folder / 'tables' / 'README.md'})",
+        f"LaTeX: dpbench report {folder} --latex NAME",
         f'Python: load_results("{folder}").tables["NAME"]',
     ]

@@ -78,8 +78,13 @@ class StepCost:
         row = self.row
         cost = f"a step takes {row['median']} instructions at the median and {row['worst']} at most"
         count, _, ranges = row["steps"].partition(" (")
-        where = f": {ranges.removesuffix(')')}" if ranges else ""
-        return f"On {self.core}, {cost} ({count} steps{where})"
+        whole = format_count(self.recorded)
+        counted = (
+            f"counted on steps {ranges.removesuffix(')')} of {whole}"
+            if ranges
+            else f"{count} steps"
+        )
+        return f"On {self.core}, {cost} ({counted})"
 
 
 def count_replay(

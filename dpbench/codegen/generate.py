@@ -79,9 +79,11 @@ def generate_controller(
     folder.mkdir(parents=True, exist_ok=True)
     write_file_set_into_folder(folder, {name: partial(bytes, text) for name, text in files.items()})
     lines = [
-        f"{len(files)} files in {folder}: the step in controller.c, an example in main.c.",
-        f"The QP has {data.qp.n} variables and {data.qp.m} rows; constants take "
-        f"{format_count(sizes['constants'])} bytes, memory takes {format_count(sizes['memory'])}.",
+        f"Wrote {len(files)} files to {folder}: the control step in controller.c, an example in "
+        "main.c.",
+        f"The QP has {data.qp.n} variables and {data.qp.m} rows. Constants take "
+        f"{format_count(sizes['constants'])} bytes and working memory takes "
+        f"{format_count(sizes['memory'])} bytes.",
     ]
     lines += [f"{cost.summary}." for cost in costs]
     if fmu is not None:
@@ -89,7 +91,8 @@ def generate_controller(
         write_bytes_to_file_or_pipe(Path(fmu), whole)
         systems = ", ".join(place for place, _, _ in SYSTEMS[fmi])
         lines.append(
-            f"FMI {fmi}.0 in {fmu}, {len(whole) / 1000:.0f} kB, with libraries for {systems}."
+            f"Wrote a functional mock-up unit (FMI {fmi}.0, {len(whole) / 1000:.0f} kB) to {fmu}, "
+            f"with libraries for {systems}."
         )
     return lines
 

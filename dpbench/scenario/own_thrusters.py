@@ -210,7 +210,8 @@ def list_assumptions_on_vessel(vessel: Vessel) -> list[str]:
         )
     hull = vessel.capability
     if hull is not None and hull.assumed:
-        assumed.append(f"of the hull: {', '.join(HULL_WORDS[key] for key in hull.assumed)}")
+        of_hull = ", ".join(HULL_WORDS[key] for key in hull.assumed)
+        assumed.append(f"hull data from the main dimensions: {of_hull}")
     return assumed
 
 

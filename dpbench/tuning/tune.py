@@ -357,7 +357,7 @@ class _SearchProgress:
 
     def remark(self, text: str) -> None:
         """Show a remark of the campaigns once, even if several make it."""
-        if text not in self._remarks and not text.startswith(NO_P99):
+        if text not in self._remarks and NO_P99 not in text:
             self._remarks.add(text)
             self._progress.remark(text)
 

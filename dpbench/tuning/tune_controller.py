@@ -206,6 +206,7 @@ def choose_controller(trials: Sequence[Trial[LoopScore]], margin: float) -> Tria
 
 
 TRIALS, REALISATIONS, MARGIN = 48, 2, 0.7
+WEAR_IS = "wear: travel of the forces in an hour, in multiples of the largest forces"
 NO_PROMISE = (
     "The real ship differs from this model in mass, damping and thrust.",
     "Other seas, or these seas from another direction, were not tried.",
@@ -258,14 +259,17 @@ class ControllerTuning:
         if self.chosen.score.share > self.margin:
             verdict = f"none of {len(self.trials)} controllers stays within {limit}; the nearest"
         else:
-            verdict = f"least wear of {len(self.trials)} controllers within {limit}"
+            verdict = (
+                f"controller of least wear with offsets within {limit} ({len(self.trials)} tried)"
+            )
         held = "within" if self.fresh.share <= self.margin else "NOT within"
         return [
             f"{verdict}: {self.chosen.name}",
-            f"search in {self.seas}: {_describe_score(self.chosen.score)}; the scenario's "
-            f"controller: {_describe_score(self.trial_of_own_controller.score)}",
-            f"test in other realisations, {held} the margin: {_describe_score(self.fresh)}; the "
-            f"scenario's controller: {_describe_score(self.own_fresh)}",
+            f"search ({self.seas}): {_describe_score(self.chosen.score)} (original controller: "
+            f"{_describe_score(self.trial_of_own_controller.score)})",
+            f"test in other realisations, {held} the margin: {_describe_score(self.fresh)} "
+            f"(original controller: {_describe_score(self.own_fresh)})",
+            WEAR_IS,
             *(f"wrote {path}" for path in self.paths),
             "Limits of this result:",
             *NO_PROMISE,
@@ -384,8 +388,9 @@ def tune_controller(
     chosen = choose_controller(found, margin)
     fresh, own_fresh = (rate(options, other, "fresh: ") for options in (chosen.options, own))
     weather = "the scenario's weather" if len(bases) == 1 else "the weather of each scenario"
-    seas_text = f"DP {', '.join(map(str, numbers))}" if numbers else weather
-    seas_text += f", {plural(realisations, 'realisation')} each"
+    if numbers:
+        weather = f"DP capability number{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers))}"
+    seas_text = f"{weather}, {plural(realisations, 'realisation')} each"
     if len(bases) > 1:
         seas_text = f"{len(bases)} scenarios, {seas_text}"
     tuning = ControllerTuning(found, chosen, fresh, own_fresh, margin, seas_text, ())

@@ -33,7 +33,7 @@ def test_the_table_fits_a_terminal_and_names_what_is_assumed(say: Say) -> None:
     for said in (
         "DP capability-L1(",
         "Failure board A: bow 1 and stern port are lost.",
-        "Assumed, not given: of",
+        "Assumed: hull data",
     ):
         assert said in text
     # Ahead this ship holds all the weather the standard knows.
@@ -121,7 +121,7 @@ def test_solvers_are_asked_at_the_edge_and_judged(
     for module in ("bench.capability.frontier", "bench.capability.edge_qps", "cli.ship.capability"):
         monkeypatch.setattr(f"dpbench.{module}.FROM_DEG", (20.0, 110.0, 200.0, 290.0))
     words = "capability osv --sides 12 --solver quadprog --out edge"
-    table = say(*words.split()).split("static allocations")[1]
+    table = say(*words.split()).split("QPs at the wind limit")[1]
     (row,) = (line.split() for line in table.splitlines() if line.startswith("quadprog"))
     (balanced, feasible), (refused, infeasible) = (cell.split("/") for cell in row[1:3])
     assert (balanced, refused, row[3]) == (feasible, infeasible, "0")

@@ -169,7 +169,7 @@ def test_capability_prints_the_wind_areas_of_the_file(capsys: pytest.CaptureFixt
     own = " ".join(capsys.readouterr().out.split())
     assert "Wind areas as given: 350 m² in front, 1000 m² on the side." in own
     assert "304 m²" not in own and "772 m²" not in own
-    assert "Assumed, not given: rise times " in own
+    assert "Assumed: rise times " in own
 
 
 SMALL = """kind,x_m,y_m,power_kW,group

@@ -66,11 +66,11 @@ def test_steps_after_a_loss_are_counted_where_the_limit_allows_few(
     ("samples", "steps", "ending"),
     [
         (range(1000), "1\u202f000", "(1\u202f000 steps)"),
-        (range(442), "442 of 1\u202f000 (0 to 441)", "(442 of 1\u202f000 steps: 0 to 441)"),
+        (range(442), "442 of 1\u202f000 (0 to 441)", "(counted on steps 0 to 441 of 1\u202f000)"),
         (
             [*range(3), *range(600, 602)],
             "5 of 1\u202f000 (0 to 2 and 600 to 601)",
-            "(5 of 1\u202f000 steps: 0 to 2 and 600 to 601)",
+            "(counted on steps 0 to 2 and 600 to 601 of 1\u202f000)",
         ),
     ],
 )

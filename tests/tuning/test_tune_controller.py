@@ -100,7 +100,7 @@ def test_several_scenarios_are_written_with_one_controller(
     calm = str(_write_calm(tmp_path))
     command = ["tune", "weather", calm, "--trials", "2", "--steps", "20", "--realisations", "1"]
     assert main([*command, "--out", str(tmp_path)]) in (0, 1)
-    assert "search in 2 scenarios, the weather of each" in " ".join(capsys.readouterr().out.split())
+    assert "search (2 scenarios, the weather of each" in " ".join(capsys.readouterr().out.split())
     tuned = [load_scenario(tmp_path / f"{name}_tuned.toml") for name in ("weather", "calm")]
     first, second = (one.files["scenario"] for one in tuned)
     assert first["controller"] == second["controller"]

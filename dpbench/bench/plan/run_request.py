@@ -36,7 +36,7 @@ from dpbench.solvers.own_settings import (
 from dpbench.solvers.settings import has_preset_or_tolerance
 from dpbench.solvers.table import find_solver_record, load_plugin_solver_from_file
 
-NO_P99 = "no replay has enough steps for a p99"
+NO_P99 = "too few for a p99"
 """Beginning of a remark on a plan, of which a search that ranks by other percentiles has no use."""
 MOST_NAMED = 3
 """Runs that a remark names; of the others their number is."""
@@ -325,7 +325,8 @@ def _list_remarks(
             if of >= LEAST_STRETCH
             else "the longest step is judged instead"
         )
-        remarks.append(f"{NO_P99} (at most {longest}): {judged}")
+        most = f"{longest} step{'s' * (longest != 1)}"
+        remarks.append(f"the replays have at most {most}, {NO_P99}; {judged}")
     return remarks
 
 

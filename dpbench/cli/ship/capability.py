@@ -157,7 +157,7 @@ def format_wind_table(
     assumed = list_assumptions_on_vessel(vessel)
     notes = [*_explain_planned(planned, vessel), *caution_on_rudders(vessel)]
     notes += _explain_notation(capability, vessel)
-    notes += [f"Assumed, not given: {'; '.join(assumed)}."] if assumed else []
+    notes += [f"Assumed: {'; '.join(assumed)}."] if assumed else []
     if own_areas := describe_own_wind_areas(vessel):
         notes.append(f"{own_areas[0].upper()}{own_areas[1:]}.")
     if every := vessel.thrusters:
@@ -268,9 +268,9 @@ def format_answer_counts(answers: Sequence[Answers]) -> list[str]:
     """Return lines of a table of solvers' right and wrong allocations and solve times."""
     first = answers[0]
     about = (
-        f"{first.asked} static allocations at the edge of the plot. Columns: feasible QPs with a "
-        "correct optimum, infeasible QPs reported as infeasible, and false claims. For the other "
-        "QPs the solver claimed nothing."
+        f"{first.asked} QPs at the wind limit. Columns: feasible QPs with a correct optimum, "
+        "infeasible QPs reported as infeasible, and false claims; p50 and largest solve time. For "
+        "the other QPs the solver claimed nothing."
     )
     widths = (20, 12, 13, 14, 10, 10)
     rows: list[tuple[str, ...]] = [

@@ -94,8 +94,8 @@ def make_solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[Figu
     note = (
         "A solver is slower, faster, worse or better if at least one of its configurations is and "
         "none is the contrary. It is equivalent if all its configurations are, and the same if all "
-        "comparable metrics are. The error probability of step time verdicts is that of all "
-        "solvers together."
+        "comparable metrics are. The error probability of the step time verdicts (--alpha) is "
+        "family-wise, over all solvers."
     )
     return Table.from_rows(rows, "Verdict per solver", note=note, text_columns=4)
 

@@ -206,8 +206,8 @@ def check_sent_folder(folder: Path) -> str:
     solvers = plural(results.runs["solver"].nunique(), "solver")
     cpu = results.machine.get("cpu_model", "an unnamed CPU")
     return (
-        f"{folder}: {plural(len(results.runs), 'run')} of {solvers}, suite "
-        f"{results.suite.get('name', '')}, on {cpu}, by {sender.who}, {sender.when}"
+        f"{folder}: suite {results.suite.get('name', '')}, {plural(len(results.runs), 'run')} of "
+        f"{solvers} on {cpu}; submitted by {sender.who} on {sender.when}"
     )
 
 

@@ -62,9 +62,13 @@ def test_solvers_without_chosen_settings_are_named(suite: str) -> None:
 @pytest.mark.parametrize(
     ("steps", "hardest", "judged"),
     [
-        (5, 0, "(at most 5): the longest step is judged instead"),
-        (99, 4, "(at most 4): the longest step is judged instead"),
-        (450, 4, "(at most 4): that of 450 steps is judged, as the hardest 4 of them are"),
+        (5, 0, "5 steps, too few for a p99; the longest step is judged instead"),
+        (99, 4, "4 steps, too few for a p99; the longest step is judged instead"),
+        (
+            450,
+            4,
+            "4 steps, too few for a p99; that of 450 steps is judged, as the hardest 4 of",
+        ),
     ],
 )
 def test_a_remark_says_what_is_judged_in_place_of_a_p99(
@@ -74,7 +78,7 @@ def test_a_remark_says_what_is_judged_in_place_of_a_p99(
     replays = f"steps = {steps}\nhardest = {hardest}\npolicies"
     Path(suite).write_text(SUITE.replace("steps = 5\npolicies", replays))
     (remark,) = RunRequest(suite).make_plan().remarks
-    assert remark.startswith("no replay has enough steps for a p99 ") and judged in remark
+    assert remark.startswith("the replays have at most ") and judged in remark
 
 
 def test_runs_of_other_than_the_requested_steps_are_named(suite: str) -> None:
@@ -86,7 +90,7 @@ def test_runs_of_other_than_the_requested_steps_are_named(suite: str) -> None:
     assert whole.startswith("not shortened to 9 steps, as only closed loops")
     assert whole.endswith(": calm-30-5[:300:4] (75)")
     (only,) = RunRequest(suite, scenarios=["paper"], steps=5).make_plan().remarks[1:]
-    assert only.startswith("no replay has")
+    assert only.startswith("the replays have at most 5 steps")
 
 
 def test_a_policy_alone_keeps_the_routes_of_the_suite(suite: str) -> None:

@@ -62,7 +62,7 @@ def test_what_is_sent_is_whole_and_small(sent: Path, capsys: Any) -> None:
     assert sum(path.stat().st_size for path in sent.iterdir()) < MOST_BYTES / 2
     assert main(["check", str(sent)]) == 0
     output = " ".join(capsys.readouterr().out.split())
-    assert "4 runs of 2 solvers" in output and "by Ada, 2026-11-22" in output
+    assert "4 runs of 2 solvers" in output and "submitted by Ada on 2026-11-22" in output
 
 
 @pytest.mark.slow
