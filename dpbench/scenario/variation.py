@@ -66,14 +66,18 @@ def write_scenario_and_own_ship_files(
 ) -> list[Path]:
     """Write a scenario's documents, and beside it a ship that is not shipped; return the paths.
 
-    comment : lines above the scenario, without `#`.
+    comment : lines above the scenario, without `#`. Scenarios of one ship share its file, by which
+    reports know that it is the same one.
     """
     ship = files["vessel_name"]
     shipped = ship in list_shipped_problem_names("vessels")
     paths = [path]
     if not shipped or read_validated_vessel_documents(ship)["vessel"] != files["vessel"]:
-        own = path.with_name(f"{path.stem}_ship.toml")
-        write_text_atomically(own, format_as_toml(files["vessel"]))
+        text = format_as_toml(files["vessel"])
+        own = path.with_name(f"{ship}.toml")
+        if shipped or own == path or (own.exists() and own.read_text(encoding="utf-8") != text):
+            own = path.with_name(f"{path.stem}_ship.toml")
+        write_text_atomically(own, text)
         paths, ship = [path, own], own.name
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     write_text_atomically(path, head + format_as_toml(files["scenario"] | {"vessel": ship}))

@@ -53,7 +53,7 @@ def find_open_losses(
         return OpenLosses()
     known = [scenario for scenario in map(records.build_scenario, records.scenarios) if scenario]
     by_vessel = group_by_key(known, lambda scenario: scenario.vessel.id)
-    not_held, not_simulated = [], []
+    not_held, not_simulated = [], dict[str, None]()
     for vessel, own in by_vessel.items():
         thrusters = own[0].vessel.thrusters
         if thrusters is None:
@@ -70,7 +70,7 @@ def find_open_losses(
             found = [one for one in of_weather if one.findings]
             not_held += [one.sentence for one in found if not one.has_ship_left]
             if not found and not losses:
-                not_simulated.append(group)
+                not_simulated[group] = None
     others = " or of ".join(not_simulated)
     sentence = f"Loss of {others}: not simulated, so not shown to be held." if not_simulated else ""
     return OpenLosses(tuple(not_held), sentence)

@@ -348,7 +348,10 @@ def _check_speed_margins(page: Any, facts: Any, slow: int) -> None:
         assert (late in output) == (bound < slow)
         other = f" (overall verdict: {verdict.state})"
         assert (other in output) == (bound >= 1 and verdict.state != "pass")
-        assert ", limited by its p99 of " in output or ", limited by its longest step of " in output
+        assert (
+            ", limited by its limiting p99 of " in output
+            or ", limited by its longest step of " in output
+        )
 
 
 def test_reload_and_back_restore(opened: Any) -> None:
