@@ -356,7 +356,8 @@ def _compare_with_p99_limit(
         return Finding(kind, run, algo.p99_ns)
     if algo.p99_ns >= low_ns:
         return Finding("p99 borderline", run, algo.p99_ns)
-    if figures.bound_ns > high_ns:
+    # Nothing passes with a speed margin below 1.
+    if figures.bound_ns > limit_ns:
         return Finding("slow steps untimed", run, figures.bound_ns, machine=algo.p99_ns)
     if not math.isnan(algo.p99_ns):
         return None
