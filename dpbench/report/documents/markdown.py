@@ -88,7 +88,6 @@ def make_report_markdown(report: Report) -> str:
     if data.verdicts.of or not lead:
         wording = [recommendation.sentence, *(note for _, note in recommendation.notes)]
     after = [*_yield_verdicts_by_scenario(data, recommendation)]
-    after += [recommendation.machine]
     after += yield_disturbance_sentences(data.studies)
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     if data.counts.sequences:
@@ -97,7 +96,10 @@ def make_report_markdown(report: Report) -> str:
         f"# dpbench: suite `{escape_markdown(str(report.results.suite.get('name', 'results')))}`",
         escape_markdown_paragraph(f"{describe_subject(data.records, report.results.suite)}."),
         *make_ship_lines(recommendation.ship),
-        *map(escape_markdown_paragraph, [*lead, *wording, recommendation.requirements]),
+        *map(
+            escape_markdown_paragraph,
+            [*lead, *wording, recommendation.machine, recommendation.requirements],
+        ),
         make_solver_table(data, listed := _list_verdicts(data.verdicts)),
         _explain_columns(data, listed),
         _unlisted_text(data.verdicts, len(listed)),
@@ -119,9 +121,24 @@ def make_report_markdown(report: Report) -> str:
     )
     ending = f"\n## {HOW_MADE}\n\n{escape_markdown_paragraph(made)}\n"
     most_bytes = MOST_BYTES - len(ending.encode())
-    if len(text.encode()) > most_bytes and counts:
-        text = text.replace("\n\n".join(counts), "Instruction counts: `tables/embedded.csv`.")
+    ship = recommendation.ship
+    # In their order, so that the legend of the table and the verdicts are cut last.
+    dispensable = {
+        "\n\n".join(counts): "Instruction counts: `tables/embedded.csv`.",
+        f"{escape_markdown_paragraph(ship.conditions)}\n\n": "",
+        f" {escape_markdown_paragraph(ship.details)}": "",
+        f" {escape_markdown_paragraph(_find_margin_details(recommendation))}": "",
+    }
+    for part, shorter in dispensable.items():
+        if part.strip() and len(text.encode()) > most_bytes:
+            text = text.replace(part, shorter, 1)
     return truncate_text(text, most_bytes, "report.html") + ending
+
+
+def _find_margin_details(recommendation: Recommendation) -> str:
+    """Return the note on the speed margin without its first sentence; "" for none."""
+    note = dict(recommendation.notes).get("margin", "")
+    return note.removeprefix(recommendation.margin).strip()
 
 
 def _yield_verdicts_by_scenario(data: PageData, recommendation: Recommendation) -> Iterator[str]:
