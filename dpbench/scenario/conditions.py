@@ -15,6 +15,7 @@ class Conditions:
     estimator : "measured" where the controller gets the measurement itself.
     thrust_loss_percent : share of surge, sway and yaw that never arrives.
     has_drag : whether the vessel has a nonlinear drag beside the linear damping of the model.
+    seed : of gusts, waves and noise; None where nothing is random.
     is_fmu : whether an FMU, with a lag and mismatch of its own, is the ship.
     """
 
@@ -29,6 +30,7 @@ class Conditions:
     damping_percent: float
     thrust_loss_percent: tuple[float, ...]
     has_drag: bool
+    seed: int | None
     is_fmu: bool
 
 
@@ -44,7 +46,12 @@ def read_conditions(
     """
     weather, estimator = scenario.get("environment") or {}, scenario.get("estimator") or {}
     waves, noise = weather.get("waves") or {}, weather.get("noise") or {}
-    plant = scenario.get("plant") or {}
+    plant, wind = scenario.get("plant") or {}, weather.get("wind")
+    is_random = (
+        (wind is not None and wind.get("gusts") != "none")
+        or (bool(waves) and (waves.get("drift", True) or waves.get("motion") is not None))
+        or any(noise.values())
+    )
     return Conditions(
         has_waves=bool(waves),
         # A table without keys is one: the motion is then that of the waves of the weather.
@@ -58,5 +65,6 @@ def read_conditions(
         damping_percent=plant.get("damping_percent") or 0.0,
         thrust_loss_percent=tuple(plant.get("thrust_loss_percent") or ()),
         has_drag=(vessel or {}).get("drag", "linear") != "linear",
+        seed=weather.get("seed", 0) if is_random else None,
         is_fmu=bool(plant.get("fmu")),
     )

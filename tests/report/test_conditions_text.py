@@ -1,4 +1,4 @@
-"""Each ship result is stated with its sensors, estimator, lag, delay and mismatch."""
+"""Each ship result is stated with its realisations, sensors, estimator, lag, delay and mismatch."""
 
 import math
 from typing import Any
@@ -68,9 +68,10 @@ def test_scenarios_with_equal_conditions_are_named_together() -> None:
     ships = [_ship("calm", {}), _ship("real", FILTERED), _ship("turn", {})]
     assert describe_conditions_of_ships(ships) == (
         "Conditions in `calm` and `turn`: exact sensors, no state estimator, no thruster lag, no "
-        "delay, no model mismatch. Conditions in `real`: measurement noise (0.3 m, 0.1°), Kalman "
-        "filter, thruster lag 2.5 s, delay of 2 samples, model mismatch (mass +10 %; damping "
-        "-20 %). Conditions of every result: no first-order wave motion."
+        "delay, no model mismatch. Conditions in `real`: one realisation (seed 0), measurement "
+        "noise (0.3 m, 0.1°), Kalman filter, thruster lag 2.5 s, delay of 2 samples, model "
+        "mismatch (mass +10 %; damping -20 %). Conditions of every result: no first-order wave "
+        "motion."
     )
     assert describe_conditions_of_ships(ships[:1]) == f"Conditions of this result: {IDEAL}."
     assert describe_conditions_of_ships(ships[::2]) == f"Conditions of every result: {IDEAL}."
@@ -84,6 +85,29 @@ def test_a_study_of_several_conditions_is_named_in_each() -> None:
         "Conditions in points of `lags`: no thruster lag. Conditions in points of `lags`: thruster "
         "lag 1 s. Conditions of every result: "
     )
+
+
+def test_realisations_and_seed_of_random_weather_are_named() -> None:
+    """Of gusts, waves or noise; a scenario without them has no seed that matters."""
+    noise, gusts = {"noise": {"position_m": 0.3}}, {"wind": {"speed_mps": 9.0}}
+    still = {"hs_m": 1.0, "drift": False}
+    steady = {"wind": {"speed_mps": 9.0, "gusts": "none"}, "waves": still}
+    moving = {"waves": {**still, "motion": {}}}
+    for weather in (noise, gusts, {"waves": {"hs_m": 1.0}}, moving):
+        ship = _ship("a", {"environment": {**weather, "seed": 7}})
+        text = describe_conditions_of_ships(
+            [ship, _ship("b", ship.run.scenario_documents["scenario"])]
+        )
+        assert text.startswith("Conditions of every result: one realisation (seed 7), ")
+    calm = _ship("calm", {"environment": {**steady, "seed": 7}})
+    assert describe_conditions_of_ships([calm]) == f"Conditions of this result: {IDEAL}."
+    unseeded = _ship("gusty", {"environment": gusts})
+    assert describe_conditions_of_ships([calm, unseeded]) == (
+        f"Conditions in `gusty`: one realisation (seed 0). Conditions of every result: {IDEAL}."
+    )
+    seas = [_ship("a", {"environment": {**gusts, "seed": i % 3}}, "seas") for i in range(6)]
+    text = describe_conditions_of_ships(seas)
+    assert text == f"Conditions of every result: 3 realisations, {IDEAL}."
 
 
 @pytest.mark.parametrize("count", [12, 13])

@@ -1,4 +1,4 @@
-"""Text on the conditions of each ship result: sensors, estimator, lag, delay and mismatch."""
+"""Text on the conditions of each ship result: realisations, sensors, lag, mismatch."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -23,23 +23,39 @@ def describe_conditions_of_ships(ships: Sequence[ShipResult]) -> str:
     Ships without a reference loop or without scenario documents are left out.
     """
     known = [s for s in ships if s.state != "not run" and s.run.scenario_documents is not None]
-    groups = group_by_key(known, lambda ship: list_conditions(ship.run))
+    by_name = group_by_key(known, _name_ship)
+    drawn = {name: _list_realisations(own) for name, own in by_name.items()}
+    groups = group_by_key(known, lambda s: (*drawn[_name_ship(s)], *list_conditions(s.run)))
     if len(groups) == 1:
         (alike,) = groups
         return f"Conditions of {'this' if len(known) == 1 else 'every'} result: {', '.join(alike)}."
     common = [part for part in next(iter(groups), ()) if all(part in own for own in groups)]
-    names = [dict.fromkeys(s.run.study or s.name for s in own) for own in groups.values()]
+    names = [dict.fromkeys(map(_name_ship, own)) for own in groups.values()]
     counts = Counter(name for own in names for name in own)
     sentences = []
     for parts, own in zip(groups, names, strict=True):
         listed = [f"{'points of ' * (counts[name] > 1)}`{name}`" for name in own]
         if (more := len(listed) - MOST_LISTED) > 0:
             listed[MOST_LISTED:] = [plural(more, "more scenario")]
-        differing = [part for part in parts if part not in common]
-        sentences.append(f"Conditions in {join_with_and(listed)}: {', '.join(differing)}.")
+        if differing := [part for part in parts if part not in common]:
+            sentences.append(f"Conditions in {join_with_and(listed)}: {', '.join(differing)}.")
     if common:
         sentences.append(f"Conditions of every result: {', '.join(common)}.")
     return " ".join(sentences)
+
+
+def _name_ship(ship: ShipResult) -> str:
+    """Return the name of a ship's study or scenario."""
+    return ship.run.study or ship.name
+
+
+def _list_realisations(ships: Sequence[ShipResult]) -> list[str]:
+    """Return a text on the realisations of a scenario's or study's weather; none if not random."""
+    scenarios = [(ship.run.scenario_documents or {}).get("scenario") or {} for ship in ships]
+    seeds = {read_conditions(scenario).seed for scenario in scenarios} - {None}
+    if len(seeds) == 1:
+        return [f"one realisation (seed {seeds.pop()})"]
+    return [plural(len(seeds), "realisation")] if seeds else []
 
 
 def list_conditions(run: RunRecord) -> tuple[str, ...]:
