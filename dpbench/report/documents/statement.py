@@ -118,10 +118,11 @@ def make_statement_svg(folder: Path, results: Results, data: PageData) -> str:
     picture = find_loop_picture(data, chosen.configuration.solver)
     caption = "" if picture is None else picture.caption
     text = _fill_statement(folder, results, data, chosen, caption)
-    for shrink in SHRINKS:
+    shrink = 1.0
+    lines = list(_format_lines(text, shrink))
+    while MARGIN + sum(map(_height, lines)) > HEIGHT - BOTTOM:
+        shrink *= SHRINK
         lines = list(_format_lines(text, shrink))
-        if MARGIN + sum(_height(line) for line in lines) <= HEIGHT - BOTTOM:
-            break
     return _render_svg(lines, picture)
 
 
@@ -172,8 +173,7 @@ _LOOKS: dict[str, dict[str, Any]] = {
 WRAPPED = ("", "!", "+", "%", "-", "~")  # Marks of lines that may be longer than the page is wide
 PICTURE_HEIGHT, ABOVE_PICTURE = 60.0, 14.0  # [points]
 BOTTOM = 24  # Space below the last line [points]
-SHRINKS = (1.0, 0.96, 0.92, 0.88, 0.84, 0.8, 0.75, 0.7)
-"""Factors of the sizes of letters and gaps; the first with which all lines fit the page counts."""
+SHRINK = 0.97  # Factor of the sizes of letters and gaps, repeated until all lines fit the page
 BOLD_WIDER = 1.15  # Width of bold letters over that of others
 _WIDTHS = {
     0.34: "ijlI .,:;'|/",
@@ -223,6 +223,7 @@ def _fill_statement(
     versions = {name: ", ".join(sorted({str(v) for v in own if v})) for name, own in by_solver}
     timed = copy_with_thruster_times(records, data.requirements, chosen)
     vessels = {s.vessel.id: s.vessel for s in known}
+    ships_by_title = group_by_key(vessels.values(), lambda vessel: vessel.title)
     loops = {ship.run.scenario for ship in ships}
     files = list({s.vessel.id: s.files["vessel"] for s in known}.values())
     return render_document(
@@ -231,16 +232,14 @@ def _fill_statement(
         ship=summarise_ships(data.ships),
         ship_lines=[list(describe_scenario(ship)) for ship in ships[:MOST_SHIPS]],
         more_ships=max(0, len(ships) - MOST_SHIPS),
-        thrusters=[
-            text for file in files if (text := describe_thrusters(file.get("thrusters") or ()))
-        ],
-        sources=[source for vessel in vessels.values() if (source := split_source(vessel)[0])],
-        assumed=dict.fromkeys(
+        thrusters=_list_once(describe_thrusters(file.get("thrusters") or ()) for file in files),
+        sources=_list_once(split_source(vessel)[0] for vessel in vessels.values()),
+        assumed=_list_once(
             text for vessel in vessels.values() for text in list_assumptions_on_vessel(vessel)
         ),
         controllers=describe_controllers([s for s in known if s.name in loops]),
         model_gaps=list_model_gaps(known),
-        own_areas=[text for v in vessels.values() if (text := describe_own_wind_areas(v))],
+        own_areas=_list_once(map(describe_own_wind_areas, vessels.values())),
         worst_losses=[text for plot in plots if (text := describe_worst_loss(records, plot))],
         cautions=_list_cautions(vessels.values()),
         held=_describe_held(records, plots, analyses),
@@ -285,7 +284,10 @@ def _fill_statement(
         ],
         stopped=describe_stopped_runs(records.runs),
         slower=" ".join(list_speed_margin_sentences(data, chosen)),
-        ships=[f"{vessel.title} ({vessel.id})" for vessel in vessels.values()],
+        ships=[
+            f"{title} ({', '.join(vessel.id for vessel in own)})"
+            for title, own in ships_by_title.items()
+        ],
         mismatch=f"{DRAG_MISMATCH} {LOAD_MISMATCH}"
         if any(vessel.drag for vessel in vessels.values())
         else "",
@@ -298,6 +300,11 @@ def _fill_statement(
         hashes=hash_files(folder, HASHED) | _hash_documents(known),
         suite=defaultdict(str, results.suite),
     )
+
+
+def _list_once(texts: Iterable[str]) -> list[str]:
+    """Return texts that are not empty, equal ones once."""
+    return [*dict.fromkeys(filter(None, texts))]
 
 
 def _list_ships_by_importance(ships: Sequence[ShipResult]) -> list[ShipResult]:
@@ -352,7 +359,8 @@ def _list_cautions(vessels: Iterable[Vessel]) -> list[str]:
 def _hash_documents(scenarios: Sequence[Scenario]) -> dict[str, str]:
     """Return the SHA-256 of vessel and scenario documents as stored in `runs.parquet`, by name.
 
-    Of their JSON with sorted keys. Of more than `MOST_SHIPS` scenarios one for all, in their order.
+    Of their JSON with sorted keys. Equal documents have one hash, and more than `MOST_SHIPS`
+    scenarios one for all, in their order.
     """
     documents: dict[str, Any] = {
         f"vessel {scenario.vessel.id}": scenario.files["vessel"] for scenario in scenarios
@@ -362,11 +370,16 @@ def _hash_documents(scenarios: Sequence[Scenario]) -> dict[str, str]:
         documents |= {f"scenario {name}": own for name, own in of_scenarios.items()}
     else:
         documents[f"{len(of_scenarios)} scenarios"] = list(of_scenarios.values())
-    return {
-        f"{name} (stored document)": hashlib.sha256(
+    hashes = {
+        name: hashlib.sha256(
             json.dumps(document, sort_keys=True, ensure_ascii=False).encode()
         ).hexdigest()
         for name, document in documents.items()
+    }
+    equal = group_by_key(hashes, hashes.__getitem__)
+    return {
+        names[0] + f" and {len(names) - 1} equal" * (len(names) > 1) + " (stored document)": sha
+        for sha, names in equal.items()
     }
 
 

@@ -261,17 +261,41 @@ def test_wrapped_lines_end_before_the_margin_and_use_the_page(letters: str) -> N
     assert MARGIN + 0.6 * (WIDTH - 2 * MARGIN) <= _rightmost_ink(words) <= WIDTH - MARGIN
 
 
+@pytest.mark.parametrize("count", [16, 60])
 def test_a_text_too_long_for_the_page_is_set_smaller(
-    written: Any, monkeypatch: pytest.MonkeyPatch
+    written: Any, monkeypatch: pytest.MonkeyPatch, count: int
 ) -> None:
-    losses = OpenLosses(tuple(f"Loss of board {i}: not held (not simulated)." for i in range(16)))
+    """The signature is on the page as well, and letters get smaller than any fixed size."""
+    lines = (f"Loss of board {i}: not held (not simulated)." for i in range(count))
+    losses = OpenLosses(tuple(lines))
     monkeypatch.setattr(statement, "find_open_losses", lambda *_: losses)
     report = written.report
     svg = make_statement_svg(written.folder, report.results, report.data)
-    assert float(_texts(svg)[-1].get("y", "nan")) <= HEIGHT - 20
+    assert all(MARGIN <= float(line.get("y", "nan")) <= HEIGHT - 20 for line in _texts(svg))
+    assert _rightmost_ink(svg) <= WIDTH - MARGIN + 2
     texts = ["".join(element.itertext()) for element in _texts(svg)]
-    assert texts[3] == losses.not_held[0]
+    assert texts[3] == losses.not_held[0] and texts[-1].startswith("Author ___")
     assert "Solver of these QPs alone" in texts and "Recommended solver" not in texts
+
+
+def test_equal_ships_are_described_once(records: Any, tmp_path: Path) -> None:
+    """Scenario files with a vessel file each: every name, but one description and one hash."""
+    for name in ("thrusters_loss", "paper"):
+        records.loop("daqp", name)
+    records.replay("daqp", "thrusters_loss", spread=0.1)
+    facts = Report.from_results(records.results()).data
+    view = copy(facts.records)
+    plain = view.build_scenario("thrusters_loss")
+    twin = replace(plain, name="paper", vessel=replace(plain.vessel, id="twin_ship"))
+    view._scenarios = {"thrusters_loss": plain, "paper": twin}
+    folder, data = records.write(tmp_path / "out"), replace(facts, records=view)
+    lines = _texts(make_statement_svg(folder, records.results(), data))
+    text = " ".join("".join(element.itertext()) for element in lines)
+    vessel = plain.vessel
+    assert f"Ship: {vessel.title} ({vessel.id}, twin_ship); " in text
+    assert text.count(split_source(vessel)[0]) == 1
+    assert text.count("Thrusters by switchboard: board A: ") == text.count("board A: ") == 1
+    assert f"vessel {vessel.id} and 1 equal (stored document)  SHA-256 " in text
 
 
 def test_it_says_that_the_model_lacks_the_drag_of_the_ship(written: Any) -> None:
