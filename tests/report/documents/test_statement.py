@@ -174,7 +174,7 @@ def test_it_lists_what_is_assumed_of_ship_and_thrusters() -> None:
     first, hull = list_assumptions_on_vessel(own)
     assert (
         first == "rise times 7 s"
-        and hull.startswith("of the hull: length under water, ")
+        and hull.startswith("hull data from the main dimensions: length under water, ")
         and "_" not in hull
     )
     assert own.thrusters is not None
