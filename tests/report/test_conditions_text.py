@@ -88,7 +88,7 @@ def test_a_study_of_several_conditions_is_named_in_each() -> None:
 
 
 def test_realisations_and_seed_of_random_weather_are_named() -> None:
-    """Of gusts, waves or noise; a scenario without them has no seed that matters."""
+    """These are gusts, waves and noise; without them, no seed matters."""
     noise, gusts = {"noise": {"position_m": 0.3}}, {"wind": {"speed_mps": 9.0}}
     still = {"hs_m": 1.0, "drift": False}
     steady = {"wind": {"speed_mps": 9.0, "gusts": "none"}, "waves": still}

@@ -160,12 +160,12 @@ def test_records_without_counters_say_nothing(records: Any) -> None:
             4,
             "rounds of this run agree within a factor of 2.00 (median 2.00). Runs on other days",
         ),
-        (3, 4, "cannot be estimated from this run: only 3 configurations had two rounds."),
-        (4, 900, "cannot be estimated from this run: the machine was disturbed."),
+        (3, 4, "differ between days: only 3 configurations had two rounds."),
+        (4, 900, "no estimate of how much times differ between days: the machine was disturbed."),
         (
             1,
             900,
-            "from this run: the machine was disturbed and only 1 configuration had two rounds.",
+            "between days: the machine was disturbed and only 1 configuration had two rounds.",
         ),
     ],
 )

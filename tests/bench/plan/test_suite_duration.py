@@ -17,6 +17,7 @@ def test_the_title_of_a_suite_has_no_duration(name: str) -> None:
 
 
 def test_the_list_of_suites_has_their_durations() -> None:
-    listed = list(_list_suites().columns[2].cells)
+    table, _ = _list_suites().renderables
+    listed = list(table.columns[2].cells)
     _, suite = load_path_and_suite("standard")
     assert suite.duration and any(text.endswith(f", {suite.duration}") for text in listed)
