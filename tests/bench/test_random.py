@@ -116,7 +116,7 @@ def test_the_report_shows_who_lied(folder: Path) -> None:
     assert lies.to_dict() == {"faulty": 3 * STEPS, "daqp": 0, "quadprog": 0}
     html = (folder / "report.html").read_text(encoding="utf-8")
     answer = html.split('<section id="answer">')[1].split("</section>")[0]
-    assert "faulty 18" in answer and '<section id="matrix">' not in html
+    assert "18 by faulty" in answer and '<section id="matrix">' not in html
 
 
 def suite(**tables: object) -> SuiteFile:
