@@ -121,10 +121,18 @@ def make_report_markdown(report: Report) -> str:
     )
     ending = f"\n## {HOW_MADE}\n\n{escape_markdown_paragraph(made)}\n"
     most_bytes = MOST_BYTES - len(ending.encode())
+    text = _shorten(text, most_bytes, recommendation, "\n\n".join(counts))
+    return truncate_text(text, most_bytes, "report.html") + ending
+
+
+def _shorten(text: str, most_bytes: int, recommendation: Recommendation, counts: str) -> str:
+    """Return a report without as many of its dispensable parts as it takes to fit.
+
+    counts : tables of instruction counts. The legend of the table and the verdicts stay.
+    """
     ship = recommendation.ship
-    # In their order, so that the legend of the table and the verdicts are cut last.
     dispensable = {
-        "\n\n".join(counts): "Instruction counts: `tables/embedded.csv`.",
+        counts: "Instruction counts: `tables/embedded.csv`.",
         f"{escape_markdown_paragraph(ship.conditions)}\n\n": "",
         f" {escape_markdown_paragraph(ship.details)}": "",
         f" {escape_markdown_paragraph(_find_margin_details(recommendation))}": "",
@@ -132,7 +140,7 @@ def make_report_markdown(report: Report) -> str:
     for part, shorter in dispensable.items():
         if part.strip() and len(text.encode()) > most_bytes:
             text = text.replace(part, shorter, 1)
-    return truncate_text(text, most_bytes, "report.html") + ending
+    return text
 
 
 def _find_margin_details(recommendation: Recommendation) -> str:

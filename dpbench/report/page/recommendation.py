@@ -198,33 +198,39 @@ def _describe_choice(
     if chosen is None:
         return _explain_no_choice(data, found), "", ""
     c = chosen.configuration
-    call = f"`{c.solver}` ({c.route}, {c.policy}, {c.settings})"
-    is_first = chosen.state == "pass" and not is_lost and _is_fastest(data, chosen)
-    if is_lost:
-        verdicts = {"pass": f"{call} passes", "borderline": f"{call} is borderline"}
-        verdict = verdicts.get(chosen.state, f"{call} is inconclusive")
-        opening = f"As a solver of these QPs alone, {verdict}"
-    else:
-        openings = {"pass": f"Use {call}", "borderline": f"Borderline: {call}"}
-        opening = openings.get(chosen.state, f"{call} is inconclusive")
+    is_recommended = chosen.state == "pass" and not is_lost
+    is_first = is_recommended and _is_fastest(data, chosen)
+    opening = _describe_verdict_on_choice(chosen, is_lost=is_lost)
     opening += ", the fastest deployable configuration that passes" * (is_first and not is_alone)
-    opening += "" if chosen.state == "pass" else f": {Recommendation.why(chosen)}"
     record = find_solver_record_or_none(c.solver)
-    is_own = chosen.state == "pass" and not is_lost and record and record.extra == "own"
-    own = " It is part of dpbench itself." if is_own else ""
+    own = is_recommended and record is not None and record.extra == "own"
     both = describe_consequence_solver(data.records, c.solver)
     timed = copy_with_thruster_times(data.records, data.requirements, chosen)
     unranked = (
         " Its settings are the most usual ones of the fastest deployable configurations that pass, "
         "which the measurement does not rank."
-    ) * (chosen.state == "pass" and not is_lost and not is_first)
+    ) * (is_recommended and not is_first)
     return (
-        f"{both + ' ' if both else ''}{opening}.{own}",
+        f"{both + ' ' if both else ''}{opening}.{' It is part of dpbench itself.' * own}",
         f"It was correct on every step of {describe_judged_runs(chosen)}. Its "
         f"{describe_usual_time(timed)}.",
         f"The largest error of the first move is {format_error(chosen.error_move)} times the "
         f"maximum increment.{_describe_infeasible_steps(data, c)}{unranked}",
     )
+
+
+def _describe_verdict_on_choice(chosen: Verdict, *, is_lost: bool) -> str:
+    """Return a text that recommends a configuration, or states why it does not pass."""
+    c = chosen.configuration
+    call = f"`{c.solver}` ({c.route}, {c.policy}, {c.settings})"
+    if is_lost:
+        verdicts = {"pass": f"{call} passes", "borderline": f"{call} is borderline"}
+        lead = "As a solver of these QPs alone, "
+    else:
+        verdicts = {"pass": f"Use {call}", "borderline": f"Borderline: {call}"}
+        lead = ""
+    why = "" if chosen.state == "pass" else f": {Recommendation.why(chosen)}"
+    return f"{lead}{verdicts.get(chosen.state, f'{call} is inconclusive')}{why}"
 
 
 def _is_fastest(data: PageData, chosen: Verdict) -> bool:

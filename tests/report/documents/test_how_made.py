@@ -4,6 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from dpbench.report.documents import markdown
 from dpbench.report.documents.markdown import HOW_MADE, MOST_BYTES, make_report_markdown
 from dpbench.report.report import Report
 from dpbench.report.write import write_report
@@ -76,3 +79,25 @@ def test_the_report_and_the_page_open_with_their_subject(records: Any, tmp_path:
     )
     page = write_report(records.write(tmp_path / "out")).read_text("utf-8")
     assert f'<span class="soft">{subject.removesuffix(".")}</span>' in page
+
+
+def test_a_report_that_is_too_long_loses_conditions_before_its_legend(
+    records: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Machine, legend of the table and verdicts are what a reader of a pull request needs."""
+    for solver in ("daqp", "quadprog"):
+        records.loop(solver)
+        records.replay(solver)
+    report = Report.from_results(records.results())
+    whole = make_report_markdown(report)
+    monkeypatch.setattr(markdown, "MOST_BYTES", len(whole.encode()) - 1)
+    cut = make_report_markdown(report)
+    conditions = "Conditions of "
+    assert conditions in whole and conditions not in cut
+    for needed in (
+        "apply to this machine only",
+        "Speed margin: factor",
+        "2 of 2 solvers pass",
+        "All figures",
+    ):
+        assert needed in cut, needed
