@@ -245,8 +245,9 @@ class ThrusterSet:
                 return ""
             when = f"After the loss of {' or of '.join(lost)}, aft"
         return (
-            f"{when} of midships only main propellers push: rudders and power limits are not "
-            "counted."
+            f"{when} of midships only main propellers push. Rudders are not modelled: with its "
+            "rudders, the ship may hold more wind. Power limits are not counted: with them, it may "
+            "hold less."
         )
 
     def _has_mains_alone_aft(self, lost: Collection[int]) -> bool:

@@ -216,7 +216,10 @@ def test_rudders_are_said_not_to_count_where_mains_alone_push_aft(
     capsys: pytest.CaptureFixture[str], kind: str
 ) -> None:
     """By `init` and `capability`; where a tunnel pushes aft, too, only after its board is lost."""
-    said = "of midships only main propellers push: rudders and power limits are not counted."
+    said = (
+        "of midships only main propellers push. Rudders are not modelled: with its rudders, the "
+        "ship may hold more wind. Power limits are not counted: with them, it may hold less."
+    )
     when = "Aft" if kind == "azimuth" else "After the loss of board B, aft"
     place = "20" if kind == "azimuth" else "-30"
     assert init(TABLE.replace("azimuth,-30", f"{kind},{place}")) == 0

@@ -118,7 +118,7 @@ def test_mains_alone_aft_after_a_loss_caution_that_rudders_do_not_count() -> Non
     mains = [Thruster(b, "main", -40.0, 0.0, 2e5, 20.0, group=b) for b in ("board A", "board B")]
     mains.append(Thruster("bow", "tunnel", 30.0, 0.0, 8e4, 8.0))
     tunnel = Thruster("stern", "tunnel", -35.0, 0.0, 8e4, 8.0, group="board A")
-    lost = "After the loss of board A, aft of midships only main propellers push: "
+    lost = "After the loss of board A, aft of midships only main propellers push. "
     assert ThrusterSet((*mains, tunnel)).caution_on_rudders.startswith(lost)
     second = Thruster("second", "tunnel", 25.0, 0.0, 8e4, 8.0)
     assert ThrusterSet((*mains, second)).caution_on_rudders.startswith("Aft of midships only main")
