@@ -485,16 +485,16 @@ def format_python_call(c: Configuration) -> str:
     """
     settings = repr(c.solver_settings) if c.options else f'"{c.settings}"'
     call = (
-        "import dpbench\n"
-        f'solver = dpbench.open_workspace("{c.solver}", route="{c.route}", policy="{c.policy}", '
-        f"settings={settings})"
+        "from dpbench import open_workspace\n"
+        f'solver = open_workspace(\n    "{c.solver}",\n    route="{c.route}",\n'
+        f'    policy="{c.policy}",\n    settings={settings},\n)'
     )
     known = find_solver_record_or_none(c.solver) is not None
     if not known or not (c.options or has_preset_or_tolerance(c.solver, c.settings)):
         return call
     options = resolve_settings_with_fixed_options(c.solver_settings, c.solver)
     keys = ", ".join(f"{key}={value!r}" for key, value in options.items())
-    call = f"{call}\n# settings: {keys or 'the defaults of the library'}"
+    call = f"{call}\n# settings: {keys or 'library defaults'}"
     own = format_library_call(c.solver, c.route, c.policy, c.solver_settings)
     return f"{call}\n\n# Without dpbench:\n{own}" if own else call
 

@@ -47,7 +47,6 @@ from dpbench.report.verdict.findings_text import name_experiment
 from dpbench.report.verdict.verdict_text import (
     describe_hardest_wait,
     describe_lateness,
-    describe_longest_wait,
     describe_p99_interval,
 )
 from dpbench.report.words import topics as glossary
@@ -120,9 +119,7 @@ def _describe_configuration(
         **_describe_margin(data, c, v),
         "longest_in_windows": [list(step) for step in data.longest_window_steps.get(c, ())],
         "max_wait": describe_hardest_wait(data.records, None if v is None else v.max_run),
-        "longest_wait": describe_longest_wait(data.records, longest and longest[1]),
         "longest": None if longest is None else convert_to_json_number(longest[1].raw_max_ns),
-        "longest_at": None if longest is None else data.experiments.index(longest[0]),
     }
 
 

@@ -73,7 +73,7 @@ def test_a_row_of_the_ladder_is_chosen_by_a_click(selected: Any) -> None:
     assert page.inner_text("#one-title").startswith("clarabel (")
     assert re.match(
         r"clarabel \(.*\): overall verdict (pass|late|fail|inconclusive), p50 .* and p99 .* in .*, "
-        r"longest step of all replays and windows .*, largest single timing .* in .*; "
+        r"longest step .*; "
         r"steps shown below: ",
         page.inner_text("#chosen"),
     )
@@ -487,16 +487,15 @@ def test_two_of_separate_commands_have_no_ratio(selected: Any) -> None:
     other = """async (number) => {
       for (const own of Object.values(facts.paired.turns)) if (own[state.c]) own[state.c] = number;
       await drawTwo();
-      return beside();
     }"""
     before = page.evaluate("Object.values(facts.paired.turns).map((own) => own[state.c])[0]")
-    assert page.evaluate(other, [99, 99]) == ", timed in separate commands from `daqp`"
+    page.evaluate(other, [99, 99])
     output = page.inner_text("#two-said")
     assert re.search(r"takes [\d.]+ µs per step and daqp .* [\d.]+ µs, timed in separate", output)
     assert "so there is no ratio" in output and "times as long" not in output
     page.evaluate(other, [99, before[1]])
     assert "not interleaved" in page.inner_text("#two-said")
-    assert " times those of `daqp`" in page.evaluate(other, before)
+    page.evaluate(other, before)
     assert "times as long" in page.inner_text("#two-said")
     disturbed = """async (spread) => {
       for (const p in facts.paired.turns) facts.paired.spreads[p] = { [state.c]: spread };
@@ -704,7 +703,7 @@ def test_settings_of_ones_own_are_offered_with_their_options(chromium: Any, tmp_
         page = opened("#s=osqp&set=mine")
         offered = page.locator("#choose-settings option").all_inner_texts()
         assert offered == ["default", "mine (eps_abs=1e-5,rho=2)", "rho=2"]
-        assert "settings={'rho': 2, 'eps_abs': 1e-05})" in page.text_content("#one-call")
+        assert "settings={'rho': 2, 'eps_abs': 1e-05}," in page.text_content("#one-call")
         page.select_option("#choose-settings", "rho=2")
         page.wait_for_function("$('one-call').textContent.includes(\"{'rho': 2})\")")
         assert selection(page)["set"] == "rho=2"

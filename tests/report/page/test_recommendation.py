@@ -121,8 +121,7 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
     assert f"| 10.0 ms{waits[0]} |" in text.partition("worst by")[2]
     assert f"10.0 ms{waits[0]}, median" in dict(format_worst_steps(worst))["worst time"]
     document = make_page_document(report.data, report.results, report.recommendation, {})
-    columns = document["configurations"]
-    assert (columns["max_wait"], columns["longest_wait"]) == ([waits[0]], [waits[1]])
+    assert document["configurations"]["max_wait"] == [waits[0]]
 
 
 @pytest.mark.parametrize(
@@ -771,7 +770,7 @@ def test_the_code_to_paste_has_settings_of_ones_own(records: Any) -> None:
         records.loop("osqp", settings=settings, options=own, error=error)
         records.replay("osqp", settings=settings, options=own, error=error)
     snippets = dict(_answer(records).snippets)
-    assert "settings={'eps_abs': 1e-05, 'polishing': True})" in snippets["Python"]
+    assert "settings={'eps_abs': 1e-05, 'polishing': True}," in snippets["Python"]
     assert "adaptive_rho_interval=50, eps_abs=1e-05, polishing=True" in snippets["Python"]
     assert "settings.polishing = 1;" in snippets["C"]
     assert "settings.adaptive_rho_interval = 50;" in snippets["C"]

@@ -1,26 +1,16 @@
 // What follows from a change of the selection, what listens to the reader, and the start.
 "use strict";
 
-// How the chosen one's times compare with those of the answer.
-function beside() {
-  const first = facts.answer.first, rows = first === state.c ? [] : comparedSteps(first, state.c);
-  if (rows[0]?.separate) return `, ${rows[0].separate} from ${unlike(first, state.c)}`;
-  return rows.length
-    ? `, step times ${figure(ratioOf(rows), 2)} times those of ${unlike(first, state.c)} (geometric mean over the same steps${shortTimes(first, state.c) && `; times below ${time(facts.paired.shortest)} reflect the bindings`})` : "";
-}
-
 // The line that stays on a wide screen: the selected configuration, its times, what is shown of it.
 function drawChosen() {
-  const c = state.c, timed = facts.experiments[C().timed_experiment_index[c]]?.label, longest = facts.experiments[C().longest_at[c]]?.label;
-  const typical = [["p50", "p50"], ["p99", "replay_p99"]].filter(([, column]) => C()[column][c] !== null)
+  const c = state.c, timed = facts.experiments[C().timed_experiment_index[c]]?.label;
+  const times = [["p50", "p50"], ["p99", "replay_p99"]].filter(([, column]) => C()[column][c] !== null)
     .map(([name, column]) => `${name} ${time(C()[column][c])}`).join(" and ");
-  const largest = [["longest step of all replays and windows", "max", C().max_wait[c]],
-    ["largest single timing", "longest", longest && `${C().longest_wait[c]} in \`${longest}\``]]
-    .filter(([, column]) => C()[column][c] !== null)
-    .map(([name, column, where]) => `, ${name} ${time(C()[column][c])}${where ?? ""}`);
-  const usual = typical && `, ${typical}${timed ? ` in \`${timed}\`` : ""}`;
-  const verdict = C().verdict[c] === "not judged" ? "" : `, overall verdict ${C().verdict[c]}`;
-  const about = `${verdict}${usual}${beside()}${largest.join("")}`.slice(2);
+  const about = [
+    C().verdict[c] !== "not judged" && `overall verdict ${C().verdict[c]}`,
+    times && `${times}${timed ? ` in \`${timed}\`` : ""}`,
+    C().max[c] !== null && `longest step ${time(C().max[c])}${C().max_wait[c]}`,
+  ].filter(Boolean).join(", ");
   const shown = `steps shown below: \`${facts.experiments[state.p].label}\`${state.k === null ? "" : `, step ${state.k}`}`;
   $("chosen").replaceChildren(...coded(`${marked(c)}${about && `: ${about}`}; ${shown}`));
 }
