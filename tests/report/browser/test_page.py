@@ -705,5 +705,5 @@ def test_settings_of_ones_own_are_offered_with_their_options(chromium: Any, tmp_
         assert offered == ["default", "mine (eps_abs=1e-5,rho=2)", "rho=2"]
         assert "settings={'rho': 2, 'eps_abs': 1e-05}," in page.text_content("#one-call")
         page.select_option("#choose-settings", "rho=2")
-        page.wait_for_function("$('one-call').textContent.includes(\"{'rho': 2})\")")
+        page.wait_for_function("$('one-call').textContent.includes(\"{'rho': 2},\")")
         assert selection(page)["set"] == "rho=2"
