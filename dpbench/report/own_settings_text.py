@@ -194,14 +194,14 @@ def _changes_result(option: str, best: Verdict, points: Sequence[Verdict]) -> bo
 
     True also where no settings differ in this option alone.
     """
-    own = format_options_by_name(best)
-    others = [
-        verdict
-        for verdict in points
-        if {name for name, value in format_options_by_name(verdict).items() if value != own[name]}
-        == {option}
-    ]
+    others = [verdict for verdict in points if _list_differing_options(best, verdict) == {option}]
     return not others or any(not _has_same_result(best, verdict) for verdict in others)
+
+
+def _list_differing_options(one: Verdict, other: Verdict) -> set[str]:
+    """Return the names of the options in which two settings differ that set the same options."""
+    own = format_options_by_name(one)
+    return {name for name, value in format_options_by_name(other).items() if value != own[name]}
 
 
 def _has_same_result(one: Verdict, other: Verdict) -> bool:
@@ -248,7 +248,7 @@ def _list_edges(best: Verdict, points: Sequence[Verdict], equals: Sequence[Verdi
         ends = {min(tried), max(tried)} if len(tried) >= LEAST_POINTS else set()
         is_bound = at == min(tried, default=at) <= 0.0
         # Another value that is as fast shows that the time does not fall towards this end.
-        is_flat = any(format_options_by_name(other)[option] != value for other in equals)
+        is_flat = any(_list_differing_options(best, other) == {option} for other in equals)
         if at in ends and not is_bound and not is_flat and _changes_result(option, best, points):
             edges.append(option)
     return edges
@@ -274,4 +274,6 @@ def _describe_best_of_grid(points: Sequence[Verdict], best: Verdict) -> str:
         by = f" by largest error ({format_error(best.error_move)})"
     elif math.isfinite(best.p99_ns):
         by = f" by p99 ({format_time(best.p99_ns)})"
+    elif math.isfinite(best.p50_ns):
+        by = f" by p50 ({format_time(best.p50_ns)})"
     return f"Best of {len(points)} settings of {solver}{by}: {best.configuration.settings}{edge}."

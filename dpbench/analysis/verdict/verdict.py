@@ -360,16 +360,18 @@ def _find_lack_of_optima(runs: Sequence[RunRecord]) -> list[Finding]:
 
 ALIKE = 0.03
 """Settings whose figures differ by less are equally fast: another day may swap them."""
+MOST_SPREAD = 1.25
+"""Ratio of a slow round to a fast one up to which their spread is noise of the fastest times."""
 MOST_OWN = 12
 """Custom settings that are listed."""
 
 
 def sort_fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """Return verdicts on configurations sorted by p99, else by largest time; untimed ones last."""
+    """Return verdicts on configurations sorted by p99, else by p50; untimed ones last."""
     return sorted(
         verdicts,
         key=lambda v: (
-            *np.nan_to_num((v.p99_ns, v.algo_max_ns), nan=math.inf).tolist(),
+            *np.nan_to_num((v.p99_ns, v.p50_ns, v.algo_max_ns), nan=math.inf).tolist(),
             v.configuration.solver,
         ),
     )
@@ -431,20 +433,23 @@ def choose_best_settings(verdicts: Verdicts, points: Sequence[Verdict]) -> Verdi
 def list_equally_fast(best: Verdict, own: Sequence[Verdict]) -> list[Verdict]:
     """Return a solver's configurations that are as fast as its `best`, in the same call mode.
 
-    Their times differ by less than `ALIKE`, or their rounds overlap.
+    Their times differ by less than `ALIKE`, or than the rounds of each do, up to `MOST_SPREAD`.
     """
     mode = best.configuration.route, best.configuration.policy
-    usual, (fastest, slowest) = (1.0 + ALIKE) * _choose_ranking_time_ns(best), best.rounds_ns
     return [
         verdict
         for verdict in own
         if (verdict.configuration.route, verdict.configuration.policy) == mode
-        # Where rounds overlap, the least of a few may be lower for the slower one by chance.
-        and (
-            _choose_ranking_time_ns(verdict) <= usual
-            or (verdict.rounds_ns[0] <= slowest and fastest <= verdict.rounds_ns[1])
-        )
+        and _choose_ranking_time_ns(verdict)
+        <= _find_largest_ratio_of_noise(best, verdict) * _choose_ranking_time_ns(best)
     ]
+
+
+def _find_largest_ratio_of_noise(one: Verdict, other: Verdict) -> float:
+    """Return the ratio of two configurations' times up to which they are equally fast."""
+    # Rounds are interleaved: other work on the machine spreads those of both.
+    spread = min(slowest / fastest for fastest, slowest in (one.rounds_ns, other.rounds_ns))
+    return max(1.0 + ALIKE, min(spread, MOST_SPREAD))
 
 
 def _make_settings_sort_key(verdict: Verdict) -> tuple[int, tuple[str | float, ...]]:

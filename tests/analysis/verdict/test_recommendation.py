@@ -56,7 +56,7 @@ def _names(verdicts: list[Verdict]) -> list[str]:
     return [verdict.configuration.label for verdict in verdicts]
 
 
-def test_verdicts_are_sorted_by_p99_then_largest_step_then_name() -> None:
+def test_verdicts_are_sorted_by_p99_then_p50_then_largest_step_then_name() -> None:
     verdicts = [
         _verdict("e"),
         _verdict("d"),
@@ -65,9 +65,10 @@ def test_verdicts_are_sorted_by_p99_then_largest_step_then_name() -> None:
         _verdict("b", 20.0, algo_max_ns=1.0),
         _verdict("a", 20.0, algo_max_ns=1.0),
         _verdict("g", 10.0, algo_max_ns=99.0),
+        _verdict("h", p50_ns=5.0, algo_max_ns=99.0),
     ]
     found = [verdict.configuration.solver for verdict in sort_fastest_first(verdicts)]
-    assert found == ["g", "a", "b", "f", "c", "d", "e"]
+    assert found == ["g", "a", "b", "h", "f", "c", "d", "e"]
 
 
 def test_only_the_most_widely_timed_are_ranked() -> None:
@@ -120,23 +121,38 @@ def test_another_route_or_policy_is_no_twin(fastest: dict[str, str], other: dict
 
 
 @pytest.mark.parametrize(
-    ("rounds_ns", "settings"),
-    [((20.0, 30.0), "default"), ((20.5, 30.0), "high"), ((5.0, 10.0), "default")],
+    ("p99_ns", "rounds_ns", "settings"),
+    [
+        (119.0, (10.0, 12.0), "default"),
+        (121.0, (10.0, 12.0), "high"),
+        (119.0, (10.0, 11.0), "high"),
+        (130.0, (10.0, 40.0), "high"),
+    ],
 )
-def test_overlapping_rounds_are_alike(rounds_ns: tuple[float, float], settings: str) -> None:
-    """Rounds of 10 to 20 ns overlap with rounds from 20 ns on or up to 10 ns."""
-    best = _verdict("daqp", 100.0, settings="high", rounds_ns=(10.0, 20.0))
-    usual = _verdict("daqp", 150.0, rounds_ns=rounds_ns)
+def test_times_are_alike_within_the_spread_of_both_rounds(
+    p99_ns: float, rounds_ns: tuple[float, float], settings: str
+) -> None:
+    """The rounds of the best spread by 1.2; equal medians of rounds hide no slower p99."""
+    best = _verdict("daqp", 100.0, settings="high", rounds_ns=(10.0, 12.0))
+    usual = _verdict("daqp", p99_ns, rounds_ns=rounds_ns)
     found = find_fastest_configuration(_verdicts(usual, best), "daqp")
     assert found is not None and found.configuration.settings == settings
 
 
+def test_disturbed_rounds_hide_no_setting_that_is_twice_as_fast() -> None:
+    """Both spread by 2.5, on a busy machine: 90 us is not named where 38 us passes."""
+    slow = _verdict("osqp", 90e3, settings="rho=0.1", rounds_ns=(40e3, 100e3))
+    fast = _verdict("osqp", 38e3, settings="rho=10", rounds_ns=(36e3, 90e3))
+    assert find_fastest_configuration(_verdicts(slow, fast), "osqp") is fast
+
+
 def test_without_a_p99_medians_are_compared() -> None:
-    """Medians of 100 and 102 are alike though the largest steps differ by half."""
-    apart = {"rounds_ns": (1.0, 2.0)}
-    best = _verdict("daqp", settings="high", p50_ns=100.0, algo_max_ns=200.0, **apart)
-    usual = _verdict("daqp", p50_ns=102.0, algo_max_ns=300.0, rounds_ns=(3.0, 4.0))
+    """Medians of 100 and 102 are alike, whichever has the longer step."""
+    best = _verdict("daqp", settings="high", p50_ns=100.0, algo_max_ns=200.0)
+    usual = _verdict("daqp", p50_ns=102.0, algo_max_ns=300.0)
     assert find_fastest_configuration(_verdicts(usual, best), "daqp") is usual
+    slow = _verdict("daqp", p50_ns=240.0, algo_max_ns=190.0)
+    assert find_fastest_configuration(_verdicts(slow, best), "daqp") is best
     assert find_fastest_configuration(_verdicts(usual, best), "piqp") is None
 
 

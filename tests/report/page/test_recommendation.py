@@ -338,6 +338,20 @@ def test_a_grid_that_fails_everywhere_alike_is_not_to_be_widened(records: Any) -
     )
 
 
+def test_an_equal_point_that_differs_in_both_options_hides_no_edge(records: Any) -> None:
+    """The time falls with rho at either tolerance, but for one point on the diagonal."""
+    times = {1e-4: (60.0, 40.0, 20.0), 1e-3: (50.0, 20.2, 30.0), 1e-2: (90.0, 90.0, 90.0)}
+    for eps, by_rho in times.items():
+        for rho, us in zip((0.1, 1.0, 10.0), by_rho, strict=True):
+            own = {"eps_abs": eps, "rho": rho}
+            options = {"settings": f"eps_abs={eps},rho={rho}", "options": json.dumps(own)}
+            records.loop("osqp", **options)
+            records.replay("osqp", median_us=us, spread=0.0, **options)
+    rows = Report.from_results(records.results()).summary_rows()
+    (best,) = (text for about, text in rows if text.startswith("Best of 9"))
+    assert ": eps_abs=0.0001,rho=10.0, at the edge of the grid in eps_abs and rho: widen it" in best
+
+
 def test_an_option_that_changes_nothing_is_not_to_be_widened(records: Any) -> None:
     """Another option of the grid does."""
     for rho, error in ((0.1, 0.2), (1.0, 0.5), (10.0, 0.9)):
