@@ -83,7 +83,7 @@ from dpbench.ship.vessel import Vessel
 from dpbench.solvers.settings import resolve_settings_with_fixed_options
 
 MOST_SHIPS = 5
-WIDTH, HEIGHT, MARGIN = 595, 842, 48
+WIDTH, HEIGHT, MARGIN = 595, 842, 30
 """A4 in points."""
 LOAD_MISMATCH = (
     "No Munk moment of the current acts on the ship: compare mean loads with `dpbench check`."
@@ -164,23 +164,30 @@ _LOOKS: dict[str, dict[str, Any]] = {
     "!": {"size": 9, "bold": True, "colour": FAIL},
     "+": {"bold": True},
     "%": {"size": 7, "colour": SOFT, "is_caption": True},
-    "`": {"size": 7},
+    "`": {"size": 7, "gap": 0.0},
     "~": {"size": 7.5},
     "-": {"size": 6.5},
     "_": {"size": 9, "gap": 8.0},
 }
 """Look of a line by the mark it begins with."""
 WRAPPED = ("", "!", "+", "%", "-", "~")  # Marks of lines that may be longer than the page is wide
-PICTURE_HEIGHT, ABOVE_PICTURE = 60.0, 14.0  # [points]
+PICTURE_HEIGHT, ABOVE_PICTURE = 54.0, 14.0  # [points]
 BOTTOM = 24  # Space below the last line [points]
+LEADING = 1.16  # Height of a line over the size of its letters
 SHRINK = 0.97  # Factor of the sizes of letters and gaps, repeated until all lines fit the page
+SMALLEST = 6.0  # Smallest letters [points], unless even this factor is below one half
 BOLD_WIDER = 1.15  # Width of bold letters over that of others
 _WIDTHS = {
-    0.34: "ijlI .,:;'|/",
-    0.42: '()[]ft-r"!',
-    0.6: "ckvxyzs",
-    0.64: "abdeghnopqu0123456789J?_°",
-    1.0: "mwMW@%—×±≤≥=",
+    0.28: "ijl'",
+    0.32: "IJ .,·",
+    0.37: ":;|/f-",
+    0.42: "()[]tr!²",
+    0.54: 'sz?_°"',
+    0.6: "ckvxyLF",
+    0.64: "abdeghnopqu0123456789PTYESµ",
+    0.7: "ABCKRVXZ",
+    0.84: "w+×±≤≥=<>",
+    1.0: "mMW@%—…",
 }
 """Largest width [em] of letters in DejaVu Sans; others are capitals of 0.79 em."""
 
@@ -188,7 +195,7 @@ _WIDTHS = {
 def _height(line: TextLine) -> float:
     """Return the height [points] that a line takes on the page, with a picture before it."""
     picture = PICTURE_HEIGHT + ABOVE_PICTURE if line.is_caption else 0.0
-    return picture + 1.22 * line.size + line.gap
+    return picture + LEADING * line.size + line.gap
 
 
 def _format_lines(text: str, shrink: float) -> Iterator[TextLine]:
@@ -200,13 +207,13 @@ def _format_lines(text: str, shrink: float) -> Iterator[TextLine]:
         words = strip_markdown(words)
         look = _LOOKS.get(mark, {})
         wide = BOLD_WIDER if look.get("bold") else 1.0
-        sizes = {
-            name: shrink * look.get(name, default)
-            for name, default in (("size", TextLine.size), ("gap", TextLine.gap))
-        }
-        lines = _wrap(words, wide * sizes["size"]) if mark in WRAPPED else [words]
+        least = SMALLEST * min(1.0, 2.0 * shrink)
+        size = max(least, shrink * look.get("size", TextLine.size))
+        first = {"size": size, "gap": shrink * look.get("gap", TextLine.gap)}
+        lines = _wrap(words, wide * size) if mark in WRAPPED else [words]
         for number, part in enumerate(lines):
-            yield TextLine(part, **look | sizes | ({"is_caption": False} if number else {}))
+            later = {"gap": 0.0, "is_caption": False} if number else {}
+            yield TextLine(part, **look | first | later)
 
 
 def _fill_statement(

@@ -265,13 +265,15 @@ def test_wrapped_lines_end_before_the_margin_and_use_the_page(letters: str) -> N
 def test_a_text_too_long_for_the_page_is_set_smaller(
     written: Any, monkeypatch: pytest.MonkeyPatch, count: int
 ) -> None:
-    """The signature is on the page as well, and letters get smaller than any fixed size."""
+    """The signature is on the page as well. Only a text that needs it has letters below 6 pt."""
     lines = (f"Loss of board {i}: not held (not simulated)." for i in range(count))
     losses = OpenLosses(tuple(lines))
     monkeypatch.setattr(statement, "find_open_losses", lambda *_: losses)
     report = written.report
     svg = make_statement_svg(written.folder, report.results, report.data)
     assert all(MARGIN <= float(line.get("y", "nan")) <= HEIGHT - 20 for line in _texts(svg))
+    smallest = min(float(line.get("font-size", "nan")) for line in _texts(svg))
+    assert smallest >= 6.0 if count == 16 else smallest < 6.0
     assert _rightmost_ink(svg) <= WIDTH - MARGIN + 2
     texts = ["".join(element.itertext()) for element in _texts(svg)]
     assert texts[3] == losses.not_held[0] and texts[-1].startswith("Author ___")
