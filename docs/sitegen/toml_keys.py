@@ -125,7 +125,7 @@ def _read(schema: Schema) -> tuple[str, str]:
         inner, allowed = _read(schema["additionalProperties"])
         if inner == NESTED or inner.startswith("keys"):
             return NESTED, allowed
-        return f"keys, each with a {inner}", allowed
+        return f"keys, each with {'' if inner[0].isdigit() else 'a '}{inner}", allowed
     bounds = (
         f"{sign} {schema[key]:g}"
         for key, sign in BOUNDS.items()
@@ -141,7 +141,8 @@ def _read_list(schema: Schema) -> tuple[str, str]:
     least, most = schema.get("minItems"), schema.get("maxItems")
     if least is not None and least == most:
         return f"{least} × {inner}", allowed
-    return f"list of {inner}", ", ".join(filter(None, (allowed, least and f"at least {least}")))
+    plural = inner if inner == "text" or inner[0].isdigit() else f"{inner}s"
+    return f"list of {plural}", ", ".join(filter(None, (allowed, least and f"at least {least}")))
 
 
 def _default(field: FieldInfo) -> str:

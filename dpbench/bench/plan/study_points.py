@@ -33,19 +33,19 @@ class RunsTable(FileModel):
     """Call options of a suite table: settings, library interface, what steps hand on."""
 
     settings: list[str] = ["default"]
-    """Name of the settings: a preset, a tolerance as "1e-4", or an entry of [settings]."""
+    """Names of settings: presets, tolerances such as "1e-4", or entries of [settings]."""
     routes: list[RouteName] = ["default"]
-    """Routes to the solver, through its own interface or qpsolvers; default: each solver's own."""
+    """Routes to the solver. native: its own interface; default: its default route."""
     policies: list[Policy] = ["fresh"]
-    """Policies: what is kept between two steps."""
+    """Policies: data that a solver keeps between two steps."""
     iteration_limits: list[Annotated[int, Field(ge=1)]] = []
-    """Limits of iterations: each of the settings with each limit, for solvers that have one."""
+    """Iteration limits: all settings run with each limit, on solvers with such an option."""
     time_limits: list[Annotated[float, Field(gt=0)]] = []
-    """Limits of the time of a solve [s], by the solver's own option and clock, in the same way."""
+    """Time limits of a solve [s], used in the same way; the solver's own clock applies."""
 
 
 class ReplicatesTable(FileModel):
-    """Repetitions of each study point with other values of one parameter, by default the sea."""
+    """Repetitions of each study point with other values of one key, by default the seed."""
 
     key: str = "environment.seed"
     """Dotted name of the key in which replicates differ."""
@@ -65,7 +65,7 @@ class DesignOfPointsTable(FileModel):
     seed: Annotated[int, Field(ge=0)] = 1
     """Seed of the draw: the same seed gives the same points."""
     ranges: Annotated[dict[str, Range], Field(min_length=1)]
-    """Least and largest value of each key, by its dotted name."""
+    """Smallest and largest value of each key, by its dotted name."""
 
     @model_validator(mode="after")
     def _refuse_bad_size_or_range(self) -> "DesignOfPointsTable":
@@ -103,11 +103,11 @@ class StudyTable(RunsTable):
     base: str
     """The scenario by name, scenario@vessel, or a TOML file in the suite's folder."""
     name: str = ""
-    """Name, one word for each study of a suite; by default that of its scenario."""
+    """Name of the study, one word; by default that of its scenario."""
     radius_m: Annotated[float, Field(gt=0)] = 1.0
     """Limit of the radial error in the second half of a run [m]."""
     solvers: list[str] = []
-    """Solvers of the suite that take part; all where it is empty."""
+    """Solvers of the suite that take part; empty: all."""
     steps: Annotated[int, Field(ge=0)] = 0
     """Number of steps from the first on; 0: all."""
     product: dict[str, Values] = {}

@@ -92,7 +92,7 @@ class RequirementsTable(FileModel):
     error_move: Positive = 1e-2
     """Largest error of the first move on any step, in maximum increments."""
     failed_steps: Count = 0
-    """Most failed steps of a run."""
+    """Largest number of failed steps of a run."""
     p99_ms: Positive = 3.0
     """Largest p99 of the algorithmic step time [ms]."""
     deadline_ms: NotNegative = 300.0
@@ -103,15 +103,15 @@ class ScenarioRunsTable(RunsTable):
     """Call options of closed loops and replays: solvers, units, form of the QP, time limit."""
 
     solvers: list[str] = []
-    """Solvers of the suite that take part; all where it is empty."""
+    """Solvers of the suite that take part; empty: all."""
     without: list[str] = []
     """Solvers of the suite that do not take part."""
     units: list[Units] = ["scaled"]
-    """Units of the QP a solver is given."""
+    """Units of the QP that a solver gets."""
     formulations: list[FormulationName] = ["condensed_box"]
-    """Forms of the QP a solver is given."""
+    """Formulations of the QP that a solver gets."""
     limit_s: Positive | None = None
-    """Run time after which a cell stops here [s]; by default cell_limit_s of the suite."""
+    """Run time after which a cell of this table stops [s]; by default cell_limit_s."""
 
 
 class ClosedLoopTable(ScenarioRunsTable):
@@ -122,11 +122,11 @@ class ClosedLoopTable(ScenarioRunsTable):
     vessels: list[str] = []
     """Run every scenario with each of these vessels instead of its own."""
     fallback: Fallback = DEFAULT_FALLBACK
-    """Fallback policy: what acts where there is no usable answer."""
+    """Action in a step without a usable solution."""
     backup: str = ""
-    """Second solver that is called first where there is no usable answer in time; "" for none."""
+    """Second solver, called before the fallback if a step has no usable solution in time."""
     slowdowns: Annotated[list[Slowdown], Field(min_length=1)] = [0.0]
-    """Slowdown factors of the ship's computer, 1 to 1e9; 0: the ship waits for every answer."""
+    """Slowdown factors of the ship's computer, 1 to 1e9; 0: the ship waits for every solution."""
     deadline_s: NotNegative = 0.0
     """Longest time that a step may take on that computer [s]; 0: the whole sample."""
     steps: Count = 0
@@ -141,7 +141,7 @@ class ClosedLoopTable(ScenarioRunsTable):
 
 
 class ReplayTable(ScenarioRunsTable):
-    """Replays of a suite: the QPs along one reference loop, through every solver.
+    """Replays of a suite: every solver solves the QPs of one reference loop.
 
     Consequence analysis has a sequence for each failure group of the ship, which tells whether the
     other thrusters could take over at each sample. The hardest step has most active limits and
@@ -161,7 +161,7 @@ class ReplayTable(ScenarioRunsTable):
     steps: Count = 0
     """Number of steps that are replayed; 0: all."""
     hardest: Count = 0
-    """Length of the window around the hardest step that alone is replayed, in steps; 0: all."""
+    """Number of steps around the hardest one, if only these are replayed; 0: all."""
 
     @property
     def horizon_pairs(self) -> list[Horizons | None]:
@@ -170,7 +170,7 @@ class ReplayTable(ScenarioRunsTable):
 
 
 class RandomTable(RunsTable):
-    """Random QPs of a suite, built from a known optimum: each family, size and seed.
+    """Random QPs of a suite with known optima, for each family, size and seed.
 
     A size is [n, m]. Such QPs have no units but their own.
     """
@@ -215,11 +215,11 @@ class RecordedTable(RunsTable):
     sequence: str
     """A stored sequence by name, or a file or folder of QPs (.npz, .json, .mat)."""
     formulations: list[FormulationName] = ["condensed_box"]
-    """Forms of the QP a solver is given."""
+    """Formulations of the QP that a solver gets."""
 
 
 class CapabilityTable(RunsTable):
-    """A DP capability plot (DNV-ST-0111, level 1), and its QPs through every solver.
+    """A DP capability plot (DNV-ST-0111, level 1), and its QPs, solved by every solver.
 
     It is the largest wind the thrusters hold from 36 directions, intact and after each failure. Its
     QPs have no units but their own, and no deadline: each is solved in one round.
@@ -242,11 +242,11 @@ class DesignTable(FileModel):
     controllers: Annotated[list[str], Field(min_length=1)]
     """Scenarios whose controllers are studied."""
     vessels: Annotated[list[str], Field(min_length=1)]
-    """Vessels they are studied with."""
+    """Vessels with which they are studied."""
 
 
 class EmbeddedTable(FileModel):
-    """Counts of what solvers cost as C on embedded cores, by emulation (extra `embedded`).
+    """Instruction counts of solvers' C code on emulated cores (extra `embedded`).
 
     Instructions, memory and error of each step. What cannot be counted is named in the report and
     does not end the run.
@@ -257,7 +257,7 @@ class EmbeddedTable(FileModel):
     targets: Annotated[list[TargetName], Field(min_length=1)] = ["m7"]
     """Cores: m7, a53, riscv, x86."""
     solvers: list[str] = []
-    """Only these of the solvers with a recipe; all where it is empty."""
+    """Solvers to count; empty: all with a recipe."""
     precision: Literal["double", "float"] = "double"
     """Precision of the C code."""
 
@@ -305,27 +305,27 @@ class SuiteFile(FileModel):
     duration: str = ""
     """Usual run time in words, such as "two minutes"."""
     solvers: Annotated[list[str], Field(min_length=1)] = ["all"]
-    """Solvers that run; all: every one that is installed."""
+    """Solvers that run; all: every installed solver."""
     superseded: bool = True
-    """Solvers whose record names another of the same code to choose instead run too, with `all`."""
+    """true: `all` includes solvers that another solver supersedes."""
     baseline_law: bool = True
     """Closed loops with the clipped unconstrained law as a baseline."""
     calibration: bool = False
-    """Replays with the harness's own configurations, whose cost is known."""
+    """true: replays also run calibration configurations, which solve nothing."""
     cell_limit_s: Positive = 5.0
     """Run time, without waits for its core, after which a cell stops [s]."""
     cell_memory_gb: NotNegative = 0.0
-    """Memory of its own that a cell's process may have [GB]; 0: 40 % of the machine's."""
+    """Memory limit of a cell's process [GB]; 0: 40 % of the memory of the machine."""
     replay_budget_s: NotNegative = 0.0
-    """Run time after which a replay gets no further round [s]; 0: none."""
+    """Run time after which a replay gets no further round [s]; 0: no limit."""
     repeat_budget_s: NotNegative = 0.25
-    """Run time for rounds of a replay that other work slowed, again [s]; 0: none."""
+    """Run time for repeating rounds of a replay that other work slowed [s]; 0: no repeats."""
     rounds: Annotated[int, Field(ge=1)] = 5
     """Rounds of a replay that count."""
     warmup_steps: Count = 50
-    """Steps of the round before them, which does not count."""
+    """Steps of the warm-up round, which does not count."""
     requirements: RequirementsTable = RequirementsTable()
-    """Requirements of a solver."""
+    """Requirements on a solver."""
     report: ReportTable = ReportTable()
     """First view of the report."""
     settings: dict[str, SettingsTable] = {}
@@ -333,19 +333,19 @@ class SuiteFile(FileModel):
     design: DesignTable | None = None
     """Stability and region of attraction of the controllers; not studied without this table."""
     embedded: EmbeddedTable | None = None
-    """Cost of solvers' C on embedded cores; not counted without this table."""
+    """Cost of solvers' C code on embedded cores; not counted without this table."""
     closed_loop: list[ClosedLoopTable] = []
-    """Every solver steers the ship itself."""
+    """Every solver controls a ship of its own."""
     study: list[StudyTable] = []
     """Studies: one scenario at many points of its keys, in many realisations."""
     replay: list[ReplayTable] = []
-    """Identical QPs through every solver: the source of timing."""
+    """Every solver solves identical QPs; only these times are ranked."""
     recorded: list[RecordedTable] = []
-    """Recorded QPs through every solver."""
+    """Every solver solves recorded QPs."""
     random: list[RandomTable] = []
-    """Random QPs with a planted optimum through every solver."""
+    """Every solver solves random QPs with a known optimum."""
     capability: list[CapabilityTable] = []
-    """Capability plots, and the QPs at their edge through every solver."""
+    """Capability plots, and the QPs at their edge, solved by every solver."""
 
     @classmethod
     def list_names_of_run_tables(cls) -> list[str]:

@@ -27,9 +27,9 @@ class EstimatorTable(FileModel):
     kind: Literal["measured", "kalman", "passive"] = "measured"
     """measured: the controller gets the measurement itself; kalman, passive: a filtered one."""
     wave_filter: bool = True
-    """true: the filter separates the motion of the waves from that of the ship."""
+    """true: the filter removes wave-frequency motion from the measurement."""
     peak_period_s: keys.Positive | None = None
-    """Peak period the filter reckons with [s]; by default that of the waves of the weather."""
+    """Peak period of the waves for the filter [s]; by default that of the scenario's waves."""
 
 
 class FmuInputsTable(FileModel):
@@ -61,7 +61,7 @@ class FmuOutputsTable(FileModel):
 
 
 class FmuStartTable(FileModel):
-    """Variables of an FMU that take the start of the scenario before initialisation."""
+    """Variables of an FMU that are set to the initial state of the scenario."""
 
     north: str | None = None
     """Variable of the position north at the start."""
@@ -94,7 +94,7 @@ class FmuTable(FileModel):
     outputs: FmuOutputsTable
     """Names of its outputs."""
     start: FmuStartTable = FmuStartTable()
-    """Names of the variables of its start; without them it has to start where the scenario does."""
+    """Names of the variables for its initial state; without them it must equal the scenario's."""
     parameters: dict[str, keys.Number] = {}
     """Values of its parameters, in its units."""
     sha256: str = ""
@@ -102,22 +102,22 @@ class FmuTable(FileModel):
 
 
 class PlantTable(FileModel):
-    """Differences of the true ship from the controller's model of it, or an FMU in its place."""
+    """Differences of the simulated ship from the controller's model, or an FMU in its place."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset({"thruster_lag_s", "fmu"})
 
     mass_percent: keys.Percent = 0.0
-    """Excess of M of the true ship [%]."""
+    """Excess of the simulated ship's M over that of the controller's model [%]."""
     damping_percent: keys.Percent = 0.0
-    """Excess of D of the true ship [%]."""
+    """Excess of the simulated ship's D over that of the controller's model [%]."""
     thrust_loss_percent: keys.ThreeLosses = [0.0, 0.0, 0.0]
-    """Share of the commanded surge, sway, yaw that never arrives [%]."""
+    """Share of the command in surge, sway and yaw that is not delivered [%]."""
     delay_samples: keys.Count = 0
     """Samples by which a command arrives late."""
     thruster_lag_s: keys.NotNegative = 0.0
     """Time constant [s] with which the thrusters follow their commands."""
     fmu: FmuTable | None = None
-    """FMU in place of dpbench's own ship; its weather is its own."""
+    """FMU in place of dpbench's own ship; it must simulate its own weather."""
 
     @model_validator(mode="after")
     def _refuse_mismatch_of_fmu(self) -> PlantTable:
@@ -135,14 +135,13 @@ class FaultTable(FileModel):
     at_s: keys.NotNegative
     """Time of the fault [s]."""
     limit_share: keys.ThreeShares | None = None
-    """Share of the vessel's limits in surge, sway, yaw from then on; where forces are planned."""
+    """Remaining share of the limits in surge, sway and yaw; only if forces are planned."""
     lost: list[str] | None = None
-    """Thrusters, or failure groups, lost from then on; where thrusters limit the force or are
-    commanded. In a cascade it changes the allocation and not the plan."""
+    """Lost thrusters or failure groups; only if thrusters limit the force or are commanded. In a
+    cascade, the loss changes the allocation but not the plan."""
     loss: Literal["ramp_down", "trip"] = "ramp_down"
-    """Loss of force of a lost thruster: "ramp_down", as fast as its rate allows, as when it is
-    taken out of service; "trip", at once, as when its breaker opens. With "trip" thrusters must be
-    commanded."""
+    """Fall of a lost thruster's force to zero. ramp_down: within its rate limit, as when it is
+    taken out of service; trip: at once, as when its breaker opens (commanded thrusters only)."""
 
     @model_validator(mode="after")
     def _require_limit_share_or_lost(self) -> FaultTable:
@@ -155,7 +154,7 @@ class FaultTable(FileModel):
 
 
 class OutputsTable(FileModel):
-    """Softened bounds on the predicted output: watch circle around the reference, speed."""
+    """Soft bounds on the predicted output: a watch circle around the reference, and speed."""
 
     radius_m: keys.Positive | None = None
     """Radius of the watch circle around the reference [m]; none by default."""
@@ -178,22 +177,22 @@ class ThrusterControlTable(FileModel):
     polygon_sides: keys.PolygonSides = 16
     """Sides of the polygon inside the circle of an azimuth's thrust; even."""
     thrust_weight_relative: keys.NotNegative
-    """W in multiples of 1/T², T the largest thrust of each thruster."""
+    """W in multiples of 1/T², with the largest thrust T of each thruster."""
     azimuth_turning: bool = False
-    """true: moves keep to the turning rate of azimuths too; A then changes at every step."""
+    """true: moves also respect the turning rate of azimuths; A then changes at every step."""
     move_weight_relative: keys.Positive
-    """R in multiples of 1/Δf_max², Δf_max the rate limit of a sample of each thruster."""
+    """R in multiples of 1/Δf_max², with the maximum increment Δf_max of each thruster."""
     slack_weight_relative: keys.Positive | None = None
-    """Weight Ω of force demanded and not delivered, in multiples of 1/Δτ_max² of a sample; for a
-    cascade. Large against the other weights, so that thrusters deliver whatever they can."""
+    """Weight Ω of requested force that is not delivered, in multiples of 1/Δτ_max²; for a cascade.
+    Make it larger than the other weights, so that the thrusters deliver what they can."""
     allocation: Literal["qp", "pseudo_inverse"] | None = None
     """Allocation of forces in a cascade. qp (default): a second QP at each sample, by the same
-    solver; pseudo_inverse: W⁻¹T_eᵀ(T_e W⁻¹T_eᵀ)⁻¹ with the result clipped, which also acts wherever
-    the second QP has no answer."""
+    solver; pseudo_inverse: W⁻¹T_eᵀ(T_e W⁻¹T_eᵀ)⁻¹ with the result clipped. The pseudo-inverse also
+    acts if the second QP has no usable solution."""
 
 
 class ControllerTable(FileModel):
-    """MPC settings: horizons, weights; increment weight R in SI or in multiples of 1/Δu_max²."""
+    """MPC settings: horizons and weights; move weight R in SI or in multiples of 1/Δu_max²."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset(
         {"kind", "thrusters", "limits", "attainable_sides"}
@@ -204,36 +203,36 @@ class ControllerTable(FileModel):
     thrusters: moves of the forces of the vessel's thrusters; cascade: the QP of forces, then a
     second one at each sample that allocates the force to the thrusters."""
     thrusters: ThrusterControlTable | None = None
-    """Needed for, and only for, kind = "thrusters" and "cascade"."""
+    """Required with kind = "thrusters" or "cascade", and allowed only there."""
 
     tuning: str
-    """A name for horizons and weights, for tables."""
+    """Name of the horizons and weights in tables."""
     prediction_horizon: keys.Horizon
-    """N_p, samples over which is predicted."""
+    """N_p, number of predicted samples."""
     control_horizon: keys.Horizon
-    """N_c, moves that are planned; the QP has three variables for each. At most N_p."""
+    """N_c, number of planned moves; each has one QP variable per input. At most N_p."""
     output_weight: keys.ThreeNotNegative
     """Diagonal of Q: north, east [1/m²], heading [1/rad²]."""
     # Positive move weights keep the QP strictly convex.
     move_weight: keys.ThreePositive | None = None
     """Diagonal of R: surge, sway [1/N²], yaw [1/(N·m)²]. Either this or move_weight_relative."""
     move_weight_relative: keys.ThreePositive | None = None
-    """Diagonal of R in multiples of 1/Δu_max², Δu_max the rate limit of a sample."""
+    """Diagonal of R in multiples of 1/Δu_max², with the maximum increment Δu_max."""
     limits: Literal["box", "attainable"] = "box"
     """Amplitude limits of the force. box: the vessel's; attainable: those of its thrusters."""
     attainable_sides: keys.PolygonSides = 8
-    """Sides of the polygons of azimuths in the attainable set; its rows grow with their square."""
+    """Sides of the azimuths' polygons in the attainable set; rows grow with the square of this."""
     model_heading_deg: keys.Degrees = 0.0
-    """Heading the model is linearised at [°]."""
+    """Heading at which the model is linearised [°]."""
     linearisation: Literal["fixed", "each_step"] = "fixed"
-    """Model of the controller. fixed: one; each_step: model and P at each measured heading."""
+    """fixed: the model is linearised once; each_step: at each measured heading, so P changes."""
     amplitude: Literal["reachable", "hard", "soft"] = "reachable"
-    """Amplitude limits. reachable: widened to what the rate can reach; hard: as they are, may
-    be infeasible; soft: slacks with an exact penalty."""
+    """Amplitude limits. reachable: widened to what the rate limit can reach; hard: unchanged, so
+    a QP may be infeasible; soft: slacks with an exact penalty."""
     terminal: Literal["none", "riccati"] = "none"
     """Cost beyond the horizon; riccati: that of the unconstrained regulator."""
     outputs: OutputsTable | None = None
-    """Bounds on predicted position and speed, softened; none by default."""
+    """Soft bounds on predicted position and speed; none by default."""
 
     @model_validator(mode="after")
     def _require_keys_of_controller_kind(self) -> ControllerTable:
@@ -327,7 +326,7 @@ class ReferenceTable(PoseTable):
     """Setpoint of position and heading, with optional filter and preview."""
 
     filter: FilterTable | None = None
-    """Filters the setpoint; none by default."""
+    """Filter of the setpoint; none by default."""
     preview: bool = False
     """true: the controller sees the reference of the coming samples."""
 
@@ -356,25 +355,25 @@ class ScenarioFile(FileModel):
             json_schema_extra={"allowed": "the name of a vessel or the path of a .toml file"},
         ),
     ]
-    """A vessel by name, or a TOML file, in the folder of this file first."""
+    """Name of a vessel, or a TOML file, sought first in the folder of this file."""
     sample_s: keys.Seconds
-    """Time between two answers of the controller [s]."""
+    """Sample time: time between two control updates [s]."""
     duration_s: keys.Seconds
     """Length of the run [s]."""
     controller: ControllerTable
-    """Horizons, weights, limits of the controller."""
+    """Horizons, weights and limits of the controller."""
     environment: EnvironmentTable
     """The weather; an empty table is calm water."""
     start: StartTable = StartTable()
-    """Pose and speed at the first sample; at rest in the origin by default."""
+    """Pose and velocity at the first sample; at rest at the origin by default."""
     reference: ReferenceTable = ReferenceTable()
     """Setpoint of the ship over time; the origin by default."""
     estimator: EstimatorTable = EstimatorTable()
     """Estimator between sensors and controller; none by default."""
     plant: PlantTable = PlantTable()
-    """Differences of the true ship from the model; none by default."""
+    """Differences of the simulated ship from the model; none by default."""
     faults: list[FaultTable] = []
-    """Losses of thrust on the way; none by default."""
+    """Losses of thrust during the run; none by default."""
 
     @property
     def steps(self) -> int:

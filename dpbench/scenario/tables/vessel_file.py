@@ -30,13 +30,13 @@ class LimitsTable(FileModel):
     """Limits of the control force and of its rate of change."""
 
     surge_N: keys.Two
-    """Least and largest surge force [N]; zero is between them."""
+    """Smallest and largest surge force [N], with zero between them."""
     sway_N: keys.Two
-    """Least and largest sway force [N]; zero is between them."""
+    """Smallest and largest sway force [N], with zero between them."""
     yaw_Nm: keys.Two
-    """Least and largest yaw moment [N·m]; zero is between them."""
+    """Smallest and largest yaw moment [N·m], with zero between them."""
     rate_max_N_per_s: keys.ThreePositive
-    """Fastest change of surge, sway [N/s] and yaw [N·m/s]."""
+    """Rate limits in surge, sway [N/s] and yaw [N·m/s]."""
 
 
 class WindageTable(FileModel):
@@ -60,7 +60,7 @@ class ReflectionTable(FileModel):
     breadth_m: keys.Positive
     """Breadth at the waterline [m]."""
     head: keys.NotNegative = WaveReflection.head
-    """R₀², the share that short waves from ahead act with (DNV-ST-0111, bow angle of 24°)."""
+    """Reflection R₀² of short waves from ahead (DNV-ST-0111, bow angle of 24°)."""
     beam: keys.NotNegative = WaveReflection.beam
     """R₀² of short waves from abeam."""
     yaw: keys.NotNegative = WaveReflection.yaw
@@ -77,9 +77,9 @@ class ThrusterTable(FileModel):
     kind: Literal["azimuth", "tunnel", "main"]
     """azimuth: turns; tunnel: pushes across the ship; main: along it, without a rudder."""
     x_m: keys.Number
-    """Place ahead of the origin of the matrices [m]."""
+    """Position ahead of the origin of the matrices [m]."""
     y_m: keys.Number = 0.0
-    """Place to starboard of the centre line [m]."""
+    """Position to starboard of the centre line [m]."""
     thrust_kN: keys.Positive | None = None
     """Largest thrust ahead [kN]. Either this, or power_kW, diameter_m and propeller."""
     power_kW: keys.Positive | None = None
@@ -101,11 +101,11 @@ class ThrusterTable(FileModel):
     controller_sector_deg: keys.Two | None = None
     """Part of sector_deg that controllers plan with, at most half a turn wide, as their QPs need a
     convex set of forces; by default sector_deg, or the middle half turn of a wider one. Capability
-    plots have all of sector_deg."""
+    plots use all of sector_deg."""
     turning_degps: keys.Positive | None = None
-    """Fastest turning of an azimuth [°/s]; needed where a controller limits it."""
+    """Largest turning rate of an azimuth [°/s]; required with azimuth_turning = true."""
     group: str = ""
-    """Failure group, as of one switchboard; by default it fails alone."""
+    """Failure group, for example of one switchboard; by default the thruster fails alone."""
 
     @model_validator(mode="before")
     @classmethod
@@ -162,7 +162,7 @@ def _convert_sector_to_radians(sector_deg: Sequence[float] | None) -> tuple[floa
 
 
 class CapabilityTable(FileModel):
-    """Hull data for DP capability plots by DNV-ST-0111, table A-2, besides those of `[windage]`.
+    """Hull data for DP capability plots by DNV-ST-0111, table A-2, in addition to `[windage]`.
 
     The cross-flow drag of a vessel takes the hull below the water from it too.
 
@@ -176,17 +176,17 @@ class CapabilityTable(FileModel):
     submerged_length_m: keys.Positive | None = None
     """Length from the foremost to the aftmost point under water, L_os [m]; assumed: length_m."""
     submerged_x_m: keys.Number | None = None
-    """Place of its middle ahead of that of L_pp [m]; assumed: 0."""
+    """Centre of submerged_length_m, ahead of L_pp/2 [m]; assumed: 0."""
     bow_angle_deg: Annotated[float, Field(gt=0, le=90)] | None = None
-    """Half the angle at which the waterline meets ahead [°]; assumed: 22."""
+    """Half the angle of the waterline at the bow [°]; assumed: 22."""
     aft_fullness: keys.Positive | None = None
     """Area of the waterline behind L_pp/2 over that of the rectangle around it; assumed: 1."""
     lateral_x_m: keys.Number | None = None
-    """Centre of the area above the water from abeam, ahead of L_pp/2 [m]; assumed: 0."""
+    """Centre of lateral_m2, ahead of L_pp/2 [m]; assumed: 0."""
     submerged_m2: keys.Positive | None = None
     """Area under water from abeam [m²]; assumed: length_m · draught_m."""
     current_x_m: keys.Number | None = None
-    """Its centre, ahead of the middle of L_pp [m]; assumed: 0."""
+    """Centre of submerged_m2, ahead of L_pp/2 [m]; assumed: 0."""
     skegs: list[keys.Two] = []
     """[x, y] of the aftmost point of each skeg, ahead of L_pp/2 and to starboard [m]."""
 
@@ -239,22 +239,22 @@ class VesselFile(FileModel):
     source: str
     """Source of the numbers."""
     length_m: keys.Length
-    """Length the numbers belong to [m]; Bis scaling and the moments of wind and drift use it."""
+    """Length for Bis scaling and for the moments of wind and drift [m]."""
     limits: LimitsTable | None = None
     """Limits of the control force and of its rate; without it, those of the thrusters."""
     thrusters: list[ThrusterTable] = []
-    """Its thrusters, for controllers that steer them."""
+    """Thrusters, for controllers that command them."""
     model_scale: keys.Positive = 1.0
     """λ of a model ship of scale 1 : λ, to which scenarios are scaled by Froude's law."""
     windage: WindageTable | None = None
-    """Needed where the weather has wind."""
+    """Required if the weather has wind."""
     reflection: ReflectionTable | None = None
-    """Needed where the weather has wave drift."""
+    """Required if the weather has wave drift."""
     capability: CapabilityTable | None = None
-    """Needed by `dpbench capability`, with windage and thrusters, and for drag = "cross_flow"."""
+    """Required by drag = "cross_flow" and, with windage and thrusters, by `dpbench capability`."""
     drag: Literal["linear", "cross_flow"] = "linear"
-    """Drag of the simulated ship. linear: D at any speed; cross_flow: D that fades with speed, and
-    the cross-flow drag of the hull in `[capability]`. The controller's model has D."""
+    """Drag of the simulated ship. linear: D at any speed; cross_flow: D that decreases with speed,
+    and the cross-flow drag of the hull in `[capability]`. The controller's model has D."""
     inertia: keys.ThreeByThree | None = None
     """M (3, 3) with added mass [kg, kg·m, kg·m²]; symmetric, positive definite."""
     damping: keys.ThreeByThree | None = None
@@ -262,9 +262,9 @@ class VesselFile(FileModel):
     mass_kg: keys.Positive | None = None
     """Mass for the Bis system [kg]."""
     inertia_bis: keys.ThreeByThree | None = None
-    """M without dimension in the Bis system."""
+    """Dimensionless M in the Bis system."""
     damping_bis: keys.ThreeByThree | None = None
-    """D without dimension in the Bis system."""
+    """Dimensionless D in the Bis system."""
 
     @model_validator(mode="after")
     def _require_keys_of_complete_vessel(self) -> "VesselFile":

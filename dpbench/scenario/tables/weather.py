@@ -32,13 +32,13 @@ class SquallTable(FileModel):
     start_s: keys.NotNegative
     """Time at which it begins to rise [s]."""
     rise_s: keys.Positive
-    """Time of rising [s]."""
+    """Rise time [s]."""
     hold_until_s: keys.NotNegative
-    """Until when it holds [s]; not before it has risen."""
+    """Time until which it holds [s]; not before the end of the rise."""
     decay_s: keys.Positive
-    """Time of decay [s]."""
+    """Decay time [s]."""
     force_kN: keys.Three
-    """Full force, north, east [kN], yaw [kN·m]."""
+    """Full force: north, east [kN], yaw [kN·m]."""
 
     @field_validator("hold_until_s")
     @classmethod
@@ -97,9 +97,9 @@ class MotionTable(FileModel):
     """Wave-frequency ship motion in the measurement, per metre of wave amplitude."""
 
     along_m_per_m: keys.Number = 0.6
-    """Along the waves, per metre of wave amplitude; the water's own is 1."""
+    """Motion along the waves [m] per metre of wave amplitude; that of the water is 1."""
     across_m_per_m: keys.Number = 0.2
-    """Across the waves, per metre of wave amplitude."""
+    """Motion across the waves [m] per metre of wave amplitude."""
     heading_deg_per_m: keys.Number = 0.3
     """Heading [°] per metre of wave amplitude."""
 
@@ -118,7 +118,7 @@ class WavesTable(FileModel):
     drift: bool = True
     """true: the slow drift force acts on the ship."""
     motion: MotionTable | None = None
-    """First-order motion in the measurement; {} takes the defaults, none without the key."""
+    """First-order wave motion in the measurement; {}: with the defaults. Without this key: none."""
 
     def build_sea(self, scale: Froude) -> Sea:
         """Return the sea of a scenario file's table in SI units, Froude-scaled."""
