@@ -253,7 +253,7 @@ class PageData(RunMatrix):
             "first_failed": known.first if known is not None else None,
             "untrue": convert_to_json_number(run.claimed_not_true),
             "off_m": convert_to_json_number(run.dev_position_max_m),
-            "settle_s": convert_to_json_number(run.settle_s),
+            "setpoint_m": convert_to_json_number(run.r_max_m),
         }
 
 

@@ -100,15 +100,13 @@ function verdictOf(run, name) {
 // The result of the selected configuration in the selected scenario or replay.
 function resultOf(run) {
   const solver = `\`${C().solver[state.c]}\``;
-  const within = run.settle_s === null || run.settle_s === "inf" ? ""
-    : ` At ${run.settle_s === 0 ? "the start" : `${figure(run.settle_s)} s`}, the ship came within 1 m and 1° of its setpoint, and it stayed there for at least 30 s.`;
   const unverified = unverifiedOf(run), all = ", and all are accurate";
   return [
     `${verdictOf(run, solver)}${facts.experiments[state.p].study ? `, ${solver}` : ": it"} ran ${grouped(run.steps)} of ${grouped(run.planned)} steps${
       unverified ? "" : wrongOf(run) ? `; ${wrongOf(run)}` : all}.`,
     unverified && `${unverified[0].toUpperCase()}${unverified.slice(1)}.`,
     largestErrorOf(run),
-    run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop.${within}`,
+    run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop and ${figure(run.setpoint_m)} m off its setpoint.`,
     run.infeasible > 0 ? `${grouped(run.infeasible)} of the steps have no feasible solution${run.all_true ? ", which the solver reported correctly" : ""}.` : "",
     run.why && run.verdict !== "pass" ? `${run.outcome === "finished" ? "Messages of the solver" : `Outcome \`${run.outcome}\``}: ${run.why}.` : "",
   ].filter(Boolean).join(" ");
