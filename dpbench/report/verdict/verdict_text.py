@@ -422,8 +422,8 @@ def describe_short_times(records: Records, compared: Sequence[Verdict]) -> str:
     if not short:
         return ""
     differences = (
-        " Differences between such times reflect the bindings, not the methods."
-        if len(compared) > 1
+        " Differences between such times may be due to the bindings, not the methods."
+        if len(short) == len(compared) > 1
         else ""
     )
     return (

@@ -103,7 +103,8 @@ function captionOf(rows, second) {
 function shortTimes(first, second) {
   const { shortest } = facts.paired, short = [first, second].filter((c) => C().p50[c] !== null && C().p50[c] < shortest);
   return short.length === 0 ? "" : ` The p50 ${short.map((c) => `of ${marked(c)}, ${time(C().p50[c])},`).join(" and ")} ${
-    short.length > 1 ? "are" : "is"} below ${time(shortest)}, the shortest time for which the timing was checked. Differences between such times reflect the bindings, not the methods.`;
+    short.length > 1 ? "are" : "is"} below ${time(shortest)}, the shortest time for which the timing was checked.${
+    short.length > 1 ? " Differences between such times may be due to the bindings, not the methods." : ""}`;
 }
 
 // The packed times hold two digits of a ratio: 1 is written as 1.0.
