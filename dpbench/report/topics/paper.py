@@ -61,7 +61,7 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
     return Topic(
         id="paper",
         title="The paper",
-        lines=(". ".join(wording) + ".",),
+        lines=(". ".join(wording) + ".", _WORDS["notes"]["curves"]),
         paste=PAPER_CITATION,
         figures=tuple(
             Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in DRAWN
