@@ -83,7 +83,7 @@ def tabulate_effects(study: Study) -> Table | None:
         "the realisation; a slope is the least-squares change over the range, all points of a "
         f"realisation together. {_INTERVALS}"
         "Step times are from closed loops that may have run in parallel. For a difference of a few "
-        "percent, or one that is disturbed or without an interval here, use a replay."
+        "percent, or one without an interval or on a disturbed machine, use a replay."
     )
     title = f"{study.name}: effect of each factor"
     return _tabulate(study, compute_study_effects, title, note, "study_effects")

@@ -28,7 +28,7 @@ MAX_SWITCHES_PER_S = 10.0
 """Largest rate of switches [1/s]: at it fewer than one in a hundred samples of 1 ms is hit, so a
 p99 is still a solver's; of shorter samples fewer are."""
 QUIET_RULE = (
-    f"{100 * MAX_DISTURBED_SHARE:g} % of rounds affected after a repeat, "
+    f"{100 * MAX_DISTURBED_SHARE:g} % of rounds disturbed after a repeat, "
     f"{100 * MAX_STEAL_SHARE:g} % of replay time stolen by the host, {MAX_SWITCHES_PER_S:g} "
     "involuntary context switches per second, no throttling"
 )
@@ -137,7 +137,7 @@ class Disturbance:
         lines = {}
         if self.rounds > 0 and self.disturbed > MAX_DISTURBED_SHARE * self.rounds:
             lines[f"disturbed rounds (limit {100 * MAX_DISTURBED_SHARE:g} %)"] = (
-                f"{self.disturbed:.0f} of {self.rounds:.0f} rounds affected after a repeat"
+                f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed after a repeat"
             )
         if self.steal_share > MAX_STEAL_SHARE:
             lines[f"stolen time (limit {100 * MAX_STEAL_SHARE:g} %)"] = (

@@ -282,7 +282,7 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
         apart = bool(compared) and all(one.separate for one in compared)
         lead = f"has a smaller p99, {compared[0].separate}" if apart else "is faster"
         if any(one.finding_text == MACHINE_DISTURBED for one in compared):
-            lead = "has a smaller p99, measured while other work disturbed the timing,"
+            lead = "has a smaller p99, measured on a disturbed machine,"
         yield "faster", f"{label} {lead} but is not recommended: {found.because}."
     yield from _yield_inconclusive_notes(data, found)
     if found.runner_up is not None:

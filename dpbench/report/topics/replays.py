@@ -246,7 +246,7 @@ def build_race_topic(records: Records) -> Topic | None:
     leads = {
         f"Step time of `{first}` over that of `{second}`: ": decided,
         "Without a ratio, as not interleaved: ": apart,
-        "Not decided, as other work disturbed the timing: ": disturbed,
+        "Not decided, as the machine was disturbed: ": disturbed,
     }
     lead = " ".join(f"{text}{join_with_and(named)}." for text, named in leads.items() if named)
     note = "Geometric mean of the paired ratios of all common steps."

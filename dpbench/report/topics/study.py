@@ -371,7 +371,11 @@ def draw_effect_figures(study: Study, name: str) -> Iterator[Figure]:
         caption = (
             "Change of each factor, with its 95 % interval where there is one; zero: no effect."
             + (f" {left} more configurations are in the table." if left > 0 else "")
-            + (" Step times are not drawn: they are disturbed." if study.is_disturbed else "")
+            + (
+                " Step times are not drawn, as the machine was disturbed."
+                if study.is_disturbed
+                else ""
+            )
         )
         chart = draw_effects(table, f"Effect of each factor, {study.name}", names)
         yield Figure(f"study-effects-{name}", chart, caption)

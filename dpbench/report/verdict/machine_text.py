@@ -14,7 +14,6 @@ from dpbench.report.formats import (
     format_share,
     format_time,
     join_with_and,
-    plural,
     significant,
 )
 
@@ -60,13 +59,13 @@ def list_machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
 
 def list_disturbance_facts(disturbance: Disturbance) -> list[tuple[str, str]]:
     """Return label and text of what disturbed replays: switches, stolen time, throttling."""
-    disturbed = f"{format_count(disturbance.disturbed)} of {plural(disturbance.rounds, 'round')}"
+    disturbed = f"{format_count(disturbance.disturbed)} of {format_count(disturbance.rounds)}"
     throttled, steal_share = format_count(disturbance.throttled), disturbance.steal_share
     stolen = "not visible" if isnan(steal_share) else format_share(steal_share)
     return [
         (
-            "rounds affected by other load",
-            f"{disturbed} after a repeat; {format_count(disturbance.rerun)} repeated",
+            "disturbed rounds",
+            f"{disturbed}; {format_count(disturbance.rerun)} repeated",
         ),
         (
             "involuntary context switches",

@@ -406,9 +406,9 @@ def _describe_spread(compared: PairedComparison) -> str:
     """Return why a time ratio ranks neither configuration on a disturbed machine; else ""."""
     if not math.isfinite(compared.ratio.high) or not compared.is_within_spread:
         return ""
-    one_round = "had a single round" if math.isinf(compared.spread) else ""
+    one_round = "there is a single round" if math.isinf(compared.spread) else ""
     rounds = one_round or f"rounds differ by a factor of up to {significant(compared.spread)}"
-    return f": no ranking, as other work disturbed the timing and {rounds}"
+    return f": no ranking, as the machine was disturbed and {rounds}"
 
 
 def describe_short_times(records: Records, compared: Sequence[Verdict]) -> str:

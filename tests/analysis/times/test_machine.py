@@ -137,13 +137,13 @@ def test_a_busy_machine_hits_every_configuration_and_is_told(records: Any) -> No
 
 def test_disturbed_rounds_are_part_of_all_rounds(records: Any) -> None:
     records.replay("daqp", **(QUIET | {"disturbed_rounds": 1}))
-    assert "1 of 4 rounds affected" in records.ending()["machine"]
+    assert "1 of 4 rounds disturbed" in records.ending()["machine"]
     records._runs[-1] |= {"disturbed_rounds": 3, "counting_disturbed": 3}
-    assert "3 of 3 rounds affected" in records.ending()["machine"]
+    assert "3 of 3 rounds disturbed" in records.ending()["machine"]
     topic = build_trust_topic(records.view())
-    assert topic is not None and "3 of 3 rounds affected" in topic.lines[1]
-    rounds = dict(topic.tables[0].rows)["rounds affected by other load"]
-    assert rounds == "3 of 3 rounds after a repeat; 1 repeated"
+    assert topic is not None and "3 of 3 rounds disturbed" in topic.lines[1]
+    rounds = dict(topic.tables[0].rows)["disturbed rounds"]
+    assert rounds == "3 of 3; 1 repeated"
 
 
 def test_records_without_counters_say_nothing(records: Any) -> None:
@@ -194,7 +194,7 @@ def test_one_disturbed_command_among_quiet_ones_is_not_called_quiet(records: Any
     )
     topic = build_trust_topic(records.view())
     assert topic is not None
-    (load,) = (line for line in topic.lines if "4 of 8 rounds affected" in line)
+    (load,) = (line for line in topic.lines if "4 of 8 rounds disturbed" in line)
     assert load.startswith("Other work disturbed the machine: ")
     assert "quiet (command of 2026-11-28 08:00:00 UTC)" in load
 

@@ -31,7 +31,7 @@ EARLY = {"turns": "a1", "campaign_utc": "2026-11-28T08:00:00.000+00:00"}
 LATE = {"turns": "b2", "campaign_utc": "2026-11-28T09:30:00.000+00:00"}
 EARLY["judged_utc"], LATE["judged_utc"] = "2026-11-28T08:05:00Z", "2026-11-28T09:42:10Z"
 EXACT = {"spread": 0.0, "rounds": 1}
-UNDECIDED = "Not decided, as other work disturbed the timing:"
+UNDECIDED = "Not decided, as the machine was disturbed:"
 STOLEN = {"replay_s": 1.0, "steal_s": 0.1}
 QUIET = {"replay_s": 2.0, "involuntary_switches": 4, "steal_s": 0.0}
 
@@ -84,7 +84,7 @@ def test_every_place_names_separate_commands_in_place_of_a_ratio(records: Any) -
         (
             19.0,
             STOLEN,
-            "Not decided, as other work disturbed the timing: `paper` (",
+            "Not decided, as the machine was disturbed: `paper` (",
             ", machine disturbed",
         ),
         (10.0, STOLEN, "Step time of `osqp` over that of `daqp`: 1.99", ")"),
@@ -198,7 +198,7 @@ def test_the_state_of_each_command_is_given_worst_first(records: Any) -> None:
     runs = select_timed_replays(records.view())
     assert [*sum_disturbances_by_campaign(runs)] == [LATE["campaign_utc"], EARLY["campaign_utc"]]
     assert describe_machine_states(runs) == (
-        "affected by other load: 4 of 8 rounds affected after a repeat (command of 2026-11-28 "
+        "affected by other load: 4 of 8 rounds disturbed after a repeat (command of 2026-11-28 "
         "09:30:00 UTC); quiet (command of 2026-11-28 08:00:00 UTC)"
     )
     assert describe_machine_states(runs[:1]) == "quiet"

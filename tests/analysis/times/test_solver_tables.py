@@ -333,9 +333,7 @@ def test_rounds_of_a_disturbed_machine_bound_what_is_a_finding(
     (found,) = compare_settings_of_solvers(records.view())
     assert found.finding_text == finding
     if finding == "machine disturbed":
-        assert ": no ranking, as other work disturbed the timing and " in describe_paired_times(
-            [found]
-        )
+        assert ": no ranking, as the machine was disturbed and " in describe_paired_times([found])
 
 
 def test_the_state_of_a_command_holds_for_each_of_its_replays(records: Any) -> None:

@@ -106,7 +106,7 @@ def test_at_the_limits_a_machine_is_quiet() -> None:
 @pytest.mark.parametrize(
     ("field", "value", "word"),
     [
-        ("disturbed", 6.0, "6 of 100 rounds affected"),
+        ("disturbed", 6.0, "6 of 100 rounds disturbed"),
         ("involuntary", 150.0, "context switches"),
         ("steal_s", 0.2, "stolen"),
         ("throttled", 1.0, "throttle"),

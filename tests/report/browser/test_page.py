@@ -501,9 +501,9 @@ def test_two_of_separate_commands_have_no_ratio(selected: Any) -> None:
       for (const p in facts.paired.turns) facts.paired.spreads[p] = { [state.c]: spread };
       await drawTwo();
     }"""
-    for spread, text in ((1e6, "rounds differ by a factor of"), (None, "had a single round")):
+    for spread, text in ((1e6, "rounds differ by a factor of"), (None, "there is a single round")):
         page.evaluate(disturbed, spread)
-        assert f"No ranking, as other work disturbed the timing and {text}" in page.inner_text(
+        assert f"No ranking, as the machine was disturbed and {text}" in page.inner_text(
             "#two-said"
         )
     page.evaluate(disturbed, 1.0)

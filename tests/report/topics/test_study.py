@@ -167,7 +167,7 @@ def test_a_step_time_of_a_disturbed_machine_has_no_number(records: Any, switches
     (figure,) = topic.draw_effect_figures(study, "seas")
     measures = {row["measure"] for row in compile_rows(figure)}
     assert ("median step time [%]" in measures) == (switches == 99)
-    assert ("not drawn: they are disturbed" in figure.caption) == (switches == 101)
+    assert ("not drawn, as the machine was disturbed" in figure.caption) == (switches == 101)
 
 
 def test_a_skewed_difference_is_marked(records: Any) -> None:

@@ -36,8 +36,8 @@ function spreadOf(c, p) {
 function whyUnranked(rows, low) {
   const spread = ofLargest(rows).reduce((most, row) => Math.max(most, row.spread), 1);
   if (!(low > 1 && low <= spread)) return "";
-  return ` No ranking, as other work disturbed the timing and ${Number.isFinite(spread)
-    ? `rounds differ by a factor of up to ${figure(spread)}` : "had a single round"}.`;
+  return ` No ranking, as the machine was disturbed and ${Number.isFinite(spread)
+    ? `rounds differ by a factor of up to ${figure(spread)}` : "there is a single round"}.`;
 }
 
 // The steps of which two make a ratio, those interleaved; all where there are none.
