@@ -53,7 +53,7 @@ class ProgressLines:
         share, now_s = self._done / self._total if self._total else 1.0, time.monotonic()
         is_due = share >= 1.0 or share - self._printed_share >= SHARE
         if now_s - self._printed_s >= (SHORTEST_S if is_due else MINUTE_S):
-            lead = f"{share:.0%}" if work or share < 1.0 else "all steps done"
+            lead = f"{100 * share:.0f} %" if work or share < 1.0 else "all steps done"
             self.remark(f"{lead} after {now_s - self._started_s:.0f} s: {what}")
             self._printed_s, self._printed_share = now_s, share
 

@@ -253,7 +253,7 @@ def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
 
 def _format_known_count(number: int) -> str:
     """Return a count as text; a dash for a negative one, which is unknown."""
-    return str(number) if number >= 0 else "–"
+    return format_count(number) if number >= 0 else "–"
 
 
 class _Trials:

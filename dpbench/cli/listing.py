@@ -108,7 +108,7 @@ def _list_sequences() -> RenderableType:
         table.add_row(
             name,
             *(str(count) for count in (base.n, base.m, len(sequence))),
-            f"{np.count_nonzero(sets) / np.size(sets):.1%}" if sets else MISSING,
+            f"{100 * np.count_nonzero(sets) / np.size(sets):.1f} %" if sets else MISSING,
             "constant" if sequence.P is None else "varying",
             "all" if every == 1 else f"every {_make_ordinal(every)}",
         )

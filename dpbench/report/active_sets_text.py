@@ -6,7 +6,7 @@ import numpy as np
 
 from dpbench.analysis.suites.active_sets import SavedWork, VisitedSets
 from dpbench.arrays import Floats
-from dpbench.report.formats import MISSING, Table, format_count, format_share
+from dpbench.report.formats import MISSING, Table, format_count
 
 
 def make_table_of_visited_sets(visited: Sequence[VisitedSets]) -> Table:
@@ -15,10 +15,10 @@ def make_table_of_visited_sets(visited: Sequence[VisitedSets]) -> Table:
         {
             "QPs": one.name,
             "n": str(one.n),
-            "steps": str(one.steps),
+            "steps": format_count(one.steps),
             "sets": str(one.sets),
             "seen once": str(one.once),
-            "unseen mass": f"{format_share(one.unseen_mass)} ± {one.unseen_error:.1%}",
+            "unseen mass": f"{100 * one.unseen_mass:.1f} ± {100 * one.unseen_error:.1f} %",
             "most active": str(one.most_active),
             "table, bytes": format_count(one.table_bytes),
         }

@@ -60,7 +60,7 @@ def significant(value: float, digits: int = 3) -> str:
         return f"{value:.{digits - 1}e}"
     decimals = max(0, digits - 1 - exponent)
     text = f"{rounded:.{decimals}f}"
-    return text if abs(rounded) < 1e5 else f"{rounded:,.0f}".replace(",", "\u202f")
+    return text if abs(rounded) < 1e3 else f"{rounded:,.0f}".replace(",", "\u202f")
 
 
 def format_rounded_down(value: float, digits: int = 3) -> str:

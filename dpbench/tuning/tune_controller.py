@@ -255,7 +255,7 @@ class ControllerTuning:
     @property
     def lines(self) -> list[str]:
         """The result of a search for controller weights in words, with what it does not promise."""
-        limit = f"{self.margin:.0%} of the limits of 5 m and 5°"
+        limit = f"{100 * self.margin:.0f} % of the limits of 5 m and 5°"
         if self.chosen.score.share > self.margin:
             verdict = f"none of {len(self.trials)} controllers stays within {limit}; the nearest"
         else:
@@ -278,7 +278,7 @@ class ControllerTuning:
 
 def _describe_score(score: LoopScore) -> str:
     """Format the score of a controller: offset and wear of the thrusters."""
-    return f"offset {score.share:.0%}, wear {significant(score.wear_per_h)} per hour"
+    return f"offset {100 * score.share:.0f} %, wear {significant(score.wear_per_h)} per hour"
 
 
 class _KeptTrials:

@@ -76,7 +76,7 @@ def test_the_vessel_file_says_how_it_was_made() -> None:
     assert "CAUTION" not in text
     main([*SHIP[:2], "--length", "120", *SHIP[4:], "--force"])
     text = Path(FILES[0]).read_text(encoding="utf-8").replace("\n# ", " ")
-    assert "supply_mss: L/B and L/volume^(1/3) differ by more than 20%" in text
+    assert "supply_mss: L/B and L/volume^(1/3) differ by more than 20 %" in text
 
 
 def test_the_files_state_the_scaled_sample_time_and_the_runs_of_the_baseline_law() -> None:
@@ -190,7 +190,9 @@ def test_the_hardest_sea_that_the_ship_holds_is_suggested(
     main([*SHIP, "--out", "ships"])
     printed = capsys.readouterr().out
     (command,) = re.findall(r"harder: dpbench (init my_ship --sea \d .*)", printed)
-    more = "(more wind from the same direction: 7.9 m/s from 30°; mean force of level 1: 97% of the"
+    more = (
+        "(more wind from the same direction: 7.9 m/s from 30°; mean force of level 1: 97 % of the"
+    )
     assert more in " ".join(printed.split())
     assert main(shlex.split(command)) == 0
     harder = capsys.readouterr().out

@@ -367,7 +367,7 @@ def test_a_force_that_the_thrusters_cannot_make_is_no_share_of_the_limits(
     bow_alone = "".join(TABLE.splitlines(keepends=True)[:-1])
     assert init(bow_alone, "--sea", "5") == 0
     said = " ".join(capsys.readouterr().out.split())
-    share = re.search(r"mean force of level 1 needs (\d+)% of the thrust", said)
+    share = re.search(r"mean force of level 1 needs (\d+) % of the thrust", said)
     assert share is not None
     assert int(share[1]) > 100 * compute_limit_share_of_dp_number(load_vessel(FILES[0]), 5)
     assert (
@@ -506,8 +506,8 @@ def test_the_sea_comes_from_the_side_of_the_bow_from_which_less_is_held(
     assert init("\n".join(rows) + "\n") == 0
     said = " ".join(capsys.readouterr().out.split())
     assert (
-        "sea: DP capability number 5, wind 10.7 m/s. The mean force of level 1 needs 28% of the "
-        "thrust; at most 72% (0.9 / 1.25) is allowed."
+        "sea: DP capability number 5, wind 10.7 m/s. The mean force of level 1 needs 28 % of the "
+        "thrust; at most 72 % (0.9 / 1.25) is allowed."
     ) in said
     assert ("wind from 330°: the thrusters hold less from port." in said) == (port > 0)
     for file in FILES[1:3]:

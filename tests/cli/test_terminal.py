@@ -198,8 +198,8 @@ def test_progress_without_a_terminal_is_a_line_now_and_then(
     shown = capsys.readouterr()
     assert not shown.out
     assert shown.err.splitlines() == [
-        "dpbench: 45% after 11 s: daqp",
-        "dpbench: 50% after 72 s: daqp",
+        "dpbench: 45 % after 11 s: daqp",
+        "dpbench: 50 % after 72 s: daqp",
     ]
 
 

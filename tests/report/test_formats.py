@@ -40,7 +40,7 @@ PRINTED: list[tuple[Callable[[Any], str], dict[Any, str]]] = [
     ),
     (
         formats.significant,
-        {0.0: "0", 1234.5: "1230", 123456.0: "123\u202f000", 9.996: "10.0", 1e-6: "1.00e-06"},
+        {0.0: "0", 1234.5: "1\u202f230", 123456.0: "123\u202f000", 9.996: "10.0", 1e-6: "1.00e-06"},
     ),
     (formats.format_count, {None: "–", nan: "–", 12: "12"}),
     (lambda words: formats.join_with_and(list(words)), {"": "", "a": "a", "abc": "a, b and c"}),

@@ -184,7 +184,7 @@ class IterationBound:
         if self.is_complete:
             head = f"at most {self.bound} iterations from a cold start, in all {count} of the box"
         else:
-            open_part = f"{self.open_share:.1%} of the box is open"
+            open_part = f"{100 * self.open_share:.1f} % of the box is open"
             head = f"no bound: at most {self.bound} iterations in {count}; {open_part}"
         spread = ", ".join(f"{k}: {self.regions[k]}" for k in sorted(self.regions))
         return [

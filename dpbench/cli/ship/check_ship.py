@@ -211,12 +211,12 @@ def _describe_weather_load(scenario: Scenario) -> str:
     )
     against = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
     by_axis = zip(AXIS_NAMES, np.abs(load) / against, strict=True)
-    shares = ", ".join(f"{axis} {share:.0%}" for axis, share in by_axis)
+    shares = ", ".join(f"{axis} {100 * share:.0f} %" for axis, share in by_axis)
     most = float((np.abs(load) / against).max())
     together = ""
     if vessel.thrusters is not None:
         share = ThrusterReach(vessel.thrusters).find_least_thrust_share(-load)
-        together = f", {share:.0%} of the thrust"
+        together = f", {100 * share:.0f} % of the thrust"
         most = max(most, share)
     over = "; the ship cannot hold it" if most > 1.0 else ""
     return f"mean force: {shares} of the limits{together}{over}"
@@ -248,7 +248,9 @@ def compare_with_level_1(scenario: Scenario) -> list[str]:
     rows: list[tuple[str, ...]] = [("mean load", *AXIS_NAMES)]
     for name, load in loads.items():
         cells = zip(load / per, (unit, unit, f"{unit}·m"), shares[name], strict=True)
-        rows.append((name, *(f"{_format_number(n)} {u} ({share:.0%})" for n, u, share in cells)))
+        rows.append(
+            (name, *(f"{_format_number(n)} {u} ({100 * share:.0f} %)" for n, u, share in cells))
+        )
     lines = [
         "".join(f"{cell:<{at}}" for cell, at in zip(row, _WIDTHS, strict=True)) for row in rows
     ]
@@ -259,8 +261,8 @@ def compare_with_level_1(scenario: Scenario) -> list[str]:
         # A force in one axis may make one in another easier.
         most = taken["simulated"]
         about += (
-            f" All axes together need {taken['simulated']:.0%} of the thrust (simulated) or "
-            f"{taken[LEVEL_1]:.0%} (level 1, which allows at most {SPARE:.0%})."
+            f" All axes together need {100 * taken['simulated']:.0f} % of the thrust (simulated) "
+            f"or {100 * taken[LEVEL_1]:.0f} % (level 1, which allows at most {100 * SPARE:.0f} %)."
         )
     about += " The ship cannot hold the simulated mean load." if most > 1.0 else ""
     notes = [about, *_caution_on_difference(loads, shares, has_current=weather.current is not None)]

@@ -372,9 +372,9 @@ def _list_files_and_commands(
         lines += textwrap.wrap(remark, WIDTH, subsequent_indent=2 * indent)
     wind_mps = scaling.DP_NUMBERS[number][0]
     sea = f"sea: DP capability number {number}, wind {wind_mps:g} m/s"
-    mean = f"{sea}. The mean force of level 1 needs {share:.0%} of {whole}"
+    mean = f"{sea}. The mean force of level 1 needs {100 * share:.0f} % of {whole}"
     if vessel.thrusters is not None:
-        edge = f"{scaling.SPARE:.0%} ({MISCELLANEOUS:g} / {DYNAMIC_FACTOR:g})"
+        edge = f"{100 * scaling.SPARE:.0f} % ({MISCELLANEOUS:g} / {DYNAMIC_FACTOR:g})"
         mean += f"; at most {edge} is allowed"
     lines += textwrap.wrap(f"{mean}.", WIDTH)
     if share > 1.0:
@@ -400,7 +400,7 @@ def _suggest_harder_sea(
     from_deg = scaling.FROM_DEG if held is None else held.from_deg
     about = (
         f"(more wind from the same direction: {wind_mps:g} m/s from {from_deg:g}°; mean force of "
-        f"level 1: {share:.0%} of {whole}"
+        f"level 1: {100 * share:.0f} % of {whole}"
     )
     lost = held is not None and held.list_groups_not_held(harder)
     about += "; not held after some losses)" if lost else ")"
@@ -486,7 +486,7 @@ def list_cautions(ship: OwnShip) -> list[str]:
     ]
     if not others:
         return []
-    differs = f"differ{'s' * (len(others) == 1)} by more than {FORM_DIFFERS:.0%}"
+    differs = f"differ{'s' * (len(others) == 1)} by more than {100 * FORM_DIFFERS:.0f} %"
     return [f"CAUTION: the hull form is not that of {ship.like}: {' and '.join(others)} {differs}."]
 
 
@@ -575,7 +575,7 @@ def _explain_sea_choice(vessel: Vessel, number: int, held: HeldSea | None, *, ch
     if held is not None:
         return held.explain_sea(number)
     share, _ = find_mean_share(vessel, number)
-    limit = f"whose mean force takes at most {scaling.SPARE:.0%} of the limits"
+    limit = f"whose mean force takes at most {100 * scaling.SPARE:.0f} % of the limits"
     if share <= scaling.SPARE:
         return f"the largest {limit}"
     return f"the smallest, as there is none {limit}"

@@ -32,7 +32,7 @@ def draw_instructions(table: pd.DataFrame) -> Any:
             "p50:Q",
             title="instructions per step, log scale",
             scale=style.log_scale(nice=False, padding=8),
-            axis=alt.Axis(format=".3~s", labelOverlap="greedy"),
+            axis=alt.Axis(format=",.3~r", labelOverlap="greedy"),
         ),
         y=alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_name_axis()),
         color=style.colour("group", groups, hues, columns=1, labelLimit=320),

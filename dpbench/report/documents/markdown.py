@@ -73,9 +73,9 @@ CALL_MODES = (
     "starts from its last solution."
 )
 SINGLE_TIMINGS = "The p99 of single timings includes interference from other work."
-FEW_STEPS = "A p99 of step times needs at least 1000 steps; a dash marks a shorter replay."
+FEW_STEPS = "A p99 of step times needs at least 1 000 steps; a dash marks a shorter replay."
 FEW_TIMINGS = (
-    "A p99 of single timings needs at least 1000 timings; a dash marks a replay with fewer."
+    "A p99 of single timings needs at least 1 000 timings; a dash marks a replay with fewer."
 )
 TERMS = "Terms: `docs/glossary.md` of dpbench."
 

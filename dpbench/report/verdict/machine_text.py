@@ -39,7 +39,9 @@ def list_machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
 
     def of(key: str, unit: str = "") -> str:
         value = machine.get(key, "not recorded")
-        return f"{value} {unit}" if unit and isinstance(value, int | float) else str(value)
+        if not unit or not isinstance(value, int | float):
+            return str(value)
+        return f"{value:,g} {unit}".replace(",", "\u202f")
 
     cores = [str(core) for core in machine.get("affinity") or []]
     vectors = ", ".join(machine.get("vector_instructions", [])) or "not recorded"

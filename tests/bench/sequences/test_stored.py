@@ -232,7 +232,7 @@ def test_the_list_shows_them(capsys: pytest.CaptureFixture[str]) -> None:
     rows = {line.split()[0]: line.replace("│", " ").split() for line in lines if "│" in line}
     assert list(rows) == NAMES
     a = arrays_of(resolve_sequence_path("rough-100-20"))
-    share = f"{np.count_nonzero(a['active']) / a['active'].size:.1%}"
+    share = f"{100 * np.count_nonzero(a['active']) / a['active'].size:.1f}"
     assert rows["rough-100-20"][1:5] == ["60", "60", str(len(a["q"])), share]
 
 
