@@ -301,7 +301,7 @@ class SuiteFile(FileModel):
     refused_keys: ClassVar[dict[str, str]] = {"demand": "requirements"}
 
     title: str
-    """The suite in words."""
+    """Short description of the suite."""
     duration: str = ""
     """Usual run time in words, such as "two minutes"."""
     solvers: Annotated[list[str], Field(min_length=1)] = ["all"]

@@ -64,17 +64,17 @@ class FmuStartTable(FileModel):
     """Variables of an FMU that are set to the initial state of the scenario."""
 
     north: str | None = None
-    """Variable of the position north at the start."""
+    """Variable of the initial position north."""
     east: str | None = None
-    """Variable of the position east at the start."""
+    """Variable of the initial position east."""
     heading: str | None = None
-    """Variable of the heading at the start."""
+    """Variable of the initial heading."""
     surge: str | None = None
-    """Variable of the speed ahead at the start."""
+    """Variable of the initial speed ahead."""
     sway: str | None = None
-    """Variable of the speed to starboard at the start."""
+    """Variable of the initial speed to starboard."""
     yaw: str | None = None
-    """Variable of the rate of turn at the start."""
+    """Variable of the initial rate of turn."""
 
 
 class FmuTable(FileModel):
@@ -170,7 +170,7 @@ class OutputsTable(FileModel):
 
 
 class ThrusterControlTable(FileModel):
-    """Settings for commanding thrusters: polygons for their limits, weights of their forces."""
+    """Settings for commanding thrusters: polygons for their limits, and weights of their forces."""
 
     later_keys: ClassVar[frozenset[str]] = frozenset({"slack_weight_relative", "allocation"})
 
@@ -346,7 +346,7 @@ class ScenarioFile(FileModel):
     """Contents of a scenario file, `problems/scenarios/*.toml`."""
 
     title: str
-    """The scenario in words."""
+    """Short description of the scenario."""
     shows: str
     """Purpose of the scenario."""
     vessel: Annotated[

@@ -75,7 +75,7 @@ class ThrusterTable(FileModel):
     name: str
     """Name in tables, and in the faults of a scenario."""
     kind: Literal["azimuth", "tunnel", "main"]
-    """azimuth: turns; tunnel: pushes across the ship; main: along it, without a rudder."""
+    """azimuth: turns; tunnel: pushes across the ship; main: pushes along it, without a rudder."""
     x_m: keys.Number
     """Position ahead of the origin of the matrices [m]."""
     y_m: keys.Number = 0.0
@@ -89,7 +89,7 @@ class ThrusterTable(FileModel):
     propeller: Literal["open", "nozzle", "tunnel"] | None = None
     """Kind of the propeller."""
     height_m: keys.Number | None = None
-    """Height of its shaft above the keel [m], for losses in waves; without it there are none."""
+    """Height of its shaft above the keel [m], for losses in waves; no such losses without it."""
     rise_s: keys.Positive
     """Time from zero to full thrust [s]."""
     astern: keys.Share = 1.0
@@ -235,7 +235,7 @@ class VesselFile(FileModel):
     later_keys: ClassVar[frozenset[str]] = frozenset({"thrusters", "capability", "drag"})
 
     title: str
-    """The ship in words."""
+    """Short description of the ship."""
     source: str
     """Source of the numbers."""
     length_m: keys.Length

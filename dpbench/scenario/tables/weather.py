@@ -27,7 +27,7 @@ _PER_KN = 1000.0
 
 
 class SquallTable(FileModel):
-    """A force that rises, holds and decays along straight lines, on top of the slow forces."""
+    """A force that rises linearly, holds and decays linearly, on top of the slow forces."""
 
     start_s: keys.NotNegative
     """Time at which it begins to rise [s]."""
