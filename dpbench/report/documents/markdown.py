@@ -309,10 +309,14 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
             for name, column in tails
             if any(not math.isnan(getattr(verdict, column)) for verdict in timed)
         ]
-        names, are = join_with_and(["The p50", *known]), "are" if known else "is"
-        yield f"{names} {are} {_most_and_others(usual, 'from')}."
+        # The p50 comes last: "the p50 and the p99 of single timings" names the p50 of these too.
+        names, are = join_with_and([*known, "the p50"]), "are" if known else "is"
+        yield f"T{names[1:]} {are} {_most_and_others(usual, 'from')}."
     if any(v.p99_run is not None and v.p99_run.steps_searched_for_hardest for v in timed):
-        yield "A p99 estimated from hardest steps has no interval: others were not replayed."
+        yield (
+            "A p99 estimated from the hardest steps has no interval, as the other steps were not "
+            "replayed."
+        )
     for name, found in (("largest p99", worst), ("longest step", hardest)):
         if any(found[label] != usual[label] for label in found):
             yield f"The {name} is {_most_and_others(found, 'in')}."

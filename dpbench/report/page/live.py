@@ -107,8 +107,8 @@ def _explain_verdict_grid(data: PageData) -> str:
         wording += [f"{of} {verb} in SI units (N, N·m): scale the QP."] if failing else []
     if elsewhere := _list_experiments_of_other_modes(tiles):
         wording.append(
-            f"In {join_with_and(elsewhere)}, some solvers were run in a different call mode "
-            "from the first figure; the tooltip names it."
+            f"In {join_with_and(elsewhere)}, some solvers were run in a call mode other "
+            "than that of the first figure; the tooltip names it."
         )
     if there != drawn:
         most = (
@@ -212,7 +212,8 @@ def _name_timed_replays(names: str) -> str:
     replays = [describe_range_of_steps(name) for name in names.split("; ")]
     if len(replays) == 1:
         return f"that in the replay of {replays[0]}"
-    return f"the largest of those in the replays of {join_with_and(replays)}"
+    largest = "larger" if len(replays) == 2 else "largest"
+    return f"the {largest} of the step times in the replays of {join_with_and(replays)}"
 
 
 def _draw_empty_study_charts(data: PageData) -> Charts:

@@ -382,9 +382,9 @@ def _list_limiting_steps(data: PageData, margin: SpeedMargin, time: str) -> list
     if margin.p99.time_ns == margin.hardest.time_ns:
         first = f"The {time} is {_describe_slow_step(margin.hardest, wait)}"
     if margin.p99.run.untimed_iterations > 1.0:
-        first = f"The timed p99 is {p99}"
+        first = f"Before scaling, the p99 is {p99}"
         second = (
-            f". Scaled to the iterations of its closed loop, the {time} is "
+            f". Scaled to the iterations of the closed loop, the {time} is "
             f"{format_time(margin.limiting_p99_ns)}"
         )
     requirements = data.requirements

@@ -132,7 +132,8 @@ def _make_stability_table(designs: Designs) -> Table:
         "|λ| < 1. A name such as `paper 30/5` gives the tuning, the "
         "prediction horizon and the control horizon. "
         f"{_name_scenarios_of_controllers(designs)} Each range goes from the largest initial sway "
-        "offset from which the ship returned to the smallest from which it did not. The weather "
+        "offset from which the ship returned to the smallest from which it did not; ≥ precedes the "
+        "largest offset tested. The weather "
         f"of the last column is that of scenario `{WEATHER}`: moderate, and building up over the "
         "first minute.",
         folded=True,

@@ -89,7 +89,8 @@ def _describe_thruster_load(
     names = join_with_and([f"`{name}`" for name in sorted(best)])
     all_runs = " of all these scenarios" * (len(best) > 1)
     return (
-        f"In a closed loop of `{hardest.scenario}`, at least one thruster is at its limit in "
+        f"In the closed loop of `{hardest.scenario}` nearest to the reference loop, at least one "
+        "thruster is at its limit in "
         f"{100.0 * hardest.at_limit_thrusters:.0f} % of the {plural(hardest.steps_done, 'step')}. "
         f"{whole} of the {plural(len(configurations), 'configuration')} run in {names} "
         f"{'is' if whole == 1 else 'are'} accurate on every step{all_runs}."

@@ -70,8 +70,8 @@ def _describe_round_spread(records: Records, *, is_quiet: bool) -> list[str]:
     )
     beyond = "" if is_quiet else " and the ratio exceeds the spread of their rounds"
     return [
-        "Within this run, two solvers differ in step time only if the 95 % interval of their ratio "
-        f"excludes 1{beyond}. {spread}"
+        "Within this run, a difference in step time is significant only if the 95 % interval of "
+        f"the ratio excludes 1{beyond}. {spread}"
     ]
 
 
@@ -126,9 +126,9 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
-        f" In {format_count(worse)} of {format_count(len(timed))} single replays{windows}, "
-        f"{' or '.join(kinds)} exceeded the limit, so small differences in step time are not "
-        "ranked there."
+        f" Taken alone, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
+        f"exceeded a limit: {' or '.join(kinds)}. Small differences in step time are not ranked "
+        "there."
     )
 
 

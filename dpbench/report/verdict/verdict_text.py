@@ -339,7 +339,9 @@ def describe_times_compared_with(
     by_size, in_windows : as of `describe_paired_times`.
     """
     if by_size and not any(one.separate or one.is_of_one_run for one in by_size):
-        return f"It takes {describe_paired_times(by_size, in_windows, than=f' as {name}')}."
+        return (
+            f"This solver takes {describe_paired_times(by_size, in_windows, than=f' as {name}')}."
+        )
     return f"Compared with {name}: {describe_paired_times(by_size, in_windows)}."
 
 
@@ -428,7 +430,7 @@ def describe_short_times(records: Records, compared: Sequence[Verdict]) -> str:
     )
     return (
         f"The p50 {join_with_and(short)} {'is' if len(short) == 1 else 'are'} below "
-        f"{format_time(shortest_ns)}, the shortest time for which the timing was checked."
+        f"{shortest_ns / 1e3:g} µs, the shortest time for which the timing was checked."
         f"{differences}"
     )
 

@@ -66,9 +66,7 @@ def test_without_scripts_the_usual_clock_is_shown(opened: Any) -> None:
 
 def test_a_counted_solver_has_its_speed_margin(opened: Any) -> None:
     output = opened("#s=daqp").inner_text("#slow-kept")
-    assert (
-        "daqp meets both limits up to a slowdown of ×" in output and ", limited by its " in output
-    )
+    assert "daqp meets both limits up to a slowdown of ×" in output and ", set by its " in output
 
 
 @SIZES

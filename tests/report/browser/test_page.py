@@ -173,7 +173,7 @@ def test_the_hardest_steps_are_those_of_the_experiment_then_of_all(selected: Any
     assert page.locator("#hard h3").all_inner_texts() == ["Hardest steps of paper"]
     error = "largest error of the first move [maximum increments]"
     own = [error, "largest single timings, stalls included"]
-    everywhere = "longest step times in replays and windows, fastest round"
+    everywhere = "longest steps of replays and windows, each in its fastest round"
     assert heads[:3] == [*own, everywhere]
     assert heads[-1] == "largest single timings of all closed loops, stalls included"
     runs = page.evaluate(
@@ -349,8 +349,7 @@ def _check_speed_margins(page: Any, facts: Any, slow: int) -> None:
         other = f" (overall verdict: {verdict.state})"
         assert (other in output) == (bound >= 1 and verdict.state != "pass")
         assert (
-            ", limited by its limiting p99 of " in output
-            or ", limited by its longest step of " in output
+            ", set by its limiting p99 of " in output or ", set by its longest step of " in output
         )
 
 

@@ -477,7 +477,7 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     data = Report.from_results(records.results()).data
     (verdict,) = data.verdicts.all_verdicts
     text = " ".join(list_speed_margin_sentences(data, verdict))
-    scaled = "Scaled to the iterations of its closed loop, the limiting p99 is 40.0 µs"
+    scaled = "Scaled to the iterations of the closed loop, the limiting p99 is 40.0 µs"
     assert f"{scaled}. It reaches the limit of 3 ms at a slowdown of × 75.0." in text
 
 
@@ -691,7 +691,7 @@ def test_a_p50_below_checked_waits_is_said(
         name = f"busy_wait_{wait_us}us"
         records.replay(name, median_us=wait_us + 0.2, route="native", policy="reuse")
     note = dict(_answer(records).notes).get("checked", "")
-    assert ("is below 20.0 µs, the shortest time for which" in note) == output == bool(note)
+    assert ("is below 20 µs, the shortest time for which" in note) == output == bool(note)
 
 
 def test_compared_times_below_checked_waits_are_named(records: Any) -> None:
@@ -703,7 +703,7 @@ def test_compared_times_below_checked_waits_are_named(records: Any) -> None:
     assert notes.index("checked") == notes.index("next") + 1
     assert dict(_answer(records).notes)["checked"] == (
         "The p50 of `daqp` (qpsolvers fresh), 9.00 µs, and of `quadprog` (qpsolvers fresh), "
-        "12.0 µs, are below 20.0 µs, the shortest time for which the timing was checked. "
+        "12.0 µs, are below 20 µs, the shortest time for which the timing was checked. "
         "Differences between such times may be due to the bindings, not the methods."
     )
 
@@ -714,7 +714,7 @@ def test_a_time_above_checked_waits_is_not_put_down_to_bindings(records: Any) ->
         records.replay(solver, median_us=median_us, spread=0.0)
     records.replay("busy_wait_20us", median_us=20.2, route="native", policy="reuse")
     note = dict(_answer(records).notes)["checked"]
-    assert "9.00 µs, is below 20.0 µs" in note and "bindings" not in note
+    assert "9.00 µs, is below 20 µs" in note and "bindings" not in note
 
 
 def test_a_snippet_opens_what_it_recommends(records: Any) -> None:

@@ -9,7 +9,7 @@ const listed = (rows, say = (row) => `\`${row.solver}\``) => (rows.length && (ro
 // make it late on this machine already.
 function paceOf(c, margin) {
   const late = C().late[c], verdict = C().verdict[c];
-  const limited = `× ${roundedDown(margin)}, limited by its ${C().limited_by[c]}`;
+  const limited = `× ${roundedDown(margin)}, set by its ${C().limited_by[c]}`;
   if (late) return `is late on this machine (${late})${margin < 1 ? `. Its speed margin is ${limited}` : ""}`;
   if (margin < 1) return `is late on this machine (speed margin ${limited})`;
   const other = ["pass", "not judged"].includes(verdict) ? "" : ` (overall verdict: ${verdict})`;
@@ -28,7 +28,7 @@ function kept() {
   // A solver has further rows for custom settings.
   const solvers = right.sort((a, b) => b.margin - a.margin).filter((row, i) => right.findIndex((r) => r.solver === row.solver) === i);
   const safe = solvers.filter((row) => state.slow <= 1 || row.margin >= state.slow);
-  return `${own}${safe.length} of ${solvers.length} ${passing.length ? "passing" : "borderline or inconclusive"
+  return `${own}At × ${plain(state.slow)}, ${safe.length} of ${solvers.length} ${passing.length ? "passing" : "borderline or inconclusive"
   } solvers ${safe.length === 1 ? "meets" : "meet"} the deadline of ${deadline_ms} ms and the p99 limit of ${p99_ms} ms${
     listed(safe, (row) => `\`${row.solver}\` (up to × ${roundedDown(row.margin)})`)}.`;
 }

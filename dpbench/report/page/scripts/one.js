@@ -183,7 +183,7 @@ function varies(c) {
 function drawHard(run) {
   const replayed = facts.experiments[state.p].mode === "replay";
   const names = [
-    replayed ? "longest step times, fastest round" : "largest single timings, stalls included", "most iterations", "largest error of the first move [maximum increments]",
+    replayed ? "longest steps, each in its fastest round" : "largest single timings, stalls included", "most iterations", "largest error of the first move [maximum increments]",
   ];
   const row = (name, steps) => {
     const line = document.createElement("p"), head = document.createElement("span");
@@ -209,7 +209,7 @@ function drawHard(run) {
   // Of a single experiment its own lines are enough.
   const several = facts.experiments.filter((_, p) => cell(state.c, p)?.hard).length > 1;
   const most = varies(state.c) ? [1] : [], worst = most.length && !["late", "fail"].includes(C().verdict[state.c]) ? [] : [2];
-  const everywhere = [[0, "longest step times in replays and windows, fastest round", "replay"],
+  const everywhere = [[0, "longest steps of replays and windows, each in its fastest round", "replay"],
     ...[...worst, ...most].map((m) => [m, names[m]]),
     [0, "largest single timings of all closed loops, stalls included", "closed_loop"]];
   const all = document.createElement("details"), title = document.createElement("summary"), heading = document.createElement("h3");

@@ -87,14 +87,14 @@ function commonSteps(rows) {
   const counts = unique(largest.map((row) => row.sequence))
     .map((name) => `${largest.filter((row) => row.sequence === name).length} steps of \`${name}\``);
   const [replay, are] = counts.length > 1 ? ["replays", "of equal weight, "] : ["replay", ""];
-  const size = largest.length < rows.length ? `, ${are}the full ${replay} with the largest QPs (${largest[0].variables} variables)` : are && ", of equal weight";
+  const size = largest.length < rows.length ? `, ${are}the ${replay} with the largest QPs (${largest[0].variables} variables); windows are left out` : are && ", of equal weight";
   return `${counts.join(" and ")}${size}`;
 }
 
 // What the dots of the figure are: those of QPs of one size are one cluster.
 function captionOf(rows, second) {
   const replays = unique(rows.map((row) => row.sequence)).map((name) =>
-    `\`${name}\` (${rows.find((row) => row.sequence === name).variables} variables)`);
+    `\`${name}\` with ${rows.find((row) => row.sequence === name).variables} variables`);
   return `Each dot is one step, timed by its fastest round, in ${replays.join(" or ")}. Below the dashed line, ${
     unlike(second, state.c)} is faster.`;
 }
@@ -130,7 +130,7 @@ async function drawTwo() {
     + `${time(meanOf(rows, "b"))}, ${rows[0].separate}, so there is no ratio: geometric means over `
     + `${commonSteps(rows)}.`
     : `${marked(slower)} takes ${twoDigits(ratio)} times as long as ${marked(faster)}; `
-    + `${interval}. This is the geometric mean over ${commonSteps(rows)}.`
+    + `${interval}. The ratio is the geometric mean over ${commonSteps(rows)}.`
     + `${reach === null ? "" : whyUnranked(rows, ratio / reach)}${shortTimes(state.c, second)}`;
   said.replaceChildren(...coded(text));
   $("two-caption").replaceChildren(...coded(captionOf(rows, second)));
