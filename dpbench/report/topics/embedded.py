@@ -46,7 +46,7 @@ def build_embedded_topic(results: EmbeddedResults, requirements: Requirements) -
     ]
     lines += yield_uncounted_loops_sentences(results)
     lines += yield_uncounted_sentences(results.not_counted)
-    note = f"{NOTE} Compiled with {', '.join(compilers)} with -O2. {WORST} {CAVEAT}"
+    note = f"{NOTE} Compiled by {', '.join(compilers)} with -O2. {WORST} {CAVEAT}"
     looks: dict[str, Any] = {"text_columns": 3, "folded": True, "labels": LABELS}
     tables = (Table.from_rows(rows, TABLE, note=note, **looks),) if rows else ()
     return Topic("embedded", TITLE, tuple(lines), tables=tables)

@@ -28,7 +28,7 @@ function kept() {
   // A solver has further rows for custom settings.
   const solvers = right.sort((a, b) => b.margin - a.margin).filter((row, i) => right.findIndex((r) => r.solver === row.solver) === i);
   const safe = solvers.filter((row) => state.slow <= 1 || row.margin >= state.slow);
-  return `${own}At × ${plain(state.slow)}, ${safe.length} of ${solvers.length} ${passing.length ? "passing" : "borderline or inconclusive"
+  return `${own}At × ${figure(state.slow)}, ${safe.length} of ${solvers.length} ${passing.length ? "passing" : "borderline or inconclusive"
   } solvers ${safe.length === 1 ? "meets" : "meet"} the deadline of ${deadline_ms} ms and the p99 limit of ${p99_ms} ms${
     listed(safe, (row) => `\`${row.solver}\` (up to × ${roundedDown(row.margin)})`)}.`;
 }
