@@ -102,14 +102,14 @@ def test_steps_have_their_failures_apart_and_the_limit() -> None:
 
 
 def test_times_stand_against_limit_and_deadline() -> None:
-    numbers = {"p50_ms": [0.01, 1.0], "p99_ms": [0.02, np.nan], "max_ms": [0.05, 9.0]}
+    numbers = {"p50_ms": [0.01, 1.0], "limiting_p99_ms": [0.02, np.nan], "max_ms": [0.05, 9.0]}
     columns = {"label": ["daqp", "osqp"], "verdict": ["pass", "late"], "longest_ms": [0.1, 20.0]}
     table = pd.DataFrame(numbers | columns).reindex(columns=list(TIMES))
     figure = _printed().draw_deadline_chart(table, 300.0, 3.0)
     (axes,) = figure.axes
     assert axes.get_xscale() == "log" and axes.yaxis_inverted()
     assert [text.get_text() for text in axes.get_yticklabels()] == ["daqp", "osqp"]
-    limits, spans = ["p99 limit", "deadline"], ["p50 to p99", "to the longest step"]
+    limits, spans = ["p99 limit", "deadline"], ["p50 to limiting p99", "to the longest step"]
     spans += ["to the largest single timing"]
     assert _legend(figure) == [*limits, "p50, pass", "p50, late", *spans]
     by_label = {line.get_label(): line for line in axes.lines}

@@ -284,7 +284,7 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
     allowed = [format_rounded_down(margin) for margin in table["margin"]]
     scaled = alt.Chart(table.assign(allowed=allowed)).transform_calculate(
         a="datum.p50_ms * slow",
-        c="isValid(datum.p99_ms) ? datum.p99_ms * slow : datum.p50_ms * slow",
+        c="(isValid(datum.limiting_p99_ms) ? datum.limiting_p99_ms : datum.p50_ms) * slow",
         m="datum.max_ms * slow",
         called="datum.p50_ms * datum.share * slow",
         left=f"{LOWEST_MS}",
@@ -295,7 +295,7 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
         replayed=_FIGURE.format("replay_p99_ms"),
         single=_FIGURE.format("raw_p99_ms"),
     )
-    times = (("a", "p50"), ("c", "largest p99"), ("m", "longest step"))
+    times = (("a", "p50"), ("c", "limiting p99"), ("m", "longest step"))
     tips = [
         style.tooltip("label:N", "configuration"),
         style.tooltip("computer:N", "slowdown of the computer"),

@@ -115,7 +115,7 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
     """
     figure, (axes,) = _make_axes([0.8 + 0.22 * len(table)], width=2 * COLUMN_IN)
     for place, row in enumerate(table.to_dict("records")):
-        colour, p99_end = _COLOURS[row["verdict"]], np.fmax(row["p50_ms"], row["p99_ms"])
+        colour, p99_end = _COLOURS[row["verdict"]], np.fmax(row["p50_ms"], row["limiting_p99_ms"])
         axes.hlines(place, row["max_ms"], row["longest_ms"], color=style.SOFT, linestyle=":")
         axes.hlines(place, row["p50_ms"], row["max_ms"], color=colour, linewidth=1.5)
         axes.hlines(place, row["p50_ms"], p99_end, color=colour, linewidth=6)
@@ -125,7 +125,7 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
         axes.axvline(at_ms, color=style.INK, linestyle=line, linewidth=0.8, label=name)
     for state in (state for state in STATES if state in set(table["verdict"])):
         axes.plot([], [], _MARKERS[state], color=_COLOURS[state], label=f"p50, {state}")
-    axes.plot([], [], color=style.SOFT, linewidth=6, label="p50 to p99")
+    axes.plot([], [], color=style.SOFT, linewidth=6, label="p50 to limiting p99")
     axes.plot([], [], color=style.SOFT, linewidth=1.5, label="to the longest step")
     axes.plot([], [], color=style.SOFT, linestyle=":", label="to the largest single timing")
     axes.set(xscale="log", xlabel="step time [ms]")

@@ -58,7 +58,7 @@ def _explain_step_times(data: PageData) -> str:
     which = " (column `timed_on` of `tables/ladder.csv`)" * (len(timed_on) > 1)
     return (
         "Step time of each solver in the replays and windows of hardest steps. Marker: p50 in the "
-        f"replay of {replay}{which}; bar: up to the largest p99; line: up to the longest step; "
+        f"replay of {replay}{which}; bar: up to the limiting p99; line: up to the longest step; "
         "dashed line: up to the largest single timing, closed loops included. Grey bar: call "
         "overhead, measured with a reference call that only copies its data; it ends at the p50 "
         "if that is smaller. Below 5 µs, differences may be due to the bindings, not the methods."

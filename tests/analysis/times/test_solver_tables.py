@@ -53,6 +53,14 @@ def test_the_ladder_is_that_of_the_verdicts(records: Any) -> None:
     assert times == pytest.approx(expected)
 
 
+def test_the_ladder_has_the_p99_of_the_closed_loop(records: Any) -> None:
+    """Scaled by (1 + 20) / (1 + 5) from the iterations of the replay to those of the loop."""
+    records.loop("daqp", iterations_p99=20.0)
+    records.replay("daqp", steps=1000, iterations_p99=5.0, iterations_max=8.0)
+    (row,) = tabulate_best_times(_matrix(records)).to_dict("records")
+    assert row["limiting_p99_ms"] == pytest.approx(3.5 * row["p99_ms"])
+
+
 def test_the_ladder_has_settings_of_ones_own(records: Any) -> None:
     """The best of two call modes of each, below the presets' best where that is faster."""
     records.loop("osqp")
