@@ -208,7 +208,7 @@ ACCURACY = (
     Measure("error_move_max", "largest error of the first move", True, True, ERROR_FLOOR),
     Measure("error_plan_max", "largest error of the plan", True, True, ERROR_FLOOR),
     Measure("true_share", "share of true answers", False, False, 0.0),
-    Measure("failed_steps", "failed steps per round", True, False, 0.0),
+    Measure("failed_steps", "failed steps", True, False, 0.0),
 )
 CONTROL = (
     Measure("r_rms_m", "position, RMS [m]", True, True, CONTROL_FLOOR),
@@ -266,7 +266,7 @@ def _yield_compared_ranges(
             return
     if not (pair.a.has_steps or pair.b.has_steps):
         return
-    steps = [view.read_counting_step_table(run, _STEPS) for view, run in ((a, pair.a), (b, pair.b))]
+    steps = [view.read_step_table(run, _STEPS) for view, run in ((a, pair.a), (b, pair.b))]
     complete = "timed_out" not in outcomes and "hung" not in outcomes
     if complete:
         yield (
@@ -284,7 +284,7 @@ def _yield_compared_ranges(
         _compute_accuracy_ranges(one, run, repeated)
         for one, run in zip(steps, (pair.a, pair.b), strict=True)
     )
-    # Counts of a folder without steps are those of all rounds together, repeated ones included.
+    # The steps before `repeated` alone are counted: not known of a folder without steps.
     counted_alike = steps[0].empty == steps[1].empty
     for measure in ACCURACY:
         if counted_alike or measure.column != "failed_steps":
@@ -315,7 +315,7 @@ def _classify_change_of_range(measure: Measure, a: Range, b: Range, margin: floa
 
 
 _STEPS = (
-    *("repeat", "k", "status", "error_move", "error_plan", "true"),
+    *("repeat", "k", "counts", "status", "error_move", "error_plan", "true"),
     *("certificate", "fallback", "unconverged"),
 )
 
@@ -330,17 +330,17 @@ def _compute_accuracy_ranges(
     steps: pd.DataFrame, run: RunRecord, common: float
 ) -> dict[str, Range]:
     """Return each accuracy number's range over a run's repetitions, on steps before `common`."""
-    counting = steps[steps["k"] < common]
+    compared = steps[steps["k"] < common]
+    counting = compared[compared["counts"]]
     if counting.empty:
-        numbers = {m.column: getattr(run, m.column) for m in ACCURACY}
-        numbers["failed_steps"] /= max(run.rounds, 1.0)
-        return {name: _make_range_of_number(number) for name, number in numbers.items()}
-    failed, true = mask_failed_steps(counting), counting["true"].where(mask_decided_steps(counting))
-    rounds = counting.assign(failed=failed.astype(float), true=true.astype(float)).groupby("repeat")
+        return {m.column: _make_range_of_number(getattr(run, m.column)) for m in ACCURACY}
+    true = counting["true"].where(mask_decided_steps(counting))
+    rounds = counting.assign(true=true.astype(float)).groupby("repeat")
+    failed = _make_range_of_number(compared["k"][mask_failed_steps(compared)].nunique())
     by_round = {
         "error_move_max": rounds["error_move"].max(),
         "error_plan_max": rounds["error_plan"].max(),
         "true_share": rounds["true"].mean(),
-        "failed_steps": rounds["failed"].sum(),
     }
-    return {name: (float(own.min()), float(own.max())) for name, own in by_round.items()}
+    ranges = {name: (float(own.min()), float(own.max())) for name, own in by_round.items()}
+    return {**ranges, "failed_steps": failed}

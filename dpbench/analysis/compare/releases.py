@@ -50,11 +50,9 @@ class Release:
         )
 
     @property
-    def most_failed_steps_per_round(self) -> float:
-        """Number of failed steps per repetition of a run; largest over a solver version's runs."""
-        return maximum_of_known(
-            [_divide_count_by_rounds(run, run.failed_steps) for run in self.runs.values()]
-        )
+    def most_failed_steps(self) -> float:
+        """Number of failed steps; largest over a solver version's runs."""
+        return maximum_of_known([run.failed_steps for run in self.runs.values()])
 
     @property
     def worst_outcome(self) -> str:

@@ -37,13 +37,15 @@ FAILURE_COLUMNS = ("run_id", "k", "certificate", "status", "fallback", "unconver
 INACCURACY_COLUMNS = ("k", "error_move")
 
 
-def count_inaccurate_steps(steps: pd.DataFrame, limit: float) -> int:
-    """Return how many steps of one run have an error of the first move above a limit.
+def find_inaccurate_steps(steps: pd.DataFrame, limit: float) -> tuple[int, int]:
+    """Return how many steps of one run have a first move's error above a limit, and the first.
 
     A step counts if it is inaccurate in any round, warm-up and disturbed rounds included, as in
-    `error_move_max`. steps : the run's step rows with `INACCURACY_COLUMNS`.
+    `error_move_max`. steps : the run's step rows with `INACCURACY_COLUMNS`. The first is −1
+    without any.
     """
-    return int(steps["k"][steps["error_move"] > limit].nunique())
+    k = steps["k"][steps["error_move"] > limit]
+    return k.nunique(), int(k.min()) if len(k) else -1
 
 
 class FailedSteps(NamedTuple):
@@ -159,9 +161,9 @@ class Records:
                 found[str(run_id)] = FailedSteps(k.nunique(), status, int(k.min()))
         return found
 
-    def count_inaccurate_steps(self, run: RunRecord, limit: float) -> int:
-        """Return `count_inaccurate_steps` of a run; 0 where the folder has no steps."""
-        return count_inaccurate_steps(self.read_step_table(run, INACCURACY_COLUMNS), limit)
+    def find_inaccurate_steps(self, run: RunRecord, limit: float) -> tuple[int, int]:
+        """Return `find_inaccurate_steps` of a run; (0, −1) where the folder has no steps."""
+        return find_inaccurate_steps(self.read_step_table(run, INACCURACY_COLUMNS), limit)
 
     def select_runs(self, **wanted: object) -> list[RunRecord]:
         """Return the runs of this folder whose columns equal given values, or one of a tuple."""

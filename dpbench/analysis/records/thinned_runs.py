@@ -53,8 +53,8 @@ class ThinnedRun:
     steps : those that are kept; extra : (K,) which of them for being hard alone.
     last : the last step of the run, kept or not; is_whole : whether all are kept.
     hard : the hardest of all by each measure, the hardest first.
-    track : None without a ship. inaccurate : steps of the run, kept or not, whose error is above
-    the limit; see `count_inaccurate_steps`.
+    track : None without a ship. inaccurate : how many steps of the run, kept or not, have an error
+    above the limit, and the first; see `find_inaccurate_steps`.
     """
 
     steps: RunSteps
@@ -63,11 +63,15 @@ class ThinnedRun:
     is_whole: bool
     hard: dict[Measure, list[HardRow]]
     track: Track | None
-    inaccurate: int = 0
+    inaccurate: tuple[int, int] = (0, -1)
 
     @classmethod
     def from_run(
-        cls, run: RunSteps, most: int, track: Track | None = None, inaccurate: int = 0
+        cls,
+        run: RunSteps,
+        most: int,
+        track: Track | None = None,
+        inaccurate: tuple[int, int] = (0, -1),
     ) -> "ThinnedRun":
         """Return a run thinned to about `most` steps: every n-th one and the hardest."""
         chosen, extra = choose_kept_indices_and_hard_flags(run, most)

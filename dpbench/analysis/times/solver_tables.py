@@ -25,7 +25,7 @@ from dpbench.analysis.times.paired_times import (
     compare_settings_of_solvers,
     compute_log_ratio_half_width,
 )
-from dpbench.analysis.verdict.requirements import STATES
+from dpbench.analysis.verdict.requirements import STATES, Cause
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import (
     MOST_OWN,
@@ -66,7 +66,8 @@ def tabulate_verdicts(matrix: RunMatrix) -> pd.DataFrame:
                 "steps": v.steps,
                 "error_move": v.error_move,
                 "failed_steps": v.failed_steps,
-                "first_failed_step": _name_first_failed_step(v),
+                "first_failed_step": _name_first_step(v, "failed"),
+                "first_inaccurate_step": _name_first_step(v, "inaccurate"),
                 "p50_us": v.p50_ns / 1e3,
                 "replay_p99_us": v.replay_p99_ns / 1e3,
                 "raw_p99_us": v.raw_p99_ns / 1e3,
@@ -84,10 +85,10 @@ def tabulate_verdicts(matrix: RunMatrix) -> pd.DataFrame:
     )
 
 
-def _name_first_failed_step(verdict: Verdict) -> str:
-    """Return scenario and index of the first failed step of the run with most; "" if unknown."""
-    failed = (f for f in verdict.causes if f.kind == "failed" and f.first >= 0)
-    texts = (f"{f.runs[0].scenario or f.runs[0].sequence}, k {f.first}" for f in failed)
+def _name_first_step(verdict: Verdict, kind: Cause) -> str:
+    """Return scenario and index of the worst run's first failed or inaccurate step; "" if none."""
+    known = (f for f in verdict.causes if f.kind == kind and f.first >= 0)
+    texts = (f"{f.runs[0].scenario or f.runs[0].sequence}, k {f.first}" for f in known)
     return next(texts, "")
 
 

@@ -153,7 +153,7 @@ class Finding:
     runs : the runs it was found in, the worst first.
     value : an error, a time [ns], a share of timings, or steps, by kind.
     steps : the steps or timings of the figure; status : that of most failed steps.
-    first : the first failed step of the worst run; −1 where it is not known.
+    first : the first failed or inaccurate step of the worst run; −1 where it is not known.
     machine : of a share of late timings, the share that the machine explains; of a time with waits
         for the processor core, the time without them [ns].
     limit, factor : the limit that a time was compared with [ns], and the factor within which the

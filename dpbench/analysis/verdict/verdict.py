@@ -320,10 +320,15 @@ def find_wrong_answers(
     failed = make_finding_on_worst_runs("failed", failing, lambda run: run.failed_steps)
     known = [records.failed_steps_by_run.get(f.runs[0].run_id, NO_FAILED_STEPS) for f in failed]
     inaccurate = make_finding_on_worst_runs("inaccurate", wrong, lambda run: run.error_move_max)
-    limit = requirements.error_move
+    located = [
+        records.find_inaccurate_steps(f.runs[0], requirements.error_move) for f in inaccurate
+    ]
     return [
         *no_answer,
-        *(replace(f, steps=records.count_inaccurate_steps(f.runs[0], limit)) for f in inaccurate),
+        *(
+            replace(f, steps=steps, first=first)
+            for f, (steps, first) in zip(inaccurate, located, strict=True)
+        ),
         *(
             replace(f, steps=own.steps, status=own.status, first=own.first)
             for f, own in zip(failed, known, strict=True)

@@ -323,12 +323,12 @@ def _find_iterations_of_slowest_hundredth(steps: StepColumns, source: QPSource) 
 
 
 def _worst_error_columns(steps: StepColumns) -> dict[str, Any]:
-    """Return a run's largest errors and number of failed steps, of all rounds with warm-up."""
+    """Return a run's largest errors, and how many of its steps fail, in any round or warm-up."""
     charged = rules.select_step_rows(steps, steps["certificate"] != rules.UNDECIDED)
     return {
         "error_move_max": rules.maximum_of_known(rules.compute_first_move_errors(charged)),
         "error_plan_max": rules.maximum_of_known(charged["error_plan"]),
-        "failed_steps": int(rules.mask_failed_steps(steps).sum()),
+        "failed_steps": len(np.unique(steps["k"][rules.mask_failed_steps(steps)])),
     }
 
 

@@ -28,11 +28,12 @@ from dpbench.report.ship.ship_text import summarise_ships
 from dpbench.report.verdict.verdict_text import describe_paired_times
 
 NOTE = (
-    "Ratio: time of the second divided by that of the first on the same steps, which were timed by "
-    "turns. It is a geometric mean in which replays of one size have equal weight, with a 95 % "
-    "interval from 500 steps on. The interval holds within this run; ratios of two runs can differ "
-    "by more. Windows of hardest steps are not counted. A configuration that fails also has a "
-    "ratio, although its answers are not accurate on every step."
+    "Second/first: time of the second divided by that of the first on the same steps, timed by "
+    "turns; above 1 the second is slower. It is a geometric mean in which replays of one size have "
+    "equal weight, with a 95 % interval from 500 steps on. The interval holds within this run; "
+    "ratios of two runs can differ by more. Windows of hardest steps are not counted. A "
+    "configuration that fails also has a ratio, although its answers are not accurate on every "
+    "step."
 )
 
 
@@ -94,7 +95,7 @@ def compare_configurations_of_folder(
             "variables": f"{one.variables:.0f}",
             "first, geometric mean [µs]": format_microseconds(one.first_ns),
             "second, geometric mean [µs]": format_microseconds(one.second_ns),
-            "ratio": MISSING if one.separate else f"{one.ratio.value:.3f}",
+            "second/first": MISSING if one.separate else f"{one.ratio.value:.3f}",
             "interval": MISSING if one.separate else format_interval(one.ratio.low, one.ratio.high),
             "steps": format_count(one.steps),
             "finding": one.finding_text,

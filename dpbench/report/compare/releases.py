@@ -141,8 +141,7 @@ def _describe_solver_history(solver: str, own_histories: Sequence[History]) -> s
         format_error(maximum_of_known([r.largest_error_move for r in side])) for side in sides
     )
     failed = " → ".join(
-        _format_count(maximum_of_known([r.most_failed_steps_per_round for r in side]))
-        for side in sides
+        _format_count(maximum_of_known([r.most_failed_steps for r in side])) for side in sides
     )
     versions = " → ".join(release.version for release in ends[0])
     times = _describe_time_change(changed)
@@ -197,8 +196,8 @@ def _make_version_tables(histories: Histories) -> list[Table]:
     changed = _group_histories_by_solver(histories)
     note = (
         "Ratio to previous: p50 divided by that of the previous release; below 1 is faster. The "
-        "calibration workload, timed in the same rounds, shows the effect of other load. Counts "
-        "are per round. Closed loops run in parallel and are not timed."
+        "calibration workload, timed in the same rounds, shows the effect of other load. False "
+        "claims are per round. Closed loops run in parallel and are not timed."
     )
     tables = [
         Table.from_rows(
@@ -251,7 +250,7 @@ def _make_version_rows(history: History, histories: Histories) -> list[dict[str,
             f"longest step{unit}": _format_time(release.largest, histories),
             "largest error": format_error(release.largest_error_move),
             "false claims": _format_count(release.most_claimed_not_true_per_round),
-            "failed steps": _format_count(release.most_failed_steps_per_round),
+            "failed steps": _format_count(release.most_failed_steps),
             "outcome": release.worst_outcome.replace("_", " "),
         }
         for i, release in enumerate(history.releases)

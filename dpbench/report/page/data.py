@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from dpbench.analysis.records.records import INACCURACY_COLUMNS, Records, count_inaccurate_steps
+from dpbench.analysis.records.records import INACCURACY_COLUMNS, Records, find_inaccurate_steps
 from dpbench.analysis.records.run_record import RunRecord, build_run_records
 from dpbench.analysis.records.run_steps import MEASURES, find_hardest_steps
 from dpbench.analysis.records.thinned_runs import FORCES, TRACK, ThinnedRun, Track, thin_track
@@ -171,7 +171,7 @@ class PageData(RunMatrix):
             if scenario is not None:
                 limits = np.maximum(scenario.vessel.tau_max, -scenario.vessel.tau_min)
                 track = thin_track(rows, limits, room.points)
-            inaccurate = count_inaccurate_steps(rows, self.requirements.error_move)
+            inaccurate = find_inaccurate_steps(rows, self.requirements.error_move)
             kept[run_id] = ThinnedRun.from_run(steps, room.steps, track, inaccurate)
         return kept
 
@@ -218,7 +218,7 @@ class PageData(RunMatrix):
             run = self.runs[c, p]
             entry, kept = self._describe_run(c, p, run), self.thinned_runs.get(run.run_id)
             if kept is not None:
-                entry["inaccurate"] = kept.inaccurate
+                entry["inaccurate"], entry["first_inaccurate"] = kept.inaccurate
                 hardest = [
                     [
                         [k, convert_to_json_number(value), status, int(claimed), int(true), active]

@@ -110,11 +110,9 @@ def describe_finding(finding: Finding) -> str:
     kind: str = finding.kind
     if kind == "failed" and finding.steps:
         kind = "failed steps"
-    elif kind == "failed" and first.mode == "replay":
-        # Failures in all rounds and the warm-up: their number may exceed that of steps.
-        kind = "failed answers"
     all_steps = plural(first.steps_done, "step")
-    over = f", above the limit in {format_count(finding.steps)} of {all_steps}"
+    first_step = _name_first_step(finding) * (window_of == "")
+    over = f", above the limit in {format_count(finding.steps)} of {all_steps}{first_step}"
     over *= finding.steps > 0
     return _WORDS[kind].format(
         **words,
@@ -122,8 +120,7 @@ def describe_finding(finding: Finding) -> str:
         experiments=_name_experiments(finding.runs),
         detail=explain_outcome(first),
         number=format_count(finding.steps),
-        answers="answer" if finding.value == 1 else "answers",
-        first=_name_first_step(finding) * (window_of == ""),
+        first=first_step,
         fail="fails" if (finding.steps or finding.value) == 1 else "fail",
         ending=_describe_ending(finding.status, first),
         caching=describe_caching_sign(first.configuration.solver, first.caching_sign),
@@ -153,7 +150,7 @@ def describe_finding(finding: Finding) -> str:
 
 
 def _name_first_step(finding: Finding) -> str:
-    """Return the first of the failed steps of a finding, as a clause; "" where it is not known."""
+    """Return the first of the wrong steps of a finding, as a clause; "" where it is not known."""
     if finding.first < 0:
         return ""
     return f", {'first ' if finding.steps > 1 else ''}at step {finding.first}"

@@ -61,11 +61,11 @@ CAUSES = [
     (
         {},
         {"failed": 2},
-        "2 answers fail in the replay of `paper`, counted over all rounds with the warm-up (1",
+        "2 of 1\u202f000 steps fail in the replay of `paper`",
     ),
     (
         {},
-        {"failed": 8, "lost": (3, 5)},
+        {"failed": 2, "lost": (3, 5)},
         "2 of 1\u202f000 steps fail in the replay of `paper`, first at step 3, as the solver ",
     ),
     (
@@ -433,7 +433,7 @@ def test_high_settings_rescue(records: Any) -> None:
         "1 of 1 solver passes in at least one configuration: `osqp`. `osqp` (qpsolvers fresh, "
         "high) passes, but its default configuration, `osqp` (qpsolvers fresh), fails: the error "
         "of its first move reaches 0.40 times the maximum increment in `paper`, above the limit in "
-        "120 of 120 steps."
+        "120 of 120 steps, first at step 0."
     )
 
 
@@ -497,9 +497,9 @@ def test_summary_counts_everybody_once(records: Any) -> None:
     said = describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
     assert said == (
         "1 of 3 solvers pass: `daqp`. `osqp` fails: the error of its first move reaches 0.40 times "
-        "the maximum increment in `paper`, above the limit in 120 of 120 steps. `scs` is "
-        "inconclusive: `paper` was stopped at its time limit (10 of 120 steps). `qpax` was not "
-        "run: not installed."
+        "the maximum increment in `paper`, above the limit in 120 of 120 steps, first at step 0. "
+        "`scs` is inconclusive: `paper` was stopped at its time limit (10 of 120 steps). `qpax` "
+        "was not run: not installed."
     )
 
 

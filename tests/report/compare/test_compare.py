@@ -441,7 +441,7 @@ def test_between_machines_solvers_differ_more_than_between_runs(make: Make) -> N
 
 @pytest.mark.slow
 def test_a_folder_without_steps_is_compared_by_its_medians(make: Make, tmp_path: Path) -> None:
-    """Its count of failed steps is that of all rounds together, so it is not compared."""
+    """Its failed steps may include those after a time limit, so they are not compared."""
     a = make("a", seed=1, algo_p50_ns=2e4, failed_steps=12)
     b = make("b", seed=2, algo_p50_ns=3e4, failed_steps=12)
     (b / "steps.parquet").unlink()

@@ -395,11 +395,11 @@ def test_steps_above_the_limit_are_counted(records: Any) -> None:
     records.loop("osqp")
     records.replay("osqp", steps=450)
     errors = np.full(450, 1e-9)
-    errors[:54] = 0.3
+    errors[7:61] = 0.3
     steps = records._steps[-1]
     steps["error_move"] = errors[steps["k"].to_numpy(dtype=int)]
     records._runs[-1]["error_move_max"] = 0.3
-    counted = ", above the limit in 54 of 450 steps"
+    counted = ", above the limit in 54 of 450 steps, first at step 7"
     assert f"in the replay of paper{counted}." in records.ending()["solvers"]
 
 

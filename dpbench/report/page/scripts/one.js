@@ -65,10 +65,11 @@ function notKept() {
 // How many steps are inaccurate, failed, or reported as solved but not verified, in any round; ""
 // where none is.
 function wrongOf(run) {
-  // Of a replay the failures are those of all rounds.
+  // Of a replay the false claims are those of all rounds.
   const once = run.answers === run.steps, were = (count) => (count === 1 ? "was" : "were");
-  const found = [[run.inaccurate ?? 0, "step", (count) => `${were(count)} inaccurate`], 
-    [run.failed, once ? "step" : "answer", (count) => `failed${run.first_failed === null ? "" : ` (${count === 1 ? "" : "first "}at step ${run.first_failed})`}`],
+  const at = (first, count) => ((first ?? -1) < 0 ? "" : ` (${count === 1 ? "" : "first "}at step ${first})`);
+  const found = [[run.inaccurate ?? 0, "step", (count) => `${were(count)} inaccurate${at(run.first_inaccurate, count)}`],
+    [run.failed, "step", (count) => `failed${at(run.first_failed, count)}`],
     [run.untrue, once ? "step" : "answer", (count) => `${were(count)} reported as solved but not verified${once ? "" : ` (of ${grouped(run.answers)})`}`]]
     .filter(([count]) => count !== 0)
     .map(([count, word, what], i) => `${i ? grouped(count) : many(count, word)} ${what(count)}`);
