@@ -22,7 +22,7 @@ def draw_instructions(table: pd.DataFrame) -> Any:
     titles = {"group": "sequence and core", "k": "index of the worst step"}
     numbers = (("p50", "median"), ("p99", "p99"), ("worst", "worst step"))
     tips = [
-        style.tooltip("label:N", "solver"),
+        style.tooltip("label:N", "solver and steps"),
         style.tooltip("group:N", titles["group"]),
         *(alt.Tooltip(f"{name}:Q", title=title, format=",.0f") for name, title in numbers),
         style.tooltip("k:N", titles["k"]),

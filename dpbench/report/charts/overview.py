@@ -379,7 +379,10 @@ def _draw_limits(deadline_ms: float, p99_ms: float) -> Iterator[Any]:
             aside["align"] = alt.ExprRef(f"{near} ? 'center' : 'left'")
             aside["dx"] = alt.ExprRef(f"{near} ? 0 : 5")
         yield chart.mark_text(dy=4, color=colour, **aside, **words).encode(
-            x=f"{name}:Q", y=alt.value("height"), text=alt.Text("text:N")
+            x=f"{name}:Q",
+            y=alt.value("height"),
+            text=alt.Text("text:N"),
+            description=alt.Description("text:N"),
         )
     looks: dict[str, Any] = {"align": "left", "dy": 20, "color": style.SOFT, "aria": False}
     whiskers = style.inline_chart({}).mark_text(**looks, **words)

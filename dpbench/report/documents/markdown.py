@@ -319,7 +319,8 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
         )
     for name, found in (("largest p99", worst), ("longest step", hardest)):
         if any(found[label] != usual[label] for label in found):
-            yield f"The {name} is {_most_and_others(found, 'in')}."
+            alike = " for all configurations" * (len({*found.values()}) == 1 < len(found))
+            yield f"The {name} is {_most_and_others(found, 'in')}{alike}."
     own = {
         f"`{v.configuration.solver}` {v.configuration.settings}: {v.configuration.options_text}"
         for v in verdicts
