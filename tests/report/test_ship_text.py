@@ -440,6 +440,20 @@ def test_the_largest_and_the_last_offset_after_a_loss_are_stated(records: Any) -
     ) in _summary(records).text
 
 
+@pytest.mark.parametrize(("swing_m", "is_named"), [(0.5, True), (0.499, False), (0.0, False)])
+def test_an_undamped_swing_after_a_loss_is_named(
+    records: Any, swing_m: float, is_named: bool
+) -> None:
+    """A range of 0.5 m is a tenth of the station's radius of 5 m."""
+    after = {"exact_loss_offset_max_m": 2.5, "exact_loss_heading_max_deg": 1.25}
+    records.loop("daqp", "thrusters_loss", exact_loss_swing_m=swing_m, **after)
+    summary = _summary(records)
+    said = "At the end of `thrusters_loss`, the ship has not settled."
+    assert (said in summary.headline) == is_named
+    ending = "heading error 0.0100°; the ship still swings by 0.500 m, undamped."
+    assert (ending in summary.details) == is_named
+
+
 def test_weather_from_one_direction_is_named_with_it(records: Any) -> None:
     """Wind and waves of `weather` come from 40°, its current goes to 220°; `paper` has none."""
     records.loop("daqp", "weather")

@@ -155,6 +155,7 @@ class RunRecord:
     exact_heading_end_deg: float
     exact_loss_offset_max_m: float
     exact_loss_heading_max_deg: float
+    exact_loss_swing_m: float
     exact_left_s: float
     exact_transfer_offset_max_m: float
     exact_transfer_s: float

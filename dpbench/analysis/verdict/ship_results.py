@@ -82,12 +82,20 @@ class ShipResult:
         return is_noticed and self._is_growing_to(largest_m)
 
     @property
+    def has_undamped_swing(self) -> bool:
+        """True if the ship still swings at the end as far as since a loss, and that is noticed."""
+        return self.run.exact_loss_swing_m >= NOTICED_SHARE * self.run.station_radius_m
+
+    @property
     def is_unsettled(self) -> bool:
-        """True if the offset grows until the end of the run, after a loss to its largest since."""
+        """True if the offset grows until the end of the run, after a loss to its largest since.
+
+        True also for an undamped swing.
+        """
         after_loss_m = self.run.exact_loss_offset_max_m
         largest_m = self.run.exact_offset_max_m if math.isnan(after_loss_m) else after_loss_m
         is_noticed = largest_m >= SETTLED_SHARE * self.run.station_radius_m
-        return is_noticed and self._is_growing_to(largest_m)
+        return self.has_undamped_swing or (is_noticed and self._is_growing_to(largest_m))
 
     def _is_growing_to(self, largest_m: float) -> bool:
         """Return whether a run ends near its largest offset, which lies late, and moving outward.
@@ -169,6 +177,7 @@ SHIP_COLUMNS = (
     *("exact_steps", "station_radius_m", "exact_left_s", "exact_offset_max_m"),
     *("exact_offset_max_s", "exact_offset_end_m", "exact_heading_max_deg"),
     *("exact_heading_end_deg", "exact_loss_offset_max_m", "exact_loss_heading_max_deg"),
+    "exact_loss_swing_m",
     *("exact_offset_rise_m", "exact_transfer_offset_max_m", "exact_transfer_s"),
     "exact_active_share",
 )

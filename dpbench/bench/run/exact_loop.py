@@ -52,6 +52,8 @@ DRIFT = 1.0
 """Growth of a distance, in multiples of the limits, that is no part of a transfer."""
 RISE_S = 10.0
 """Time at the end of a loop, at full size, over which the change of the offset is its trend."""
+UNDAMPED_SHARE = 0.9
+"""Share of the swing since a loss from which on the swing at the end counts as undamped."""
 
 
 StepReport = Callable[[int, int], None]
@@ -417,6 +419,7 @@ def compute_station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) ->
         "exact_heading_end_deg": float(heading[-1]),
         "exact_loss_offset_max_m": _largest(offset[after_loss]),
         "exact_loss_heading_max_deg": _largest(heading[after_loss]),
+        "exact_loss_swing_m": _measure_undamped_swing_m(scenario, exact.state[: K + 1], after_loss),
         "exact_left_s": float(np.argmax(left)) * scenario.sample_s if left.any() else np.nan,
         "exact_transfer_offset_max_m": _largest(offset[~arrived]),
         "exact_transfer_s": _find_transfer_end(distance, arrived) * scenario.sample_s,
@@ -427,6 +430,19 @@ def compute_station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) ->
 def _largest(values: Vector) -> float:
     """Return the largest of some values; NaN without any."""
     return float(values.max()) if len(values) else np.nan
+
+
+def _measure_undamped_swing_m(scenario: Scenario, state: Matrix, after_loss: Flags) -> float:
+    """Return the range [m] of a ship's position north or east in the last third since a loss.
+
+    0 where that is less than `UNDAMPED_SHARE` of the range since the loss. NaN without a loss.
+    after_loss : (K + 1,).
+    """
+    position = (state[:, POSE] - scenario.build_reference_table(len(state)))[after_loss, :2]
+    if not len(position):
+        return np.nan
+    swing_m = float(np.ptp(position[2 * len(position) // 3 :], axis=0).max())
+    return swing_m if swing_m >= UNDAMPED_SHARE * np.ptp(position, axis=0).max() else 0.0
 
 
 def _find_transfer_end(distance: Vector, arrived: Flags) -> float:

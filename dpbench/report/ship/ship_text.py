@@ -319,6 +319,9 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
         ending = f". {end.capitalize()}, the offset is {last[0]} and the heading error {last[1]}"
         if ship.is_unsettled and last == largest:
             ending = f", both {end}"
+        if ship.has_undamped_swing:
+            swing = significant(run.exact_loss_swing_m)
+            ending += f"; the ship still swings by {swing} m, undamped"
         yield (
             f"After the loss of {what} in `{ship.name}`, the largest offset is {largest[0]} and "
             f"the largest heading error {largest[1]}{ending}."

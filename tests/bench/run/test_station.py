@@ -150,6 +150,26 @@ def test_when_a_ship_has_arrived(
     np.testing.assert_array_equal(found, np.array(arrived, dtype=bool))
 
 
+@pytest.mark.parametrize(
+    ("since_loss", "swing_m"),
+    [
+        ([0, 1, -1, 1, -1, 1, -1, 1, -1], 2.0),
+        ([0, 1, -1, 1, -1, 1, -0.9, 0.9, -0.9], 1.8),
+        ([0, 1, -1, 1, -1, 1, -0.89, 0.89, -0.89], 0.0),
+        ([0, 1, -1, 1, -1, 1, 1, 1, 1], 0.0),
+        ([0, 1, 2, 3, 3, 3, 3, 3, 3], 0.0),
+        ([], np.nan),
+    ],
+)
+def test_a_swing_that_does_not_decay_after_a_loss(since_loss: list[float], swing_m: float) -> None:
+    """From 1 m east to 1 m west: of the last three samples nine tenths are left, or fewer."""
+    faults = [{"at_s": 1.2, "limit_share": [1.0, 0.5, 1.0]}]
+    lossy = copy_scenario_with_values(load_scenario("calm"), {"faults": faults}, "a loss")
+    east = [4.0, 0.0, 0.0, 0.0, *since_loss]
+    found = compute_station_metrics(lossy, loop_along(lossy, east), len(east) - 1)
+    assert found["exact_loss_swing_m"] == pytest.approx(swing_m, nan_ok=True)
+
+
 def test_offsets_after_a_loss_count_from_it_on() -> None:
     """Four samples at rest, a loss at the fifth, and 3 m off at most; nothing without a loss."""
     calm = load_scenario("calm")
