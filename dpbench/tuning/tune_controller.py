@@ -31,7 +31,11 @@ from dpbench.report.formats import join_with_and, plural, significant
 from dpbench.scenario.own_ship import DP_NUMBERS, make_environment_of_dp_number
 from dpbench.scenario.problem_files import read_toml_as_dict
 from dpbench.scenario.scenario import Scenario, load_scenario
-from dpbench.scenario.variation import copy_scenario_with_values, write_scenario_and_own_ship_files
+from dpbench.scenario.variation import (
+    copy_scenario_with_values,
+    format_as_toml,
+    write_scenario_and_own_ship_files,
+)
 from dpbench.ship.environment import WeatherDraw
 from dpbench.ship.plant import SUBSTEPS
 from dpbench.solvers.contract import Options
@@ -223,6 +227,7 @@ class ControllerTuning:
     """Result of a search: all trials, the chosen one, and scores in fresh realisations.
 
     fresh, own_fresh : of the chosen controller and of the scenario's own.
+    suite : runs the tuned scenarios; None before it is written.
     """
 
     trials: Sequence[Trial[LoopScore]]
@@ -232,6 +237,7 @@ class ControllerTuning:
     margin: float
     seas: str
     paths: Sequence[Path]
+    suite: Path | None = None
 
     @property
     def trial_of_own_controller(self) -> Trial[LoopScore]:
@@ -273,6 +279,7 @@ class ControllerTuning:
             *(f"wrote {path}" for path in self.paths),
             "Limits of this result:",
             *NO_PROMISE,
+            *([f"next: dpbench run {self.suite} --solver {SOLVER}"] if self.suite else []),
         ]
 
 
@@ -403,10 +410,17 @@ def _write_tuning(
     """Write tuned scenarios, table of trials and figure; return the result with their paths."""
     comment = "\n".join(("Controller found by `dpbench tune`.", *tuning.lines))
     paths: dict[Path, None] = {}
+    files: list[Path] = []
     for base in bases:
-        changed = change_controller(base, tuning.chosen.options)
-        file = folder / f"{base.name.replace('@', '_')}_tuned.toml"
-        paths |= dict.fromkeys(write_scenario_and_own_ship_files(changed.files, file, comment))
+        changed = change_controller(base, tuning.chosen.options).files
+        changed["scenario"]["title"] += ", tuned"
+        files.append(folder / f"{base.name.replace('@', '_')}_tuned.toml")
+        paths |= dict.fromkeys(write_scenario_and_own_ship_files(changed, files[-1], comment))
+    suite = folder / "tuned_suite.toml"
+    ship = next((path.name for path in paths if path not in files), bases[0].files["vessel_name"])
+    names = [file.name for file in files]
+    write_text_atomically(suite, format_as_toml(_make_suite(bases, names, ship)))
+    paths[suite] = None
     table = tuning.table
     write_text_atomically(folder / "tune.csv", table.to_csv(index=False))
     drawn = table[["share", "wear_per_h", "kind"]].copy()
@@ -417,8 +431,41 @@ def _write_tuning(
         drawn, f"{join_with_and([base.name for base in bases])}: offset and wear", tuning.margin
     )
     figure = save_figure(chart, folder / "front.svg")
-    fields: dict[str, Any] = vars(tuning) | {"paths": [*paths, folder / "tune.csv", figure]}
+    fields: dict[str, Any] = vars(tuning) | {
+        "paths": [*paths, folder / "tune.csv", figure],
+        "suite": suite,
+    }
     return ControllerTuning(**fields)
+
+
+def _make_suite(bases: Sequence[Scenario], names: Sequence[str], ship: str) -> dict[str, Any]:
+    """Return a suite of the tuned scenarios at `names`: closed loops and a replay of the first.
+
+    For a ship with thrusters also its capability plot, and with commanded thrusters a consequence
+    analysis in the 100 steps before the loss, as in a suite of `dpbench init`.
+    """
+    first, vessel = bases[0], bases[0].files["vessel"]
+    replays: list[dict[str, Any]] = [{"scenario": names[0]}]
+    lossy = [(base, name) for base, name in zip(bases, names, strict=True) if _find_loss(base)]
+    if lossy and first.files["scenario"]["controller"].get("kind") in ("thrusters", "cascade"):
+        before = {"first": max(0, _find_loss(lossy[0][0]) - 100), "steps": 100}
+        replays.append({"scenario": lossy[0][1], "consequence": True} | before)
+    has_plot = vessel.get("thrusters") and vessel.get("capability")
+    ms = round(1000.0 * first.sample_s, 6)
+    return {
+        "title": f"{join_with_and([base.name for base in bases])}, tuned",
+        "requirements": {"p99_ms": round(0.01 * ms, 6), "deadline_ms": ms},
+        "closed_loop": [{"scenarios": list(names)}],
+        "replay": replays,
+        **({"capability": [{"vessel": ship}]} if has_plot else {}),
+    }
+
+
+def _find_loss(scenario: Scenario) -> int:
+    """Return the step at which a scenario first loses thrusters; 0 if it never does."""
+    faults = scenario.files["scenario"].get("faults") or ()
+    lost_s = [fault["at_s"] for fault in faults if fault.get("lost")]
+    return round(min(lost_s, default=0.0) / scenario.sample_s)
 
 
 def _find_scenario_of_ship(scenario: str | Path) -> str | Path:

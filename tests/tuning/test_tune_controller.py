@@ -1,6 +1,7 @@
 """`dpbench tune` from its arguments to the scenario it writes."""
 
 import csv
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,25 @@ def test_several_scenarios_are_written_with_one_controller(
     assert second["environment"]["wind"] is None and first["environment"]["wind"]
 
 
+@pytest.mark.slow
+def test_a_suite_runs_the_tuned_scenarios_as_a_suite_of_init(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`thrusters_loss` loses a board at 90 s, step 300: the analysis is of the 100 steps before."""
+    command = ["tune", "thrusters_loss", "--trials", "1", "--steps", "5", "--realisations", "1"]
+    assert main([*command, "--out", str(tmp_path)]) in (0, 1)
+    said = "".join(capsys.readouterr().out.split())
+    suite = tmp_path / "tuned_suite.toml"
+    assert f"next:dpbenchrun{suite}--solverpaper_active_set" in said
+    plan = tomllib.loads(suite.read_text())
+    assert plan["closed_loop"] == [{"scenarios": ["thrusters_loss_tuned.toml"]}]
+    assert plan["replay"][1]["first"] == 200 and plan["replay"][1]["steps"] == 100
+    assert plan["capability"] == [{"vessel": "ratownik"}]
+    title = load_scenario(tmp_path / "thrusters_loss_tuned.toml").files["scenario"]["title"]
+    assert title == f"{load_scenario('thrusters_loss').files['scenario']['title']}, tuned"
+    assert main(["check", str(suite)]) == 0
+
+
 @pytest.mark.parametrize(
     ("other", "message"),
     [
@@ -174,6 +194,7 @@ def test_a_controller_is_found_tried_anew_and_written(
     assert table["prediction_horizon"] == int(chosen["prediction_horizon"])
     assert table["output_weight"][2] == pytest.approx(3000.0 * float(chosen["heading_weight"]))
     own.files["scenario"].pop("controller")
+    own.files["scenario"]["title"] += ", tuned"
     assert found.files["scenario"] == own.files["scenario"]
     assert "<svg" in (tmp_path / "front.svg").read_text()
     kept = tmp_path / "trials.jsonl"
