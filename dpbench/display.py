@@ -30,7 +30,7 @@ def make_html_field_table(title: str, fields: Mapping[str, object]) -> str:
 
 def format_numbers_with_units(numbers: Iterable[float], units: Sequence[str] = ()) -> str:
     """Format numbers to four digits, separated by commas, each with its unit."""
-    texts = [f"{number:.4g}" for number in numbers]
+    texts = [f"{number:,.4g}".replace(",", "\u202f") for number in numbers]
     if units:
         texts = [f"{text} {unit}" for text, unit in zip(texts, units, strict=True)]
     return ", ".join(texts)

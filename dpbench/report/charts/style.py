@@ -162,8 +162,14 @@ _WORDS: dict[str, Any] = {
 }
 
 
-_NUMBERS = {"decimal": ".", "thousands": "\u202f", "grouping": [3], "currency": ["", ""]}
-"""Format of numbers: thin spaces between thousands, as in texts."""
+_NUMBERS = {
+    "decimal": ".",
+    "thousands": "\u202f",
+    "grouping": [3],
+    "currency": ["", ""],
+    "percent": " %",
+}
+"""Format of numbers: thin spaces between thousands and a space before %, as in texts."""
 
 
 def set_style(chart: Any, title: str, description: str) -> Any:

@@ -160,7 +160,7 @@ def test_choices_are_those_of_the_rows(records: Any) -> None:
     topic = build_paper_topic(records.view())
     assert topic is not None and dict(topic.tables[1].rows) == found
     assert found["Q"].startswith("diag(1, 1, 100)")
-    assert found["disturbance, amplitude"].startswith("100, 80, 3000")
+    assert found["disturbance, amplitude"].startswith("100, 80, 3\u202f000")
 
 
 def test_a_claim_takes_the_whole_scenario(records: Any) -> None:
