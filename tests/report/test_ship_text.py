@@ -450,7 +450,7 @@ def test_an_undamped_swing_after_a_loss_is_named(
     summary = _summary(records)
     said = "At the end of `thrusters_loss`, the ship has not settled."
     assert (said in summary.headline) == is_named
-    ending = "heading error 0.0100°; the ship still swings by 0.500 m, undamped."
+    ending = "heading error 0.0100°; the ship still swings by 0.500 m, without decay."
     assert (ending in summary.details) == is_named
 
 

@@ -371,12 +371,14 @@ def _list_files_and_commands(
         indent = INDENT if remark.startswith(INDENT) else ""
         lines += textwrap.wrap(remark, WIDTH, subsequent_indent=2 * indent)
     wind_mps = scaling.DP_NUMBERS[number][0]
-    sea = f"sea: DP capability number {number}, wind {wind_mps:g} m/s"
+    from_deg = scaling.FROM_DEG if held is None else held.from_deg
+    sea = f"sea: DP capability number {number}, wind {wind_mps:g} m/s from {from_deg:g}°"
     mean = f"{sea}. The mean force of level 1 needs {100 * share:.0f} % of {whole}"
     if vessel.thrusters is not None:
         edge = f"{100 * scaling.SPARE:.0f} % ({MISCELLANEOUS:g} / {DYNAMIC_FACTOR:g})"
         mean += f"; at most {edge} is allowed"
-    lines += textwrap.wrap(f"{mean}.", WIDTH)
+    turn = "For another direction, edit from_deg and towards_deg in the scenario files."
+    lines += textwrap.wrap(f"{mean}. {turn}", WIDTH)
     if share > 1.0:
         forces = "--sway-thrust, --yaw-moment" if vessel.thrusters is None else "--thrusters"
         smaller = " or choose a smaller sea (--sea)" if number > 1 else ""

@@ -321,7 +321,7 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
             ending = f", both {end}"
         if ship.has_undamped_swing:
             swing = significant(run.exact_loss_swing_m)
-            ending += f"; the ship still swings by {swing} m, undamped"
+            ending += f"; the ship still swings by {swing} m, without decay"
         yield (
             f"After the loss of {what} in `{ship.name}`, the largest offset is {largest[0]} and "
             f"the largest heading error {largest[1]}{ending}."
