@@ -507,8 +507,8 @@ def test_the_sea_comes_from_the_side_of_the_bow_from_which_less_is_held(
     said = " ".join(capsys.readouterr().out.split())
     assert (
         f"sea: DP capability number 5, wind 10.7 m/s from {330 if port > 0 else 30}°. The mean "
-        "force of level 1 needs 28 % of the thrust; at most 72 % (0.9 / 1.25) is allowed. For another "
-        "direction, edit from_deg and towards_deg in the scenario files."
+        "force of level 1 needs 28 % of the thrust; at most 72 % (0.9 / 1.25) is allowed. For "
+        "another direction, edit from_deg and towards_deg in the scenario files."
     ) in said
     assert ("wind from 330°: the thrusters hold less from port." in said) == (port > 0)
     for file in FILES[1:3]:
