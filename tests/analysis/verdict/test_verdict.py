@@ -570,7 +570,7 @@ def test_few_steps_state_the_ratio_and_no_more(records: Any, median_us: float) -
     )
     assert found.finding_text == "too few steps"
     said = describe_paired_times([found])
-    assert said.startswith("1.01 times" if median_us < 21.0 else "2260 times")
+    assert said.startswith("1.01 times" if median_us < 21.0 else "2\u202f260 times")
     assert said.endswith(
         "(geometric mean of 40 steps, no interval: fewer than 500 in each sequence)"
     )
