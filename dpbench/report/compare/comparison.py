@@ -409,11 +409,12 @@ def compare(
     figures = compare_accuracy_and_control(*views, pairs.pairs, margin)
     verdicts = find_verdict_changes(*views, pairs)
     warnings = [summarise_ships(find_ship_results(view)).warning for view in views]
-    lines = [f"{name}: {text}" for name, text in zip("AB", warnings, strict=True) if text]
+    lines = [*_describe_verdict_changes(verdicts), *_describe_worse(figures)]
+    lines += [f"{name}: {text}" for name, text in zip("AB", warnings, strict=True) if text]
     lines += [f"A: {describe_folder(str(a), views[0])}", f"B: {describe_folder(str(b), views[1])}"]
     lines += filter(None, [describe_code_difference(*views)])
     lines += [f"another machine: they differ in {join_with_and(differ)}"] if differ else []
-    lines += [*wording, *_make_summary_lines(compared, shared, figures, pairs, verdicts)]
+    lines += [*wording, *_make_summary_lines(compared, shared, figures, pairs)]
     changed = make_changes_table(figures, margin)
     tables = [make_solvers_table(compared, figures)] if compared or figures else []
     tables += [make_times_table(compared, margin, alpha, reference=solver)] if compared else []
@@ -457,11 +458,9 @@ def _make_summary_lines(
     shared: list[SharedFactor],
     figures: list[FigureChange],
     pairs: Pairs,
-    changed_verdicts: list[VerdictChange],
 ) -> list[str]:
     """Return lines that sum up a comparison: cells, step times, answers and unpaired runs."""
     lines = [f"{plural(len(pairs.pairs), 'cell')} compared", *describe_changed_options(pairs)]
-    lines += _describe_verdict_changes(changed_verdicts)
     verdicts = Counter(c.assessment.verdict for c in compared)
     if compared:
         lines.append(
@@ -495,3 +494,11 @@ def _describe_verdict_changes(changes: Sequence[VerdictChange]) -> list[str]:
     kinds = Counter(f"{change.a.state} → {change.b.state}" for change in changes)
     counts = ", ".join(f"{n} {kind}" for kind, n in kinds.items())
     return [f"verdicts changed: {counts}"] if changes else []
+
+
+def _describe_worse(figures: Sequence[FigureChange]) -> list[str]:
+    """Return a line that counts the metrics that are worse and gives the first; or none."""
+    worse = [figure for figure in figures if figure.change == "worse"]
+    if not worse:
+        return []
+    return [f"worse: {plural(len(worse), 'metric')}, first {describe_change(worse[0])}"]

@@ -326,6 +326,7 @@ def test_figures_of_accuracy_and_control(make: Make, change: Any, figures: set[s
         assert set(changed["figure"]) == figures
         assert set(changed["change"]) <= {word}
         assert found.worse is (bool(figures) and word == "worse")
+        assert any(line.startswith("worse: ") for line in found.lines[:2]) is found.worse
 
 
 @pytest.mark.slow
@@ -680,7 +681,7 @@ def test_changed_verdicts_are_listed_and_unchanged_ones_are_not(tmp_path: Path) 
             one.replay(solver, median_us=own_us, spread=0.1)
         one.write(tmp_path / name)
     found = compare(tmp_path / "a", tmp_path / "b")
-    assert "verdicts changed: 1 pass → late" in found.lines
+    assert found.lines[0] == "verdicts changed: 1 pass → late"
     (table,) = (t for t in found.tables if t.title == "Verdicts that changed")
     ((*cells, reason),) = table.rows
     assert cells == ["daqp (qpsolvers fresh)", "pass", "late"]
