@@ -289,8 +289,8 @@ COMMANDS: dict[str, CommandHelp] = {
         "Search for a solver's fastest accurate settings",
         options.add_tune_solver_options,
         ("tune-solver osqp", "tune-solver 'osqp[rho=1.6]' --range 'rho=[0.1,10]'"),
-        f"0 settings found; 1 none is accurate on every training sequence; {_BUSY}; "
-        "130 interrupted",
+        "0 settings found; 1 none is accurate on every training sequence, or the best fail in the "
+        f"test; {_BUSY}; 130 interrupted",
         "Search in N trials for the fastest settings of a solver that are accurate on the training "
         "sequences. Measure the best settings found (not a proven optimum) on test sequences of "
         "other loops. Ctrl-C writes the best settings so far; the same command continues the "

@@ -483,7 +483,7 @@ def _tune_solver(arguments: argparse.Namespace) -> int:
     print_wrapped(tuning.lines)
     if tuning.is_interrupted:
         return _print_interrupted(arguments)
-    return 0 if tuning.path is not None else 1
+    return 0 if tuning.is_successful else 1
 
 
 def _generate_controller(arguments: argparse.Namespace) -> None:

@@ -76,8 +76,10 @@ def make_tabular(table: pd.DataFrame) -> str:
     r"""Return a table as a LaTeX `tabular` with the rules of `booktabs`, one line a row.
 
     Numbers have three digits, with trailing zeros, and stand to the right; a column of whole
-    numbers has no decimals. Speed margins are rounded down, as on the page. A missing value is an
-    empty cell. Heads are column names with spaces and the unit in brackets.
+    numbers has no decimals. If one number of a column needs a power of ten, all have one. The
+    values of a solver's options are as in its settings. Speed margins are rounded down, as on the
+    page. A missing value is an empty cell. Heads are column names with spaces and the unit in
+    brackets.
 
     Examples
     --------
@@ -94,6 +96,8 @@ def make_tabular(table: pd.DataFrame) -> str:
     align = "".join("r" if _has_only_numbers(table[name]) else "l" for name in table)
     heads = (escape_latex(make_table_head(str(name))) for name in table)
     whole = [_has_only_whole_numbers(table[name]) for name in table]
+    has_powers = [_has_powers_of_ten(table[name]) for name in table]
+    are_options = [_is_option_column(str(name)) for name in table]
     are_margins = [str(name).partition("_")[0] == "margin" for name in table]
     rows = [
         [
@@ -102,9 +106,14 @@ def make_tabular(table: pd.DataFrame) -> str:
                 if is_whole and pd.notna(value)
                 else _round_margin_down(value)
                 if is_margin
-                else value
+                else f"{value:g}"
+                if is_option and isinstance(value, float) and pd.notna(value)
+                else value,
+                in_powers=in_powers,
             )
-            for value, is_whole, is_margin in zip(row, whole, are_margins, strict=True)
+            for value, is_whole, is_margin, in_powers, is_option in zip(
+                row, whole, are_margins, has_powers, are_options, strict=True
+            )
         ]
         for row in table.itertuples(index=False, name=None)
     ]
@@ -130,8 +139,9 @@ def make_table_head(name: str) -> str:
     """
     if name in _HEAD_NAMES or _COLUMN_NAME.fullmatch(name) is None:
         return _HEAD_NAMES.get(name, name)
-    if "." in name:
-        name = name.removeprefix("x_")  # the key of a study
+    if _is_option_column(name):
+        return name.removeprefix("x_")
+    name = name.removeprefix("x_")  # the key of a study
     stem, _, end = name.rpartition("_")
     if end not in ("low", "high") or stem.rpartition("_")[2] not in _UNITS:
         stem, end = name, ""
@@ -140,6 +150,11 @@ def make_table_head(name: str) -> str:
         words, unit = stem, ""
     ending = (f", {end}" if end else "") + (f" [{_UNITS[unit]}]" if unit else "")
     return words.replace("_", " ") + ending
+
+
+def _is_option_column(name: str) -> bool:
+    """Return whether a column has the values of a solver's option, as `x_eps_abs`."""
+    return name.startswith("x_") and "." not in name
 
 
 def _has_only_numbers(column: pd.Series) -> bool:
@@ -155,12 +170,20 @@ def _has_only_whole_numbers(column: pd.Series) -> bool:
     return bool(len(known)) and bool(((known % 1.0 == 0.0) & (known.abs() < 1e7)).all())
 
 
-def format_latex_cell(value: object) -> str:
+def _has_powers_of_ten(column: pd.Series) -> bool:
+    """Return whether a number of a column is written as a power of ten."""
+    if not _has_only_numbers(column):
+        return False
+    known = column.dropna().astype(float).abs()
+    return any(r"\cdot" in _format_number(value) for value in known)
+
+
+def format_latex_cell(value: object, *, in_powers: bool = False) -> str:
     """Format a value as a cell of LaTeX: a float to three digits, anything else as text."""
     if value is None or value is pd.NA or value != value:  # NaN alone differs from itself
         return ""
     if isinstance(value, Real) and not isinstance(value, Integral):
-        return _format_number(float(value))
+        return _format_number(float(value), in_powers=in_powers)
     return escape_latex(str(value))
 
 
@@ -174,14 +197,17 @@ def escape_latex(text: str) -> str:
     return "".join((*parts, text[end:].translate(_ESCAPES)))
 
 
-def _format_number(value: float) -> str:
-    """Return a number as LaTeX of three digits, without exponent from 1e-4 to 1e7; 0 as it is."""
+def _format_number(value: float, *, in_powers: bool = False) -> str:
+    """Return a number as LaTeX of three digits; 0 as it is.
+
+    It has no exponent from 1e-4 to 1e7, unless it stands `in_powers` of ten.
+    """
     if abs(value) == float("inf"):
         return r"$\infty$" if value > 0.0 else r"$-\infty$"
     if value == 0.0:
         return "0"
     rounded = float(f"{value:.{_DIGITS}g}")
-    if not 1e-4 <= abs(rounded) < 1e7:
+    if in_powers or not 1e-4 <= abs(rounded) < 1e7:
         return _format_power_of_ten(f"{value:.{_DIGITS - 1}e}")
     decimals = max(0, _DIGITS - 1 - math.floor(math.log10(abs(rounded))))
     text = f"{rounded:.{decimals}f}"

@@ -85,4 +85,6 @@ def tabulate_settings_grids(verdicts: Verdicts) -> pd.DataFrame:
                     "p99_us": verdict.p99_ns / 1e3,
                 }
             )
-    return pd.DataFrame(rows) if rows else pd.DataFrame(columns=COLUMNS)
+    table = pd.DataFrame(rows, columns=None if rows else COLUMNS)
+    varied_columns = [name for name in table if name not in COLUMNS]
+    return table[[*COLUMNS[:5], *varied_columns, *COLUMNS[5:]]]

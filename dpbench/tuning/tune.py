@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.times.machine import sum_disturbances
 from dpbench.analysis.verdict.requirements import (
     LATE,
     Finding,
@@ -24,6 +25,7 @@ from dpbench.analysis.verdict.requirements import (
 from dpbench.bench.plan.run_request import NO_P99
 from dpbench.bench.progress import Progress, Silent
 from dpbench.files.regular_files import write_text_atomically
+from dpbench.report.commands_text import describe_machine_states
 from dpbench.report.formats import (
     Table,
     format_error,
@@ -95,6 +97,12 @@ class TunedRole:
                 ratio = significant(score_runs(best, runs, requirements).ratio)
                 parts.append(f"{ratio} times the step time of {name}{known}")
         return "; ".join(parts)
+
+    def passes(self, requirements: Requirements) -> bool:
+        """Return whether the best settings are accurate and in time on all sequences."""
+        best = self.runs[BEST]
+        is_right = all(is_right_on_every_step(run, requirements) for run in best)
+        return is_right and not any(self.measured.find_late(run) for run in best)
 
     def describe_failed_steps(self) -> Iterator[str]:
         """Yield a line on the failed steps of each run that has some, with the reason."""
@@ -217,7 +225,27 @@ class Tuning:
             self.solver.name, self.solver.route, self.solver.policy, self.best.options
         )
         with_code = " (with the library's own call in Python)" if code else ""
-        return [*lines, f"settings: {self.path}{with_code}{runs}"]
+        lines += [*self._machine, f"settings: {self.path}{with_code}{runs}"]
+        if failed := join_with_and([role.title for role in self._failed_roles]):
+            lines.append(f"the best settings fail on the {failed} sequences: do not use them")
+        return lines
+
+    @property
+    def is_successful(self) -> bool:
+        """Whether settings were found that pass on the training and the test sequences."""
+        return self.path is not None and not self._failed_roles
+
+    @property
+    def _failed_roles(self) -> list[TunedRole]:
+        """The training or test sequences on which the best settings are inaccurate or late."""
+        return [role for role in self.roles if not role.passes(self.solver.requirements)]
+
+    @property
+    def _machine(self) -> list[str]:
+        """Line on what disturbed the last comparison; none where that is not known."""
+        runs = [run for role in self.roles for own in role.runs.values() for run in own]
+        known = sum_disturbances(runs).seconds > 0
+        return [f"machine: {describe_machine_states(runs)}"] if known else []
 
     @property
     def _measured(self) -> list[str]:

@@ -87,6 +87,7 @@ def test_speed_margins_are_rounded_down() -> None:
         ("p_differs", "p-value"),
         ("x_environment.wind.speed_mps", "environment.wind.speed [m/s]"),
         ("x_start.east_m", "start.east [m]"),
+        ("x_eps_abs", "eps_abs"),
         ("r_95_m", "r 95 [m]"),
         ("low", "low"),
         ("tau_x_N", "tau x [N]"),
@@ -95,3 +96,12 @@ def test_speed_margins_are_rounded_down() -> None:
 )
 def test_a_head_has_its_unit_at_the_end(name: str, head: str) -> None:
     assert make_table_head(name) == head
+
+
+def test_a_column_has_one_notation_and_an_option_that_of_its_settings() -> None:
+    table = pd.DataFrame({"x_rho": [0.1, 1e-6], "error": [3.28e-4, 9.55e-15]})
+    rows = [line for line in make_tabular(table).splitlines() if "cdot" in line]
+    assert rows == [
+        r"0.1 & $3.28\cdot 10^{-4}$ \\",
+        r"$10^{-6}$ & $9.55\cdot 10^{-15}$ \\",
+    ]

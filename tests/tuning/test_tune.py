@@ -138,12 +138,14 @@ def _late_p95(run: RunRecord) -> list[Finding]:
 def test_a_best_that_is_late_says_where_and_by_which_percentile(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In the table, on training and test sequences, and in the file; a p95 is called a p95."""
+    """In the table, on training and test sequences, in the file, the last line and exit code."""
     monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=0, fault=_late_p95))
     monkeypatch.setattr(tune, "find_step_of_largest_error", lambda *_: 0)
     words = "--train calm --test move --steps 75 --trials 3"
-    assert main(["tune-solver", "osqp", *words.split(), "--out", str(tmp_path)]) == 0
+    assert main(["tune-solver", "osqp", *words.split(), "--out", str(tmp_path)]) == 1
     out = capsys.readouterr().out
+    failed = "the best settings fail on the training and test sequences: do not use them"
+    assert out.splitlines()[-1] == failed
     shown, text = " ".join(out.split()), (tmp_path / "tuned.toml").read_text()
     rows = [row for row in out.splitlines() if "│ best " in row]
     assert [row.split("│")[-1].strip() for row in rows] == ["late", "late"]
@@ -415,8 +417,10 @@ def test_settings_are_found_measured_and_written(
     monkeypatch.chdir(tmp_path)
     words = "--train calm-60-10 --test move-60-10 --trials 16 --range max_iter=[1,4000] --out out"
     command = ["tune-solver", "osqp", *words.split(), "--range", "eps_abs=[1e-8,1e-3]"]
-    assert main(command) == 0
+    code = main(command)
     said = capsys.readouterr().out
+    failed = "the best settings fail on the test sequences: do not use them"
+    assert code == (said.splitlines()[-1] == failed)
     options = tomllib.loads(Path("out/tuned.toml").read_text())["settings"]["tuned"]["osqp"]
     assert set(options) == {"max_iter", "eps_abs"}
     assert f"max_iter={options['max_iter']}" in said
@@ -440,7 +444,7 @@ def test_settings_are_found_measured_and_written(
     assert "about 0 s on this machine, estimated from finished batches" in forecast
     # The same command goes on where it ended: nothing is run again.
     before = {path: path.stat().st_mtime_ns for path in Path("out").rglob("runs.parquet")}
-    assert main(command) == 0
+    assert main(command) == code
     assert before == {path: path.stat().st_mtime_ns for path in Path("out").rglob("runs.parquet")}
 
 
