@@ -23,6 +23,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 from dpbench.bench.estimate import format_duration
@@ -203,20 +204,23 @@ def measure_by_turns(
     while len(pairs) < limit and (done := _count_undisturbed_pairs(pairs)) < count:
         # Neither is always the second.
         turns = (0, 1) if len(pairs) % 2 == 0 else (1, 0)
-        pair = f"pair {1 + len(pairs)}"
+        pair, end = f"pair {1 + len(pairs)}", ""
         of_all = f"{pair} of at most {limit} ({done} of {count} undisturbed)"
         measured: dict[int, Measured] = {}
         for turn in turns:
             start_s = time.monotonic()
             measured[turn] = measure_tree(trees[turn], arguments)
             spent_s.append(time.monotonic() - start_s)
-            left_s = sum(spent_s) / len(spent_s) * (2 * (count - done) - len(measured))
-            seconds = f"{spent_s[-1]:.0f} s, about {format_duration(left_s)} left"
-            print(f"{of_all}, {('base', 'head')[turn]}: {seconds}", file=sys.stderr)
-        pairs.append((measured[0], measured[1]))
+            if len(measured) == len(trees):
+                pairs.append((measured[0], measured[1]))
+                end = describe_early_end(pairs, count, attempts)
+            missing = count - done - all(one.is_quiet for one in measured.values())
+            runs = 2 * limit - len(spent_s)
+            left = "" if end else _describe_time_left(float(np.mean(spent_s)), runs, missing)
+            line = f"{('base', 'head')[turn]}: {spent_s[-1]:.0f} s{left}"
+            print(f"{of_all}, {line}", file=sys.stderr)
         base, head = pairs[-1]
         require_imports_of_own_files(trees, (base.run, head.run))
-        end = describe_early_end(pairs, count, attempts)
         if not (base.is_quiet and head.is_quiet):
             again = end or ("no repeat left" if len(pairs) == limit else "repeated")
             print(f"{pair} disturbed: {again}", file=sys.stderr)
@@ -225,6 +229,20 @@ def measure_by_turns(
         if end:
             break
     return pairs
+
+
+def _describe_time_left(run_s: float, runs: int, missing: int) -> str:
+    """Return the time left without repeats and with all; "" if no run is left.
+
+    runs : largest number of further runs, odd within a pair.
+    missing : undisturbed pairs still needed if the present pair stays as it is.
+    """
+    least = min(runs, runs % 2 + 2 * missing)
+    if least == 0:
+        return ""
+    if least == runs:
+        return f", about {format_duration(least * run_s)} left"
+    return f", {format_duration(least * run_s)} to {format_duration(runs * run_s)} left"
 
 
 def describe_early_end(

@@ -70,7 +70,8 @@ def test_turns_alternate_and_one_disturbed_pair_is_repeated(
     assert order[:4] == ["base", "head", "head", "base"]
     lines = capsys.readouterr().err.splitlines()
     assert lines[2] == "pair 1 disturbed: repeated"
-    assert lines[3].startswith("pair 2 of at most 6 (0 of 3 undisturbed), head: 0 s, about ")
+    assert lines[3].startswith("pair 2 of at most 6 (0 of 3 undisturbed), head: 0 s, ")
+    assert lines[-1] == "pair 4 of at most 6 (2 of 3 undisturbed), base: 0 s"
     assert len(lines) == 9
     stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
     assert main([*map(str, trees), "--pairs", "3"]) == 0
@@ -86,6 +87,22 @@ def test_turns_alternate_and_one_disturbed_pair_is_repeated(
     stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
     assert main([*map(str, trees), "--pairs", "3", "--disturbed-exit", "75"]) == 75
     assert capsys.readouterr().out.splitlines()[-3:] == [ADVICE, ratio, "exit code 75 (disturbed)"]
+
+
+def test_the_remaining_time_falls_and_ends(
+    monkeypatch: pytest.MonkeyPatch, trees: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Runs of 10 s, all disturbed: a run is 10 s less of the larger time, and the last has none."""
+    stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
+    clock = iter(range(0, 1000, 10))
+    monkeypatch.setattr(revisions.time, "monotonic", lambda: next(clock))
+    assert len(measure_by_turns(trees, 2, [], attempts=3)) == 3
+    found = [line.partition("10 s")[2] for line in capsys.readouterr().err.splitlines()]
+    assert found == [
+        *(", about 50 s left", ", about 40 s left", ""),
+        *(", about 30 s left", ", about 20 s left", ""),
+        *(", about 10 s left", "", ""),
+    ]
 
 
 def test_attempts_go_on_after_disturbed_pairs(
