@@ -90,6 +90,17 @@ def describe_disturbed_baseline(disturbed: int, count: int) -> str:
     )
 
 
+def describe_unusable_times(base: "BenchmarkRun", path: Path) -> str:
+    """Return a line on times of a stored baseline that no new run can judge; "" for none."""
+    if not base.disturbed:
+        return ""
+    return (
+        f"the machine was disturbed in {base.disturbed} of "
+        f"{plural(len(base.benchmarks), 'benchmark')} of the baseline {path}: no repeat of the "
+        "head gives a verdict on their times; store the baseline again on a quiet machine"
+    )
+
+
 def _estimate_error(
     minimum_s: float, quartile_s: float, rounds: int, data: Iterable[float]
 ) -> float:

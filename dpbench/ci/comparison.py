@@ -173,10 +173,12 @@ class RunComparison:
 
     def describe_scope(self, base: str, head: str) -> str:
         """State in one line how many benchmarks the named base and head have in common."""
-        has = [f"{name} has {count}" for name, count in zip((base, head), self.counts, strict=True)]
+        has = [f"{count} in {name}" for name, count in zip((base, head), self.counts, strict=True)]
         counts = Counter(row.verdict for row in self.rows)
-        rest = [f", {counts[one]} {word}" for one, word in NOT_COMPARED.items() if counts[one]]
-        return f"{plural(self.timed, 'benchmark')} compared{''.join(rest)}: {', '.join(has)}"
+        rest = [f"{counts[one]} {word}" for one, word in NOT_COMPARED.items() if counts[one]]
+        total = plural(len(self.rows), "benchmark")
+        why = f" ({', '.join(rest)})" if rest else ""
+        return f"{self.timed} of {total} compared{why}; {', '.join(has)}"
 
     def describe_verdict(self, base: str) -> str:
         """State whether a regression is shown against the named base, and what is not judged."""

@@ -59,6 +59,9 @@ class FailedBenchmarks:
         if report.failed and _is_benchmark(item) and call.excinfo is not None:
             lines = str(call.excinfo.value).splitlines() or [call.excinfo.typename]
             self.reasons.setdefault(item.nodeid, lines[0])
+            if benchmark := getattr(item, "funcargs", {}).get("benchmark"):
+                # pytest-benchmark would warn that a test did not use the fixture.
+                benchmark.skipped = True
         return report
 
     @pytest.hookimpl(optionalhook=True)
@@ -75,8 +78,14 @@ class FailedBenchmarks:
             terminalreporter.write_line(f"stored times: {self._warning}", yellow=True)
 
     @pytest.hookimpl(trylast=True)
-    def pytest_sessionfinish(self) -> None:
-        """Write the JSON file where nothing was timed: pytest-benchmark then writes none."""
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Set the exit code of a disturbed baseline; write a JSON file where nothing was timed.
+
+        pytest-benchmark then writes none.
+        """
+        is_stored_only = not self._config.getoption("dpbench_compare")
+        if self._warning and is_stored_only and session.exitstatus == pytest.ExitCode.OK:
+            session.exitstatus = self._config.getoption("dpbench_disturbed_exit")
         target = self._config.getoption("benchmark_json", None)
         # No public hook has the benchmarks of a session.
         measured = self._config._benchmarksession.benchmarks  # type: ignore[attr-defined] # a private attribute

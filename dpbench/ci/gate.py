@@ -7,7 +7,8 @@ BASELINE is a JSON file, or a folder that keeps one for each machine. What looks
 disturbed is measured again: noise only ever makes a minimum larger. The baseline is not, and so
 nothing whose baseline was disturbed: `dpbench.ci.revisions` measures both alternately. Exit 0: no
 regression shown, or no baseline yet, which is stored; 1: a regression, or a failed or missing
-benchmark; 2: bad input; CODE (0): disturbed by other load, no regression shown.
+benchmark; 2: bad input; CODE (0): disturbed by other load, no regression shown, or a disturbed
+baseline stored.
 """
 
 import argparse
@@ -24,7 +25,13 @@ from rich.console import Console
 
 from dpbench.bench.record.machine import describe_machine
 from dpbench.ci import ALLOW, DISTURBED_EXIT
-from dpbench.ci.benchmarks import Benchmark, BenchmarkRun, describe_disturbed_baseline, load_run
+from dpbench.ci.benchmarks import (
+    Benchmark,
+    BenchmarkRun,
+    describe_disturbed_baseline,
+    describe_unusable_times,
+    load_run,
+)
 from dpbench.ci.comparison import (
     DISTURBED,
     SLOWER,
@@ -43,7 +50,7 @@ exit codes:
   0     no regression shown, or the baseline was stored
   1     a regression: longer times, more iterations, larger errors, or a failed or missing benchmark
   2     bad input
-  CODE  of --disturbed-exit: times disturbed, no regression shown
+  CODE  of --disturbed-exit: times disturbed, no regression shown, or a disturbed baseline stored
 
 examples:
   python -m dpbench.ci.gate now.json base.json
@@ -84,7 +91,10 @@ class SessionComparison:
         selected = self._config.getoption("dpbench_disturbed_exit") if passed else 0
         option = "--dpbench-disturbed-exit"
         lines = describe_end(found, str(self._path), "this session", selected, option)
-        found.print(Console(file=self._text, width=120), lines)
+        console = Console(file=self._text, width=120)
+        if line := describe_unusable_times(self._baseline, self._path):
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
+        found.print(console, lines)
         if passed:
             session.exitstatus = found.exit_code(selected)
         why = "" if passed or found.worse else ": pytest did not pass"
@@ -192,18 +202,15 @@ def main(argv: list[str] | None = None) -> int:
             baseline.write_bytes(arguments.json.read_bytes())
             why = "renewed" if arguments.renew else "no baseline of this machine yet"
             console.print(f"{why}: stored {baseline}, nothing compared", soft_wrap=True)
+            code = 0
             if warning := describe_disturbed_baseline(now.disturbed, len(now.benchmarks)):
                 console.print(warning, soft_wrap=True)
-            console.print("exit code 0 (baseline stored)")
-            return 0
+                code = arguments.disturbed_exit
+            console.print(f"exit code {code} (baseline stored)")
+            return code
         was = load_run(baseline)
-        if was.disturbed:
-            console.print(
-                f"the machine was disturbed in {was.disturbed} of "
-                f"{plural(len(was.benchmarks), 'benchmark')} of the baseline {baseline}: their "
-                "times are not judged or repeated; store a new one with --renew on a quiet machine",
-                soft_wrap=True,
-            )
+        if line := describe_unusable_times(was, baseline):
+            console.print(f"{line} (--renew)", soft_wrap=True)
         now = measure_suspects_again(was, now, arguments.retries, console, arguments.allow)
     except InputError as error:
         print(f"gate: {error}", file=sys.stderr)

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dpbench.analysis.records.records import find_inaccurate_steps
 from dpbench.analysis.records.run_record import build_run_records
 from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
 from dpbench.bench.sequences.sequence_file import as_sequence
@@ -145,9 +146,14 @@ def _fail_on_wrong_answers(run: Run, requirements: Requirements) -> None:
         return
     error = format_error(record.error_move_max)
     unit = " maximum increments" if math.isfinite(record.error_move_max) else ""
+    count, _ = find_inaccurate_steps(run.steps, requirements.error_move)
+    worst = (
+        f" at step {run.steps['k'].iloc[np.nanargmax(run.steps['error_move'])]}" if count else ""
+    )
+    over = f", exceeded in {count} of {plural(record.steps_planned, 'step')}" if count else ""
     found = (
         f"{run.label} on {run.summary['sequence'] or run.summary['scenario']}: largest error of "
-        f"the first move {error}{unit} (allowed {requirements.error_move:g}), "
+        f"the first move {error}{unit}{worst} (allowed {requirements.error_move:g}{over}), "
         f"{record.steps_done:g} of {plural(record.steps_planned, 'step')} done, "
         f"{record.failed_steps:g} failed (allowed {requirements.failed_steps})"
     )

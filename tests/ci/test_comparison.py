@@ -232,7 +232,7 @@ def test_what_was_compared_is_counted() -> None:
     """Benchmarks of both, and how many each has; what the head was not to run is not gone."""
     base, head = run_of(entry("t"), entry("u"), entry("v")), run_of(entry("t"), new="TypeError")
     found = compare_runs([(base, _without(head, "u", "v"))])
-    line = "1 benchmark compared, 1 failed, 2 not run: base has 3, now has 2"
+    line = "1 of 4 benchmarks compared (1 failed, 2 not run); 3 in base, 2 in now"
     assert found.describe_scope("base", "now") == line
     assert found.headline.endswith(": 1 failed, not timed, 1 no difference shown, 2 not run")
     found = compare_runs([(base, _without(run_of(entry("t")), "u", "v"))])

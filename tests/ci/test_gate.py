@@ -77,7 +77,7 @@ def test_the_first_run_is_stored_and_the_second_compared(
     assert judged(tmp_path, write("second")) == [0]
     out = capsys.readouterr().out
     assert "no difference shown: 10 benchmarks" in out
-    assert f"10 benchmarks compared: {stored} has 10, {tmp_path / 'second.json'} has 10" in out
+    assert f"10 of 10 benchmarks compared; 10 in {stored}, 10 in {tmp_path / 'second.json'}" in out
 
 
 @pytest.mark.parametrize(
@@ -147,6 +147,9 @@ def test_a_baseline_of_a_disturbed_machine_has_a_warning(
     assert judged(tmp_path, path) == [0]
     warning = "machine disturbed in 1 of 2 benchmarks: as a baseline, their times will not be"
     assert warning in capsys.readouterr().out
+    arguments = [str(path), str(tmp_path / "baseline"), "--renew", "--disturbed-exit", "75"]
+    assert gate.main(arguments) == 75
+    assert capsys.readouterr().out.splitlines()[-1] == "exit code 75 (baseline stored)"
     config: Any = MagicMock(args=["."])
     config.option.collectonly = False
     config.rootpath = config.invocation_params.dir = tmp_path

@@ -95,6 +95,25 @@ def test_a_session_compared_with_a_stored_one(
 
 
 @pytest.mark.slow
+def test_a_disturbed_baseline_has_an_exit_code_and_a_line(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No repeat of the head gives a verdict: storing fails, and the first line is the remedy."""
+    monkeypatch.setattr(machine_state.MachineState, "complaints", lambda _: ["load"])
+    pytester.makepyfile(test_it=TEST)
+    arguments = ("--benchmark-json=now.json", "--dpbench-disturbed-exit=75")
+    assert run(pytester, *arguments).ret == 75
+    result = run(pytester, "--dpbench-compare=now.json", "--dpbench-disturbed-exit=75")
+    assert result.ret == 75
+    lines = [line for line in result.outlines if line]
+    at = next(i for i, line in enumerate(lines) if "dpbench comparison" in line)
+    assert lines[at + 1] == (
+        "the machine was disturbed in 1 of 1 benchmark of the baseline now.json: no repeat of the "
+        "head gives a verdict on their times; store the baseline again on a quiet machine"
+    )
+
+
+@pytest.mark.slow
 def test_a_benchmark_that_fails_is_in_the_json_file(pytester: pytest.Pytester) -> None:
     """A comparison says why it has no time, also where no benchmark has one."""
     pytester.makepyfile(test_it=TEST.replace('"quadprog"', '"quadprog", error_move=-1.0'))
@@ -104,6 +123,7 @@ def test_a_benchmark_that_fails_is_in_the_json_file(pytester: pytest.Pytester) -
     assert stored["benchmarks"] == []
     (reason,) = stored["dpbench_failed"].values()
     assert reason.startswith("wrong answers: quadprog (")
+    result.assert_outcomes(failed=1, warnings=0)
 
 
 @pytest.mark.slow

@@ -63,7 +63,8 @@ def test_a_false_answer_fails_the_test(few: QPSequence, tmp_path: Path) -> None:
     with pytest.raises(
         pytest.fail.Exception,
         match=r"^wrong answers: lazy \(.*\) on .*: largest error of the first move \S+ "
-        r"maximum increments \(allowed 0.01\), 12 of 12 steps done, 0 failed \(allowed 0\)$",
+        r"maximum increments at step 0 \(allowed 0.01, exceeded in 12 of 12 steps\), "
+        r"12 of 12 steps done, 0 failed \(allowed 0\)$",
     ):
         ReplayBenchmark(benchmark)(few, file)
     assert benchmark.extra_info["claimed_not_true"] > 0
