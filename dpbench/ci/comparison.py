@@ -80,6 +80,11 @@ NOT_COMPARED = {
 """Words for benchmarks that only one revision has timed, by verdict."""
 NOT_JUDGED = {DISTURBED: "machine disturbed", NO_KERNEL: "too few other solvers"}
 """Reasons why a compared time has no verdict."""
+EXACT_JUDGED = (
+    "exact measures are judged on a disturbed machine too: iterations, errors, counts in "
+    'extra_info["exact"]'
+)
+"""Remedy where times have no verdict."""
 MEASURES = {
     "iterations": ("iterations", "iterations", ""),
     "error_move_max": ("errors", "largest error of the first move", " maximum increments"),
@@ -225,6 +230,7 @@ class RunComparison:
         worst = max(unjudged, key=lambda row: row.disturbed_ratio)
         ratio = significant(worst.disturbed_ratio)
         lines.append(f"largest ratio not judged: × {ratio} ({worst.name})")
+        lines.append(EXACT_JUDGED)
         if not self.exit_code(disturbed):
             lines.append(f"disturbed times pass; {option} CODE selects another exit code")
         return lines

@@ -354,7 +354,8 @@ class QPSequence:
     name : what it was recorded from.
     base : the problem of step 0.
     q, l, u : (K, n), (K, m), (K, m) vectors of each step.
-    P, A, lb, ub : (K, …) matrices and bounds of each step; None where they are those of `base`.
+    P, A, lb, ub : (K, …) matrices and bounds of each step; None where they are constant, then they
+        are in `base`. `problem(k)` returns the complete QP in both cases.
     units : what 1 of a scaled variable and of a scaled row is in SI; None where nothing is known.
     scaled : the same sequence in scaled units, in which answers are judged; None when this is it.
     meta : origin: scenario, sample time [s], first step, horizons, versions.

@@ -75,14 +75,15 @@ def test_a_disturbed_time_has_no_verdict(side: int, factor: float) -> None:
     assert "120 involuntary context switches" in row.cells["remarks"]
     assert found.headline.startswith("disturbed")
     line = "times not judged (machine disturbed) in 1 of 1 benchmark; failures: no regression"
-    *_, verdict, ratio, passes = describe_end(found, "base", "head", option="--option")
+    *_, verdict, ratio, exact, passes = describe_end(found, "base", "head", option="--option")
     assert found.describe_exit(0) == "exit code 0 (disturbed)"
     assert found.describe_exit(75) == "exit code 75 (disturbed)"
     assert verdict == f"{line} against base"
     shown = {0.06: "0.0600", 1.0: "1.00", 2.06: "2.06"}[factor]
     assert ratio == f"largest ratio not judged: × {shown} (t)"
     assert passes.startswith("disturbed times pass; --option CODE ")
-    assert describe_end(found, "base", "head", 75)[-1] == ratio
+    assert exact.startswith("exact measures are judged on a disturbed machine too: iterations, ")
+    assert describe_end(found, "base", "head", 75)[-2:] == [ratio, exact]
 
 
 def test_exact_measures_and_answers_have_a_verdict_on_a_disturbed_machine() -> None:
