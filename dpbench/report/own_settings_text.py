@@ -8,6 +8,7 @@ from dpbench.analysis.verdict.requirements import STATES
 from dpbench.analysis.verdict.verdict import (
     ACCURATE,
     ALIKE,
+    LEAST_POINTS,
     MOST_OWN,
     Verdict,
     Verdicts,
@@ -16,6 +17,7 @@ from dpbench.analysis.verdict.verdict import (
     group_own_settings,
     list_best_verdict_of_own_settings,
     list_equally_fast,
+    sort_points_of_grids_last,
 )
 from dpbench.report.formats import (
     as_float,
@@ -40,8 +42,6 @@ SIMILAR = 2.0
 """Factor below which largest errors differ little, so that a wider grid would hardly help."""
 MOST_EQUAL = 2
 """Settings that are named as equally fast; of the others their number is."""
-LEAST_POINTS = 3
-"""Settings with the same options that count as a grid."""
 
 
 def describe_own_settings(verdicts: Verdicts) -> list[str]:
@@ -61,9 +61,13 @@ def describe_failing_settings_and_grids(verdicts: Verdicts) -> list[str]:
 
 
 def describe_verdicts_on_settings(verdicts: Verdicts, own: Sequence[Verdict]) -> list[str]:
-    """Return lines on verdicts on custom settings, passes first; at most `MOST_OWN`."""
+    """Return lines on verdicts on custom settings, grids last, else passes first.
+
+    At most `MOST_OWN` lines.
+    """
     modes = group_own_settings(verdicts)
-    shown = sorted(own, key=lambda v: STATES.index(v.state))[:MOST_OWN]
+    passes_first = sorted(own, key=lambda v: STATES.index(v.state))
+    shown = sort_points_of_grids_last(passes_first)[:MOST_OWN]
     return [
         _describe_verdict_on_settings(v, modes[v.configuration.solver, v.configuration.options])
         for v in shown

@@ -232,7 +232,7 @@ class Tuning:
 
     @property
     def is_successful(self) -> bool:
-        """Whether settings were found that pass on the training and the test sequences."""
+        """True if settings were found that pass on the training and the test sequences."""
         return self.path is not None and not self._failed_roles
 
     @property

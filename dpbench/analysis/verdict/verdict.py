@@ -15,6 +15,7 @@ The fastest of all may exist only as this benchmark's own Python code; it is nam
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -41,6 +42,7 @@ from dpbench.bench.judge.rules import maximum_of_known
 from dpbench.bench.record.cell import Configuration, sort_key_of_settings
 from dpbench.errors import UnknownNameError
 from dpbench.solvers.contract import POLICIES, SolverRecord
+from dpbench.solvers.own_settings import decode_options_from_json
 from dpbench.solvers.table import find_solver_record
 
 
@@ -539,6 +541,21 @@ def group_own_settings(verdicts: Verdicts) -> dict[tuple[str, str], list[Verdict
     return group_by_key(own, lambda v: (v.configuration.solver, v.configuration.options))
 
 
+LEAST_POINTS = 3
+"""Settings with the same options that count as a grid."""
+
+
+def sort_points_of_grids_last(own: Sequence[Verdict]) -> list[Verdict]:
+    """Return verdicts on custom settings, those that are points of a grid last."""
+    grids = [
+        (verdict.configuration.solver, *decode_options_from_json(verdict.configuration.options))
+        for verdict in own
+    ]
+    points = Counter(grids)
+    ordered = sorted(range(len(own)), key=lambda i: points[grids[i]] >= LEAST_POINTS)
+    return [own[i] for i in ordered]
+
+
 ACCURATE: tuple[State, ...] = ("pass", "borderline", "late")
 """Verdicts on configurations whose answers are right on every step."""
 
@@ -565,10 +582,11 @@ def make_sort_key_of_settings(verdict: Verdict) -> tuple[int, float]:
 
 
 def list_main_verdicts(verdicts: Verdicts) -> list[Verdict]:
-    """Return each solver's best verdict and the `MOST_OWN` best on custom settings.
+    """Return each solver's best verdict and `MOST_OWN` on custom settings, those in no grid first.
 
     They are sorted from pass to fail, then by time.
     """
-    own = sort_best_first(list_best_verdict_of_own_settings(verdicts))[:MOST_OWN]
+    best_first = sort_best_first(list_best_verdict_of_own_settings(verdicts))
+    own = sort_points_of_grids_last(best_first)[:MOST_OWN]
     listed = {v.configuration: v for v in (*list_best_verdict_of_each_solver(verdicts), *own)}
     return sort_best_first(listed.values())

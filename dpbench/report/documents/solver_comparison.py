@@ -80,11 +80,18 @@ def compare_solver(
         "\n".join(f"- {escape_markdown(_compare_step_times(data, rows[0], v))}" for v in chosen),
         _make_worst_table(data, worst, chosen),
         "\n".join(f"    {one_line(s.export_command)}" for s in worst if s.export_command),
+        COLD if any(s.export_command and s.run.policy == "warm" for s in worst) else "",
         escape_markdown_paragraph(describe_requirements(data.requirements)),
     ]
     text = "\n\n".join(part for part in parts if part) + "\n"
     kept = truncate_text(text, COMMENT_BYTES - len(ending.encode()) - 1, "report.md")
     return f"{kept}\n{ending}", worst
+
+
+COLD = (
+    "An exported step has no history. To repeat a warm start, replace `--at K` by `--steps K+1` "
+    "and replay the file with `dpbench run --sequence FILE`."
+)
 
 
 def _choose_rows_of_solver(best: Verdict, own: Sequence[Verdict]) -> list[Verdict]:

@@ -14,7 +14,11 @@ from dpbench.analysis.times.solver_tables import (
     tabulate_experiment_verdicts,
     tabulate_tolerance_levels,
 )
-from dpbench.analysis.verdict.verdict import list_main_verdicts
+from dpbench.analysis.verdict.verdict import (
+    MOST_OWN,
+    list_best_verdict_of_own_settings,
+    list_main_verdicts,
+)
 from dpbench.bench.record.result_folder import Results
 from dpbench.report.charts.embedded import draw_instructions
 from dpbench.report.charts.overview import draw_accuracy, draw_deadline_chart, draw_verdict_tiles
@@ -56,12 +60,15 @@ def _explain_step_times(data: PageData) -> str:
     timed_on = dict.fromkeys(v.timed_on for v in list_main_verdicts(data.verdicts) if v.timed_on)
     replay = " or ".join(describe_range_of_steps(name) for name in timed_on)
     which = " (column `timed_on` of `tables/ladder.csv`)" * (len(timed_on) > 1)
+    left_out = len(list_best_verdict_of_own_settings(data.verdicts)) - MOST_OWN
+    more = f" {left_out} more custom settings: `tables/verdicts.csv`." * (left_out > 0)
     return (
         "Step time of each solver in the replays and windows of hardest steps. Marker: p50 in the "
         f"replay of {replay}{which}; bar: up to the limiting p99; line: up to the longest step; "
         "dashed line: up to the largest single timing, closed loops included. Grey bar: call "
         "overhead, measured with a reference call that only copies its data; it ends at the p50 "
         "if that is smaller. Below 5 µs, differences may be due to the bindings, not the methods."
+        f"{more}"
     )
 
 

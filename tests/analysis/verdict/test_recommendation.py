@@ -1,5 +1,6 @@
 """Ranking and recommendation of verdicts made by hand."""
 
+import json
 import math
 from typing import Any
 
@@ -269,6 +270,13 @@ def test_own_settings_are_shown_by_the_call_mode_that_was_judged_most(
 
 
 def test_the_best_twelve_own_settings_are_listed_beside_each_solver() -> None:
+    """Points of a grid leave room for single settings, even slower ones."""
     preset = _verdict("daqp", 30.0)
-    own = [_verdict("daqp", 40.0 + i, options=str(i), replays=2, state="late") for i in range(13)]
-    assert list_main_verdicts(_verdicts(preset, *reversed(own))) == [preset, *own[:12]]
+    grid = [
+        _verdict("daqp", 40.0 + i, options=json.dumps({"rho": i}), replays=2, state="late")
+        for i in range(13)
+    ]
+    assert list_main_verdicts(_verdicts(preset, *reversed(grid))) == [preset, *grid[:12]]
+    single = _verdict("daqp", 99.0, options='{"alpha": 1}', replays=2, state="late")
+    listed = [preset, *grid[:11], single]
+    assert list_main_verdicts(_verdicts(preset, *reversed(grid), single)) == listed

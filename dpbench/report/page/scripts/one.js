@@ -257,7 +257,9 @@ function drawStep(run) {
     + `Its solution is ${said(1) ? "correct" : "not correct"}.${flags.length ? ` Flags: ${flags.join(", ")}.` : ""} ${moved(run, k)}`;
   const experiment = facts.experiments[run.p];
   // A sea of a study has no file of its own to export from.
-  $("step-export").parentElement.hidden = !experiment.source;
+  $("step-export").parentElement.hidden = $("step-history").hidden = !experiment.source;
+  $("step-history").textContent = (experiment.mode === "replay" ? "" : "This command writes the QP of the reference loop at this step, not that of the solver's own loop. ")
+    + "An exported step has no history. To repeat a warm start, replace --at K by --steps K+1 and replay the file with dpbench run --sequence FILE.";
   $("step-export").textContent =
     `dpbench export ${experiment.source} --at ${k + (experiment.first ?? 0)} --out step-${k}.npz`;
   $("step-query").textContent =
