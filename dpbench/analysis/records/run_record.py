@@ -125,6 +125,7 @@ class RunRecord:
     fallbacks: Count
     latency_max_ns: float
     unconverged: Count
+    clipped: Count
     limit_violations: Count
     r_rms_m: float
     r_95_m: float

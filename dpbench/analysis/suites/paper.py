@@ -151,7 +151,7 @@ HOLDS: dict[str, Callable[[RunRecord], bool]] = {
     "circle": lambda run: run.r_tail_max_m <= CIRCLE_M,
     "stationary": lambda run: run.r_tail_max_m < STEADY_M,
     "rates": lambda run: max(run.at_rate_surge, run.at_rate_sway, run.at_rate_yaw) > 0.0,
-    "violations": lambda run: run.limit_violations == 0,
+    "violations": lambda run: run.clipped == run.limit_violations == 0,
 }
 """Conditions on the constrained law."""
 SMALLER = {
@@ -177,7 +177,7 @@ def assess_paper_claim(records: Records, scenario: str, by: str) -> ClaimFinding
         return ClaimFinding("short", "not simulated", {"done": done, "whole": pair.whole})
     values: dict[str, Any] = dict(zip(("run", "law"), runs, strict=False))
     if by == "circle":
-        values["entered_s"] = find_circle_entry_s(records, runs[0])
+        values["entered_s"], values["within_m"] = find_circle_entry(records, runs[0])
     if by == "steady":
         # Whether both end with equal errors, as no limit is active.
         two = [run.r_tail_max_m for run in runs]
@@ -198,12 +198,15 @@ def _judge_claim(by: str, run: RunRecord, law: RunRecord | None = None) -> State
     return "contradicted" if clipped < (1.0 - margin) * constrained else "not reproduced"
 
 
-def find_circle_entry_s(records: Records, run: RunRecord) -> float:
-    """Return the time [s] from which the ship stays within 1 m; inf if it never does."""
+def find_circle_entry(records: Records, run: RunRecord) -> tuple[float, float]:
+    """Return the time [s] from which the ship stays within 1 m, and its largest error then [m].
+
+    The time is inf if the ship ends outside.
+    """
     scenario, steps = records.build_scenario(run.scenario), records.read_step_table(run)
     assert scenario is not None, "a run of the paper's own scenario"
-    outside = np.flatnonzero(compute_pose_errors(steps, scenario.reference)["radial"] > CIRCLE_M)
-    if not len(outside):
-        return 0.0
-    last = int(outside[-1])
-    return np.inf if last == len(steps) - 1 else float(steps["t_s"].iloc[last + 1])
+    radial = compute_pose_errors(steps, scenario.reference)["radial"]
+    entered = int(np.flatnonzero(np.r_[True, radial > CIRCLE_M])[-1])
+    if entered == len(radial):
+        return np.inf, np.nan
+    return float(steps["t_s"].iloc[entered]) if entered else 0.0, float(radial[entered:].max())

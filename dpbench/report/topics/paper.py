@@ -39,8 +39,12 @@ DRAWN = (
     ),
 )
 """Figures 4 to 7: name, function, caption."""
-READ_FROM_FIGURE, LIMIT_OF_DPBENCH = "read from Fig.", "set by dpbench"
-"""Marks in the paper's words of a claim that the text does not state, or has no number for."""
+BASES = {
+    "read from Fig.": "read from figures",
+    "set by dpbench": "with a limit set by dpbench",
+    "chosen by dpbench": "with weights chosen by dpbench",
+}
+"""Marks in the paper's words of a claim that it does not state so, and how the count is worded."""
 STILL_OFFSET = f"sway offset held, {STILL} [m]"
 WEATHER_OFFSET = f"in the weather of {WEATHER} [m]"
 
@@ -101,12 +105,10 @@ def describe_count_reproduced(judged: "Sequence[Claim]") -> str:
 
 
 def _describe_basis(judged: "Sequence[Claim]") -> str:
-    """Return in brackets how many reproduced claims rest on a figure or a limit of dpbench."""
+    """Return in brackets how many reproduced claims rest on a figure or a choice of dpbench."""
     held = [claim.stated_in_paper for claim in judged if claim.state == "reproduced"]
-    read = sum(READ_FROM_FIGURE in stated for stated in held)
-    limited = sum(LIMIT_OF_DPBENCH in stated for stated in held)
-    counts = [f"{read} of them read from figures"] if read else []
-    counts += [f"{limited} with a limit set by dpbench"] if limited else []
+    counted = {words: sum(mark in stated for stated in held) for mark, words in BASES.items()}
+    counts = [f"{count} {words}" for words, count in counted.items() if count]
     return f" ({', '.join(counts)})" if counts else ""
 
 
