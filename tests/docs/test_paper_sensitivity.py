@@ -41,7 +41,8 @@ def test_each_row_is_where_both_laws_take_the_ship(
 ) -> None:
     found = []
     for run in _run_both_laws(changed, keys):
-        radial = np.hypot(run.steps["n_m"], run.steps["e_m"]).to_numpy()  # to the origin
+        to_origin = run.steps[["n_m", "e_m"]].to_numpy()
+        radial = np.hypot(to_origin[:, 0], to_origin[:, 1])
         found.append((radial[np.argmax(radial <= 1.0) :].max(), radial[len(radial) // 2 :].max()))
     texts = [f"{value:#.3g}" for pair in zip(*found, strict=True) for value in pair]
     assert texts == [entered, clipped, steady, wound]
