@@ -28,7 +28,7 @@ _config: Any = numba.config  # type: ignore[attr-defined,unused-ignore] # as abo
 _app_dirs: Any = AppDirs
 _locator: Any = UserProvidedCacheLocator
 _Listener: Any = event.Listener
-COMPILING = "dpbench: compiling numerical kernels, once per machine: about 20 s"
+COMPILING = "dpbench: compiling the kernels, once after installation: up to a minute"
 _OWN_PROCESSES = {"dpbench.cli", "dpbench.bench.workers.template"}
 """Modules of commands and workers, where a campaign has a line of its own."""
 _NO_PLACE = "cannot cache function"

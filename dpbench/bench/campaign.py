@@ -121,7 +121,7 @@ class Campaign:
         work = sum(count_steps(job.cell) for job in pending) + self.designs.work
         work += self.counts.work
         if pending and (changed := self._describe_changed_keys()):
-            progress.remark(f"{len(pending)} cells are run, as the suite changed: {changed}")
+            progress.remark(f"{len(pending)} cells are run again, as the suite changed: {changed}")
         progress.start(work)
         if not work and self._has_written_results():
             clear_scratch_folders(self.store.folder)
@@ -263,10 +263,10 @@ def _describe_lost_runs(causes: Sequence[str], of: str, beside: str = "") -> str
     if not causes:
         return ""
     (cause, count), *others = Counter(causes).most_common()
-    rest = f" ({len(causes) - count} for other reasons)" if others else ""
+    rest = f"; {len(causes) - count} for other reasons" if others else ""
     return (
-        f"{len(causes)} of {of} were lost by dpbench{beside}: {cause}{rest}; once that is fixed, "
-        "the same command runs them again"
+        f"{len(causes)} of {of} were lost by dpbench{beside} ({cause}{rest}); fix the cause and "
+        "run the same command again"
     )
 
 

@@ -130,7 +130,7 @@ def measure_suspects_again(
         if not doubtful:
             break
         count = plural(len(doubtful), "benchmark")
-        console.print(f"repeating {count}, but not the baseline", soft_wrap=True)
+        console.print(f"repeating {count}, without the baseline", soft_wrap=True)
         again = _run_benchmarks(doubtful)
         kept = {
             name: _merge_repeated_measurements(

@@ -82,7 +82,8 @@ class ReplayBenchmark:
             self._benchmark(_make_pass_over_steps(base, given, workspace))
         if not _are_arrays_unchanged(qps, base, given):
             pytest.fail(
-                f"{run.label} overwrites the problem: its time is of another", pytrace=False
+                f"{run.label} overwrites the problem, so its time is not that of this problem",
+                pytrace=False,
             )
         return run
 

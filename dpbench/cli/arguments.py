@@ -308,11 +308,11 @@ COMMANDS: dict[str, CommandHelp] = {
         text="Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml; comments explain "
         "how the main values were derived. With --thrusters, also write:\n"
         "  NAME_thrusters.toml   commanded thrusters; the most severe loss of a\n"
-        "                        switchboard in which the ship still holds station\n"
+        "                        switchboard after which the ship holds station\n"
         "  NAME_loss_*.toml      other losses\n"
         "  NAME_intact.toml      no loss, in the largest sea that the intact ship holds\n"
         "                        off the bow (if larger)\n"
-        "  NAME_weak_side.toml   weather from the direction of least wind held\n"
+        "  NAME_weak_side.toml   weather from the direction with the lowest wind limit\n"
         "  NAME_capability.svg   capability plot\n"
         "Give the sector or barred zone of an azimuth thruster as the directions in which it "
         "pushes the ship, clockwise from ahead; its race (wash) goes the opposite way. For "
@@ -337,8 +337,8 @@ COMMANDS: dict[str, CommandHelp] = {
         f"margin in the search or in the test; {_BAD_INPUT}",
         "Find controller weights and horizons with which the ship holds station with a margin and "
         "little thruster wear. Test them in other realisations of the sea and write a scenario "
-        "with them. The largest offset of all scenarios counts. After an interruption, run the "
-        "same command again.",
+        "with them. The largest offset over all scenarios is judged. After an interruption, run "
+        "the same command again.",
     ),
     "capability": CommandHelp(
         _SHIP,

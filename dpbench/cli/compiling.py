@@ -15,7 +15,7 @@ def compile_all_kernels() -> None:
     """Compile to the disk cache all Numba functions not yet in it; print the time taken."""
     if has_compiled_kernels():
         return
-    print("compiling the kernels, once after an installation: a minute or two", flush=True)
+    print("compiling the kernels, once after installation: one or two minutes", flush=True)
     started = time.monotonic()
     subprocess.run([sys.executable, "-c", f"import {LOOP}"], check=False)
     # Observers, thrusters and the like compile when a scenario's first step asks for them.

@@ -46,8 +46,8 @@ from dpbench.report.formats import MISSING, Table, format_count, format_error
 from dpbench.scenario.scenario import Scenario, load_scenario
 
 REMARK = (
-    "Instructions compare solvers under one compiler and its flags. They are not times: they leave "
-    "out caches, pipeline and bus. The worst step is the worst of this sequence."
+    "Instruction counts compare solvers built with one compiler and the same flags. They are not "
+    "times: they ignore caches, pipeline and bus. The worst step is that of this sequence."
 )
 
 COMPARED_STEPS = 3

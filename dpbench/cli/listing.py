@@ -11,8 +11,8 @@ from dpbench.cli.terminal import format_heading_and_paragraphs, make_small_table
 from dpbench.report.formats import MISSING, plural
 
 VESSELS_ARE = """
-largest acceleration: by the largest force in an axis with forces in the other
-axes; `dpbench check` has that without forces in the other axes."""
+largest acceleration: by the largest force in an axis when the thrusters may also
+push in the other axes. `dpbench check` shows the value of the axis alone."""
 
 SEQUENCES_ARE = """
 Each sequence has QPs of the reference loop of the scenario in its name, at the
@@ -156,7 +156,7 @@ def list_tables_of_folder(folder: Path) -> list[str]:
     return [
         *(
             f"{name} ({plural(rows, 'row')}): "
-            f"{TABLES.get(name, 'a table of the part of the page of this name.')}"
+            f"{TABLES.get(name, 'Data of the section of the page with this name.')}"
             for name, rows in known.items()
         ),
         f"CSV: {folder / 'tables'} (columns described in {folder / 'tables' / 'README.md'})",

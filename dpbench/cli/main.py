@@ -278,7 +278,7 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
     if arguments.against and arguments.solver is None:
         raise SituationError("--against", "add --for SOLVER, the solver to compare with these")
     later = count_batches_newer_than_tables(Path(arguments.dir))
-    interrupted = f"a later run was interrupted (batches that are in no table: {later})"
+    interrupted = f"a later run was interrupted, and its results (batches: {later}) are in no table"
     if later and arguments.statement:
         raise SituationError(
             "--statement",
@@ -295,7 +295,7 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
         kept = ending if arguments.json else [row for row in ending if row[0] in WRITTEN_OR_WARNED]
         ending = [*kept, ("sent", describe_sent_folder(Path(arguments.send)))]
     if later:
-        ending = [("caution", f"{interrupted}: this report is of the run before"), *ending]
+        ending = [("caution", f"{interrupted}; this report shows the run before it"), *ending]
     return print_ending(page, ending, arguments)
 
 

@@ -96,7 +96,7 @@ def _add_execution_options(group: Command) -> None:
         "(default: one per core)"
     )
     _option(group, "--jobs", "N", jobs, type=int)
-    _flag(group, "--fresh", "run again what is finished (not related to --policy fresh)")
+    _flag(group, "--fresh", "repeat finished cells too (not related to --policy fresh)")
     _add_wait_options(group)
 
 
@@ -228,7 +228,7 @@ def _add_call_options(group: Command, *, has_settings: bool = False) -> None:
     """Add the options on how a solver is called to a group of a command."""
     routes = (
         "interface through which the solver is called: native (the library's own; default where "
-        "available) or qpsolvers (that Python package)"
+        "available) or qpsolvers (the Python package)"
     )
     _option(group, "--route", "ROUTE", routes)
     policies = (
@@ -417,7 +417,7 @@ def add_tune_solver_options(tune: Command) -> None:
 
 def add_tune_options(tune: Command) -> None:
     """Add the options of `dpbench tune` to its parser."""
-    scenarios = "scenario by name or TOML file; several need one ship and controller"
+    scenarios = "scenario by name or TOML file; several must have the same ship and controller"
     tune.add_argument("scenarios", nargs="+", metavar="SCENARIO", help=scenarios)
     seas = "DP capability numbers, such as 4,5 (default: the scenario's own weather)"
     _option(tune, "--seas", "N,N", seas, default="")
@@ -432,7 +432,10 @@ def add_tune_options(tune: Command) -> None:
     _option(search, "--seed", "N", "seed of the search (default: 1)", type=int, default=1)
     output = tune.add_argument_group("output")
     _option(
-        output, "--out", "DIR", "folder to write to (default: results/tune-SCENARIO, by the first)"
+        output,
+        "--out",
+        "DIR",
+        "folder to write to (default: results/tune-SCENARIO, with the first)",
     )
 
 

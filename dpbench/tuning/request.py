@@ -209,9 +209,9 @@ def _list_remarks(
     if policy == "warm" and thinned:
         remarks.append(
             f"warm starts on {join_with_and(thinned)} begin far from the solution, and their times "
-            "are not those of a control loop; name scenarios, as --train paper --steps 300"
+            "are not those of a control loop; name scenarios, such as --train paper --steps 300"
         )
-    return remarks + [f"your settings lie at the edge of the searched range, {e}" for e in edges]
+    return remarks + [f"your settings are at the edge of the searched range, {e}" for e in edges]
 
 
 def _refuse_bad_numbers(trials: int, steps: int, seed: int, error_move: float) -> None:

@@ -31,7 +31,6 @@ from dpbench.report.formats import (
     format_error,
     format_time,
     join_with_and,
-    plural,
     significant,
     strip_markdown,
 )
@@ -208,14 +207,12 @@ class Tuning:
         found = "best so far, of" if self.is_interrupted else "best of"
         lines = [
             f"{found} {self.trials} settings of {self._call}: {self.best.name}",
-            f"this is a search with {plural(self.trials, 'trial')}, not an optimum; a higher "
-            "--trials or another --seed may find better settings",
+            "this is not a proven optimum; a higher --trials or another --seed may find better "
+            "settings",
             *edges,
         ]
         if self.best.score.late:
-            lines.append(
-                "no accurate settings that were tried are in time on the training sequences"
-            )
+            lines.append("all accurate settings that were tried are late on a training sequence")
         lines.append("only this call mode was measured; --route and --policy select another")
         lines += [*self.request.searched, *self._iterations, *self._measured]
         lines += [line for role in self.roles for line in role.describe_failed_steps()]

@@ -477,7 +477,7 @@ def _find_scenario_of_ship(scenario: str | Path) -> str | Path:
         return scenario
     weather = path.with_name(f"{path.stem}_weather.toml")
     if not weather.is_file():
-        sentence = f"this is a vessel, without {weather.name} beside it; name a scenario of it"
+        sentence = f"this is a vessel, and {weather.name} is not in its folder; name a scenario"
         raise SituationError(str(path), sentence)
     return weather
 

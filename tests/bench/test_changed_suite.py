@@ -33,4 +33,4 @@ def test_the_key_that_runs_cells_again_is_named(tmp_path: Path) -> None:
         said.append([one for one in remarks.texts if "changed" in one])
     assert said[:2] == [[], []]
     (line,) = said[2]
-    assert line.endswith("cells are run, as the suite changed: cell_limit_s 60.0 → 61.0")
+    assert line.endswith("cells are run again, as the suite changed: cell_limit_s 60.0 → 61.0")

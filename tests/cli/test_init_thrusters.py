@@ -93,8 +93,12 @@ def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
 @pytest.mark.parametrize(
     ("zones", "power_kW", "said"),
     [
-        (",240,300", 2000, r"without barred zones (\S+) m/s would be held; narrow them, or add"),
-        (",,", 30, "bow and stern have thrusters left, too weak; add a stronger thruster"),
+        (
+            ",240,300",
+            2000,
+            r"without barred zones (\S+) m/s would be held; narrow the zones, or add",
+        ),
+        (",,", 30, "the thrusters left at bow and stern are too weak; add a stronger thruster"),
     ],
 )
 def test_a_loss_after_which_bow_and_stern_have_thrusters_has_another_remedy(

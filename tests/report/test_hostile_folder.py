@@ -66,7 +66,7 @@ def test_batches_of_an_interrupted_run_are_named(
     (out / "cells" / "part-00001-0a1b2c3d.parquet").write_bytes(b"")
     assert main(["report", str(out)]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "a later run was interrupted (batches that are in no table: 1)" in said
+    assert "a later run was interrupted, and its results (batches: 1) are in no table" in said
     assert main(["report", str(out), "--statement", str(statement)]) == 2
     assert "a later run was interrupted" in capsys.readouterr().err and not statement.exists()
     (out / "cells" / "part-00001-0a1b2c3d.parquet").unlink()

@@ -149,7 +149,7 @@ def test_a_best_that_is_late_says_where_and_by_which_percentile(
     shown, text = " ".join(out.split()), (tmp_path / "tuned.toml").read_text()
     rows = [row for row in out.splitlines() if "│ best " in row]
     assert [row.split("│")[-1].strip() for row in rows] == ["late", "late"]
-    assert "no accurate settings that were tried are in time on the training sequences" in shown
+    assert "all accurate settings that were tried are late on a training sequence" in shown
     for written in (shown, " ".join(text.split())):
         for role, sequence in (("training", "calm"), ("test", "move")):
             reason = rf"p95 of 9.74 ms in the replay of {sequence} exceeds .*?3.00 ms"
@@ -208,7 +208,7 @@ def test_iterations_near_their_limit_are_named(
     for text in ("\n".join(found.lines), found.toml):
         assert (line in text) == shown
     # With one's own and the three presets.
-    assert "this is a search with 7 trials, not an optimum; " in found.lines[1]
+    assert "this is not a proven optimum; " in found.lines[1]
 
 
 def test_the_file_ends_with_the_call_of_the_library(
@@ -459,7 +459,7 @@ def test_own_settings_are_measured_beside_the_best(
     said = capsys.readouterr()
     notes = " ".join((said.out + said.err).split())
     assert "warm starts on calm-60-10[:300:8] (one step of 8) and move-60-10[:300:8]" in notes
-    assert "your settings lie at the edge of the searched range, rho = 100: widen" in notes
+    assert "your settings are at the edge of the searched range, rho = 100: widen" in notes
     first = load_results(tmp_path / "batch-01").runs["settings"]
     assert first.iloc[1] == "max_iter=3000,rho=100"
     assert all("max_iter=3000" in name for name in first if name != "default")

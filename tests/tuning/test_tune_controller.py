@@ -173,7 +173,7 @@ def test_a_vessel_file_stands_for_the_scenario_written_with_it(
     tuning = tune_controller(tmp_path / "ship.toml", trials=1, steps=5, out=tmp_path / "a")
     assert tmp_path / "a" / "ship_weather_tuned.toml" in tuning.paths
     (tmp_path / "ship_weather.toml").unlink()
-    with pytest.raises(InputError, match="this is a vessel, without ship_weather"):
+    with pytest.raises(InputError, match="this is a vessel, and ship_weather"):
         tune_controller(tmp_path / "ship.toml", trials=1, steps=5, out=tmp_path / "b")
 
 

@@ -16,7 +16,7 @@ from dpbench.bench.workers.scratch import Scratch
 from dpbench.errors import InputError
 from dpbench.locks import WaitLimit, find_safe_lock_folder
 
-COMPILING = "compiling the kernels, once after an installation: up to a minute"
+COMPILING = "compiling the kernels, once after installation: up to a minute"
 ENGINES = ("local", "dask")
 
 

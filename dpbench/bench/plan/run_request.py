@@ -321,7 +321,7 @@ def _list_remarks(
     if timed and not has_enough_samples_for_percentile(longest, 99):
         of, hardest = max((cell.source.count_stretch_steps(0), cell.steps) for cell in timed)
         judged = (
-            f"that of {of} steps is judged, as the hardest {hardest} of them are replayed"
+            f"the p99 of {of} steps, the hardest {hardest} of which are replayed, is judged instead"
             if of >= LEAST_STRETCH
             else "the longest step is judged instead"
         )
@@ -406,5 +406,5 @@ def _explain_lack(
 
 
 def _join_modes(modes: set[tuple[Route, Policy]]) -> str:
-    """Return call modes as text, such as `native fresh | native warm`."""
-    return " | ".join(f"{route} {policy}" for route, policy in sorted(modes))
+    """Return call modes as text, such as `native fresh, native warm`."""
+    return ", ".join(f"{route} {policy}" for route, policy in sorted(modes))

@@ -145,7 +145,7 @@ def _list_safe_members(archive: zipfile.ZipFile, path: Path) -> list[zipfile.Zip
         # Of these alone zipfile unpacks no more than a member declares, and NumPy writes no other.
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             found = f"compression method {member.compress_type}"
-            raise InputError(str(path), member.filename[:80], found, "deflated, or stored")
+            raise InputError(str(path), member.filename[:80], found, "deflate, or none")
     refuse_implausible_unpacked_size(
         path, sum(member.file_size for member in members), os.path.getsize(path)
     )

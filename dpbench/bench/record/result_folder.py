@@ -200,10 +200,10 @@ def _yield_columns_and_invalid_masks(
         yield column, (runs[column] < least).fillna(False), f"{least:g} or more"
     finished = (runs["mode"] == "replay") & (runs["outcome"] == "finished")
     yield "rounds", finished & (runs["rounds"] == 0).fillna(False), "1 or more, as it finished"
-    yield "N_p", runs["N_p"].isna() & runs["N_c"].notna(), "a horizon, as N_c is one"
+    yield "N_p", runs["N_p"].isna() & runs["N_c"].notna(), "a number, as N_c is one"
     of_study = runs["study"] != ""
     for column in ("study_point", "replicate"):
-        yield column, of_study & runs[column].isna(), "a number, as the run is of a study"
+        yield column, of_study & runs[column].isna(), "a number, as the run belongs to a study"
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,10 +258,8 @@ def lock_result_folder(
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            found = f"{folder} in use by a campaign: {describe_lock_holders(lock)}"
-            raise InputError(
-                where, "", found, "another folder; or wait for that campaign"
-            ) from error
+            found = f"{folder} in use by a run: {describe_lock_holders(lock)}"
+            raise InputError(where, "", found, "another folder; or wait for that run") from error
         with lock_for_writing(folder, patience):
             yield
 

@@ -41,7 +41,7 @@ FILES: dict[Format, str] = {"npz": ".npz", "mat": ".mat"}  # of the formats that
 _TAKEN = frozenset(sys.stdlib_module_names) | {"qpbenchmark", "qpsolvers", "numpy", "pandas"}
 _TEST_SET = '''"""{title}.
 
-Written by dpbench beside {stem}.parquet; run it with
+Written by dpbench next to {stem}.parquet; run it with
 
     qpbenchmark --results-path results.csv {stem}.py run --author NAME
 """

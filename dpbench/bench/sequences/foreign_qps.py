@@ -92,7 +92,7 @@ def _group_arrays_by_stage(document: dict[str, object], where: str) -> list[Arra
         raise InputError(
             where,
             "",
-            f"{len(by_stage)} stages with gaps between them",
+            "gaps between the stages" if by_stage else "no stages",
             f"stages 0 to N of {ACADOS}",
         )
     return [by_stage[k] for k in range(len(by_stage))]
@@ -141,7 +141,7 @@ class _Stages:
         entries = self.read(k, "idxb", sum(counts))
         known = np.isin(entries, np.arange(nu + nx)).all()
         if not known or len(np.unique(entries)) != len(entries):
-            allowed = f"different numbers from 0 to {nu + nx - 1}"
+            allowed = f"distinct numbers from 0 to {nu + nx - 1}"
             raise InputError(f"{self._where}, stage {k}", "idxb", "invalid entries", allowed)
         return entries.astype(np.intp)
 

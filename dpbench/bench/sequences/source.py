@@ -152,7 +152,7 @@ def describe_sequence(sequence: QPSequence, optima: Sequence[Optimum]) -> str:
     kinds = Counter(optimum.kind for optimum in optima)
     bounds = [optimum.bound for optimum in optima if np.isfinite(optimum.bound)]
     proofs = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
-    worst = f"; largest error bound {max(bounds):.1e}" if bounds else ""
+    worst = f"; largest error bound {max(bounds):.1e} [unit of z]" if bounds else ""
     n, m, qps = sequence.base.n, sequence.base.m, "QP" if len(sequence) == 1 else "QPs"
     return f"{len(sequence)} {qps}, n = {n}, m = {m}; certificates: {proofs}{worst}"
 

@@ -96,8 +96,8 @@ def run_on_cores(tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[Any
 
 Sources = Mapping[str, Path]  # The files behind the QPs of a batch, by key
 WAITING = (
-    "waiting for {}: while a campaign times replays, no other campaign can use this machine "
-    "(--no-wait, --wait SECONDS)"
+    "waiting for {}: while one run times replays, no other dpbench run can use this machine "
+    "(--wait SECONDS or --no-wait limits the wait)"
 )
 
 

@@ -77,7 +77,7 @@ class WorstCase:
         bested = worst is not None and not self.beats_baseline
         lines = [
             f"{configuration}: {headline}; {_count_cases(search.evaluations)} tried{early}",
-            f"worst of the {cell.steps} steps of the unchanged {cell.scenario_name}: {own}"
+            f"worst of the {cell.steps} steps of the unchanged scenario {cell.scenario_name}: {own}"
             + "; no case is worse" * bested,
         ]
         for what, path in self.failures.items():

@@ -63,7 +63,7 @@ class ParameterBox:
             unit, force = units[axis]
             words.append(
                 f"{('surge', 'sway', 'yaw')[axis]}: offset up to {self.offsets[k]:.3g} {unit}, "
-                f"{self.steps[k]:.3g} {unit} per sample, speed change up to "
+                f"displacement up to {self.steps[k]:.3g} {unit} per sample, speed change up to "
                 f"{self.increments[k]:.3g} {unit}/s per sample, "
                 f"applied force from {low[k]:.3g} to {high[k]:.3g} {force}"
             )
@@ -192,9 +192,9 @@ class IterationBound:
             f"box       {self.box}",
             f"regions   by iterations {spread}",
             f"effort    {self.tests} tests of emptiness, {self.duration_s:.0f} s",
-            f"library   other iteration counts at {self.differing} of {self.compared} points: one "
+            f"C code    other iteration counts at {self.differing} of {self.compared} points: one "
             f"in each region, and {SAMPLE} random ones",
-            f"search    at most {self.searched} iterations at {SEARCHED} points of a search",
+            f"search    at most {self.searched} iterations at {SEARCHED} points tried by a search",
             f"excluded  parameters within {WIDTH:g} half box widths of the edge of a region",
         ]
 

@@ -169,9 +169,9 @@ def _describe_drag(vessel: Vessel, unit: str, per: float) -> str:
 
 
 def _format_range(low: float, high: float) -> str:
-    """Return a range of numbers as text: ±high, or low..high if it is not symmetric."""
+    """Return a range of numbers as text: ±high, or "low to high" if it is not symmetric."""
     least, most = _format_number(low), _format_number(high)
-    return f"±{most}" if abs(low + high) <= _SAME * high else f"{least}..{most}"
+    return f"±{most}" if abs(low + high) <= _SAME * high else f"{least} to {most}"
 
 
 def _format_with_units(

@@ -447,13 +447,14 @@ def _find_remedy(thrusters: ThrusterSet, lost: str, free_mps: float) -> str:
         return "no main or azimuth is left; put one on every switchboard (group)"
     others = "a stronger thruster, or a retractable one on a switchboard of its own"
     if all(thruster.sector_rad is None for thruster in left):
-        return f"bow and stern have thrusters left, too weak; add {others}"
+        return f"the thrusters left at bow and stern are too weak; add {others}"
     if free_mps < scaling.DP_NUMBERS[1][0]:
         return (
-            f"bow and stern have thrusters left, too weak even without barred zones; add {others}"
+            "the thrusters left at bow and stern are too weak even without barred zones; add "
+            f"{others}"
         )
     wind = format_wind_held(free_mps)
-    return f"without barred zones {wind} would be held; narrow them, or add {others}"
+    return f"without barred zones {wind} would be held; narrow the zones, or add {others}"
 
 
 def choose_sea(vessel: Vessel, held: HeldSea | None) -> int:
@@ -499,7 +500,7 @@ def describe_losses(
     simulated = ", ".join(
         f"{group} ({path.name}{notes.get(group, '')})" for group, path in files.items()
     )
-    lines.append(f"Each of these scenarios loses one failure group after {at_s:g} s: {simulated}")
+    lines.append(f"Scenarios with the loss of one failure group after {at_s:g} s: {simulated}")
     lines += _describe_losses_not_held(held, number)
     if left_out := describe_losses_left_out(held, [*files]):
         another = f"Name another in `lost` of {next(iter(files.values())).name}."

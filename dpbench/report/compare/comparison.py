@@ -93,7 +93,7 @@ def make_solvers_table(compared: Sequence[ComparedTimes], answers: Sequence[Figu
         )
     note = (
         "A solver is slower, faster, worse or better if at least one of its configurations is and "
-        "none is the contrary. It is equivalent if all its configurations are, and the same if all "
+        "none is the opposite. It is equivalent if all its configurations are, and the same if all "
         "comparable metrics are. The error probability of the step time verdicts (--alpha) is "
         "family-wise, over all solvers."
     )

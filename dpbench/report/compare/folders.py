@@ -31,7 +31,7 @@ def describe_code_difference(a: Records, b: Records) -> str:
     elif versions[0] != versions[1]:
         made = "made by different versions of dpbench"
     elif has_changes:
-        made = "made by dpbench with changes that no commit contains"
+        made = "made by dpbench with uncommitted changes"
     else:
         return ""
     return f"{made}: differences may come from dpbench"

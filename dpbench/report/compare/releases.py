@@ -184,7 +184,7 @@ def _list_comparability_notes(histories: Histories, records: Mapping[str, Record
     if math.isfinite(histories.spread):
         lines.append(
             "solvers of unchanged version differ by a factor of up to "
-            f"{significant(histories.spread)} between two folders: a smaller change is no evidence"
+            f"{significant(histories.spread)} between two folders: do not count a smaller change"
         )
     if histories.alone:
         lines.append(f"{plural(histories.alone, 'cell')} in one folder only, left out")
@@ -217,8 +217,8 @@ def _make_version_tables(histories: Histories) -> list[Table]:
             for row in _make_version_rows(h, histories)
         ]
         kept = [{head: row[head] for head in row if head not in BEFORE} for row in rows]
-        note = "For comparison: differences of these times are not changes of a solver."
-        title = "Of one version in all folders"
+        note = "For comparison: differences between these times do not come from the solver."
+        title = "Solvers of the same version in all folders"
         tables.append(Table.from_rows(kept, title, note=note, text_columns=5))
     return tables
 

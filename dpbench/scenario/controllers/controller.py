@@ -47,13 +47,13 @@ FIXED_MODEL = Linearisation(CondensedQP)  # One model for the whole run
 
 def make_factory_of_relinearised_qps(psi0_rad: float) -> Linearisation:
     """Return the factory of QPs that are re-linearised at each measured heading."""
-    why = "sparse: the model is linearised again at each step, and its stages with it"
+    why = "sparse: the model is linearised again at each step, so its stages change"
     return Linearisation(partial(RelinearisedQP, psi0_rad=psi0_rad), why)
 
 
 def make_factory_of_turning_limited_qps(turning: AzimuthTurning) -> Linearisation:
     """Return a maker of MPC QPs that limit how fast azimuth thrusters turn."""
-    why = "sparse: the directions of azimuths are other ones at each step, and so are rows"
+    why = "sparse: the directions of azimuths, and so some rows, change at each step"
     return Linearisation(partial(TurningQP, turning=turning), why)
 
 

@@ -132,12 +132,14 @@ def caution_on_wash(thrusters: ThrusterSet) -> list[str]:
     )
     is_barred = all(thruster.screw is not None for pair in pairs for thruster in pair)
     plot = (
-        "the capability plot bars these directions" if is_barred else "nor does the capability plot"
+        "the capability plot bars the directions concerned"
+        if is_barred
+        else "nor does the capability plot"
     )
     return [
         f"CAUTION: closed loops do not model the wash of one azimuth on another ({apart}); {plot}. "
-        "To bar these directions in closed loop, set barred_deg in the vessel file, or the columns "
-        "barred_from_deg and barred_to_deg in the CSV file."
+        "To bar the directions concerned in closed loop, set barred_deg in the vessel file, or the "
+        "columns barred_from_deg and barred_to_deg in the CSV file."
     ]
 
 

@@ -40,7 +40,7 @@ RECORD = SolverRecord(
             start="primal and dual",
             two_sided=True,
             refused={
-                "reuse": "each call sets the problem up again; of dense matrices nothing is kept"
+                "reuse": "each call sets the problem up again and keeps nothing of dense matrices"
             },
             faults={
                 **NAN_IGNORED,

@@ -138,7 +138,7 @@ class PaperActiveSetWorkspace(Workspace):
         self, z: np.ndarray, y: np.ndarray, y_box: np.ndarray, iterations: int
     ) -> Solution:
         """Return the answer of a solve that ended near an optimum, as INACCURATE."""
-        detail = "where the optimum is depends on rounding"
+        detail = "the position of the optimum depends on rounding"
         return Solution(Status.INACCURATE, z, y, y_box, iterations, detail=detail)
 
     def _make_solution_of_bad_limits(self) -> Solution:

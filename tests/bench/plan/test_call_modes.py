@@ -67,7 +67,7 @@ def test_solvers_without_chosen_settings_are_named(suite: str) -> None:
         (
             450,
             4,
-            "4 steps, too few for a p99; that of 450 steps is judged, as the hardest 4 of",
+            "4 steps, too few for a p99; the p99 of 450 steps, the hardest 4 of which are",
         ),
     ],
 )

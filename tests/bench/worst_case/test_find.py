@@ -317,4 +317,4 @@ def test_the_command_prints_findings(tmp_path: Path, capsys: pytest.CaptureFixtu
     said = " ".join(capsys.readouterr().out.split())
     meta = load_sequence(out).meta
     assert f"{meta['worst_case_iterations']} iterations" in said and str(out) in said
-    assert "1000 steps of the unchanged paper" in said
+    assert "1000 steps of the unchanged scenario paper" in said

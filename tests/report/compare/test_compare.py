@@ -468,7 +468,7 @@ def test_a_folder_without_steps_is_compared_by_its_medians(make: Make, tmp_path:
         (("1.2", "a", True), ("1.2", "b", True), "made by different commits of dpbench"),
         (("1.2", "", True), ("1.3", "b", True), "made by different versions of dpbench"),
         (("1.2", "", True), ("1.2", "b", True), ""),
-        (("1.2", "a", False), ("1.2", "a", False), "made by dpbench with changes that no commit"),
+        (("1.2", "a", False), ("1.2", "a", False), "made by dpbench with uncommitted changes"),
     ],
 )
 def test_versions_and_commits_of_both_folders_are_named(
