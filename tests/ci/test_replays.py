@@ -89,7 +89,7 @@ def test_a_solver_that_overwrites_its_problem_fails_the_test(
     update = workspace.update
     monkeypatch.setattr(workspace, "update", keep)
     monkeypatch.setattr(workspace, "solve", spoil)
-    with pytest.raises(pytest.fail.Exception, match="overwrites the problem"):
+    with pytest.raises(pytest.fail.Exception, match="overwrites the problem, so"):
         ReplayBenchmark(CallsTwice())(few, workspace)
 
 
