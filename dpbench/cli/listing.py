@@ -11,8 +11,9 @@ from dpbench.cli.terminal import format_heading_and_paragraphs, make_small_table
 from dpbench.report.formats import MISSING, plural
 
 VESSELS_ARE = """
-largest acceleration: by the largest force in an axis when the thrusters may also
-push in the other axes. `dpbench check` shows the value of the axis alone."""
+largest acceleration: by the largest force in an axis when the thrusters may
+also push in the other axes. `dpbench check` shows the value of the
+axis alone."""
 
 SEQUENCES_ARE = """
 Each sequence has QPs of the reference loop of the scenario in its name, at the
