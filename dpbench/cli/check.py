@@ -168,7 +168,9 @@ def _count_refused_and_rows(planned: Sequence[PlannedCell]) -> str:
     refused = sum(bool(one.refused) for one in planned)
     rows = sum(1 + len(one.alias_settings) for one in planned)
     verb = "is" if refused == 1 else "are"
-    text = f", of which {refused} {verb} refused (reasons: --dry-run)" if refused else ""
+    text = (
+        f", of which {refused} {verb} refused (reasons: dpbench run --dry-run)" if refused else ""
+    )
     return text + (f"; {rows} rows in runs.parquet" if rows > len(planned) else "")
 
 

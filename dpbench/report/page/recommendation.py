@@ -68,6 +68,8 @@ from dpbench.solvers.settings import (
 MOST_CHIPS = 16
 """More experiments are counted by state, and named only where they are at most `FEW`."""
 FEW = 5
+UNEQUAL_ERRORS, SMALL_ERROR = 1e3, 1e-6
+"""Ratio of two errors of the first move, and least larger one, from which both are given."""
 MOST_INCONCLUSIVE = 2
 """Number of faster but inconclusive configurations with a note."""
 
@@ -294,13 +296,25 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
         beside = describe_times_compared_with(
             first, compare_paired_times(*pair), count_common_window_steps(*pair)
         )
-        yield "next", f"The next fastest is {label}. Its {time} {beside}"
+        error = _describe_larger_error(chosen, found.runner_up)
+        yield "next", f"The next fastest is {label}. Its {time} {beside}{error}"
     named = [*filter(None, (chosen, found.faster, found.runner_up))]
     if short := describe_short_times(data.records, named):
         yield "checked", short
     for verdict in filter(None, (chosen, found.runner_up)):
         if silent := describe_unanswered_qps(data.records, verdict.configuration.solver):
             yield "unanswered", f"{silent}."
+
+
+def _describe_larger_error(first: Verdict, second: Verdict) -> str:
+    """Return a sentence on both errors if the second is far larger, as times depend on it."""
+    if not second.error_move > max(UNEQUAL_ERRORS * first.error_move, SMALL_ERROR):
+        return ""
+    return (
+        f" Its largest error of the first move is {format_error(second.error_move)} times the "
+        f"maximum increment, against {format_error(first.error_move)}: the times "
+        "are not at equal accuracy."
+    )
 
 
 def _yield_notes_on_runs(data: PageData) -> Iterator[tuple[str, str]]:

@@ -549,6 +549,17 @@ def test_nothing_qualifies_is_said_with_why(records: Any, loop: dict[str, Any], 
     assert answer.snippets == () and not {*dict(answer.notes)} - {"stopped"}
 
 
+@pytest.mark.parametrize(("error", "is_named"), [(5e-3, True), (5e-7, False)])
+def test_the_next_fastest_has_its_error_where_it_is_far_larger(
+    records: Any, error: float, is_named: bool
+) -> None:
+    for solver, median_us, off in (("daqp", 9.0, 1e-14), ("osqp", 90.0, error)):
+        records.loop(solver, error=off)
+        records.replay(solver, median_us=median_us, error=off)
+    text = dict(_answer(records).notes)["next"]
+    assert ("5.0e-03 times the maximum increment, against 1.0e-14" in text) is is_named
+
+
 def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> None:
     solvers = {"qtqp": ("qpsolvers", 3.0), "daqp": ("qpsolvers", 9.0), "scs": ("qpsolvers", 90.0)}
     for solver, (route, median_us) in solvers.items():
