@@ -25,6 +25,7 @@ Verdict = Literal[
     "faster, not all verified",
     "equivalent",
     "no difference shown",
+    "machine disturbed",
     "not judged",
 ]
 

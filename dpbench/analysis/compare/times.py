@@ -22,7 +22,8 @@ from dpbench.analysis.compare.pairs import Pair, pick_identifying_columns
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
 from dpbench.analysis.statistics import bootstrap_error_of_mean
-from dpbench.analysis.times.machine import sum_disturbances_by_sequence
+from dpbench.analysis.times.machine import compute_round_spread, sum_disturbances_by_sequence
+from dpbench.analysis.times.paired_times import MACHINE_DISTURBED, is_within_spread
 from dpbench.arrays import Floats, Ints
 from dpbench.bench.judge.rules import median_of_known
 from dpbench.bench.record.cell import sort_key_of_settings
@@ -59,6 +60,7 @@ class Timing:
     k, a_ns, b_ns : the steps of both runs and their minima [ns]; empty without steps.
     group : name of the replays that were interleaved in A and in B, which share the machine's
         factor: the sequence, with a number where several commands timed it.
+    spread : slowest over fastest round, the larger of both runs, where other load disturbed one.
     """
 
     pair: Pair
@@ -71,6 +73,7 @@ class Timing:
     a_ns: Floats
     b_ns: Floats
     group: str = ""
+    spread: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +123,18 @@ def compute_log_time_ratios(a: Records, b: Records, pairs: Sequence[Pair]) -> li
     replays = (
         pair for pair in pairs if pair.a.mode == "replay" and not pair.a.steps_searched_for_hardest
     )
-    timings = filter(None, [time_of(a, b, pair) for pair in replays])
+    timings = [
+        replace(timing, spread=max(_compute_spread(a, pair.a), _compute_spread(b, pair.b)))
+        for pair in replays
+        if (timing := time_of(a, b, pair)) is not None
+    ]
     return _name_groups(list(map_first_by_key(timings, _make_measurement_key).values()))
+
+
+def _compute_spread(records: Records, run: RunRecord) -> float:
+    """Return `compute_round_spread` of a run; 1 where its folder has no steps."""
+    times = records.get_step_times(run) if records.has_steps else None
+    return 1.0 if times is None else compute_round_spread(records, run, times)
 
 
 def _name_groups(timings: Sequence[Timing]) -> list[Timing]:
@@ -228,10 +241,14 @@ def compare_times_to_reference(
 def _judge_timing(timing: Timing, assessment: Assessment) -> ComparedTimes:
     """Return a step time ratio with its verdict; "faster" only if all B's answers are true.
 
-    "not judged" where nothing tells the machine's factor, so that the interval is unbounded.
+    "not judged" where nothing tells the machine's factor, so that the interval is unbounded;
+    "machine disturbed" where the rounds of a disturbed run differ by as much as A and B.
     """
-    if not math.isfinite(assessment.ratio.high):
+    ratio, is_difference = assessment.ratio, assessment.verdict in ("slower", "faster")
+    if not math.isfinite(ratio.high):
         assessment = replace(assessment, verdict="not judged")
+    elif is_difference and timing.spread > 1.0 and is_within_spread(ratio, timing.spread):
+        assessment = replace(assessment, verdict=MACHINE_DISTURBED)
     elif assessment.verdict == "faster" and timing.pair.b.true_share != 1.0:
         assessment = replace(assessment, verdict="faster, not all verified")
     return ComparedTimes(timing, assessment)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile_or_nan
 from dpbench.bench.record.cell import Configuration, sort_key_of_settings
 
-MACHINE_DISTURBED = "machine disturbed"
+MACHINE_DISTURBED: Final = "machine disturbed"
 """Finding on a difference that other load can explain."""
 UNSTABLE = "unstable"
 """Finding on a difference whose sign depends on the measure, such as the mean or the p99."""

@@ -64,7 +64,7 @@ from dpbench.report.ship.ship_text import summarise_ships
 
 TIMES = (
     *("slower", "faster", "faster, not all verified"),
-    *("no difference shown", "equivalent", "not judged"),
+    *("no difference shown", "machine disturbed", "equivalent", "not judged"),
 )
 """Verdicts on a step time: the two claims, then the weaker ones."""
 

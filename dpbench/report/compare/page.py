@@ -196,16 +196,16 @@ def _describe_slower(comparison: Comparison) -> str:
 
 VERDICTS = (
     *("slower", "faster", "faster, not all verified"),
-    *("equivalent", "no difference shown", "not judged"),
+    *("equivalent", "no difference shown", "machine disturbed", "not judged"),
 )
 _COLOUR = style.colour(
     "verdict",
     VERDICTS,
-    (style.FAIL, style.PASS, style.INCONCLUSIVE, style.SOFT, style.NOT_RUN, style.NOT_RUN),
+    (style.FAIL, style.PASS, style.INCONCLUSIVE, style.SOFT, *[style.NOT_RUN] * 3),
     columns=2,
 )
 _SHAPES = style.names_scale(
-    VERDICTS, ("triangle-right", "triangle-left", "diamond", "circle", "square", "cross")
+    VERDICTS, ("triangle-right", "triangle-left", "diamond", "circle", "square", "stroke", "cross")
 )
 _SHAPE = alt.Shape("verdict:N", scale=_SHAPES, title=None)
 _TIPS = [

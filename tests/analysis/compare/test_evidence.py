@@ -1,5 +1,7 @@
 """Verdicts on ratios against known distributions, and Holm's procedure against its definition."""
 
+from typing import cast
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -7,13 +9,16 @@ from scipy import stats
 
 from dpbench.analysis.compare.evidence import (
     CONFIGURATION_NOISE,
+    Assessment,
     Evidence,
     Prior,
     assess_time_ratios,
     remove_factor_shared_by_group,
     remove_reference_factor,
 )
-from dpbench.analysis.statistics import adjust_p_values_by_holm
+from dpbench.analysis.compare.pairs import Pair
+from dpbench.analysis.compare.times import Timing, _judge_timing
+from dpbench.analysis.statistics import Interval, adjust_p_values_by_holm
 
 FLAT = Prior(sd=0.01, df=6.0)
 """The prior of the simulations, whose noise is drawn with this standard deviation."""
@@ -205,3 +210,18 @@ def test_without_a_reference_nothing_is_known() -> None:
     assert [one.verdict for one in assess_time_ratios(evidence, 0.05, 0.05)][
         2
     ] == "no difference shown"
+
+
+@pytest.mark.parametrize(
+    ("spread", "verdict"),
+    [(1.0, "slower"), (1.39, "slower"), (1.41, "machine disturbed"), (np.inf, "machine disturbed")],
+)
+def test_rounds_of_a_disturbed_run_that_differ_as_much_take_the_verdict(
+    spread: float, verdict: str
+) -> None:
+    """The rule of docs/limits.md, for an interval of 1.4 to 1.6."""
+    timing = Timing(
+        cast(Pair, None), np.log(1.5), 0.0, 1, 2, (1.0, 1.5), *[np.empty(0)] * 3, spread=spread
+    )
+    found = Assessment(1.5, 1.0, Interval(1.5, 1.4, 1.6), 0.01, 1.0, "slower")
+    assert _judge_timing(timing, found).assessment.verdict == verdict
