@@ -1,6 +1,6 @@
 """Topics on replays and loops: routes, formulations, settings, two solvers, a search, control."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
 
@@ -152,13 +152,31 @@ def _describe_right_levels(records: Records, requirements: Requirements) -> str:
         if levels and "default" not in levels
     ]
     never = [name for name, levels in good.items() if not levels]
-    right = "Accurate on every step"
+    unverified = _list_unverified_of_accurate(records, good)
+    right = "First moves accurate on every step" if unverified else "Accurate on every step"
     if all(run.has_no_optimum for run in records.runs):
         right = "No step has a feasible point. Reported correctly on every step"
     parts = [f"{right} with default settings: {join_with_and(by_default) or 'no solver'}"]
     parts += [f"with other settings only: {', '.join(others)}"] if others else []
     parts += [f"with no settings that were run: {join_with_and(never)}"] if never else []
-    return "; ".join(parts) + "."
+    text = "; ".join(parts) + "."
+    return f"{text} Solutions not verified: {'; '.join(unverified)}." if unverified else text
+
+
+def _list_unverified_of_accurate(records: Records, good: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return texts on settings with accurate first moves of which some solution is not verified.
+
+    good : the settings by solver with accurate first moves.
+    """
+    worst: dict[str, RunRecord] = {}
+    for run in sorted(records.runs, key=lambda run: run.true_share):
+        if run.settings in good[run.solver] and run.true_share < 1.0:
+            worst.setdefault(f"{run.solver} at {run.settings}", run)
+    return [
+        f"{name} in {round((1.0 - run.true_share) * run.steps_done) or 1} of "
+        f"{plural(run.steps_done, 'step')}"
+        for name, run in worst.items()
+    ]
 
 
 MOST_RATIOS = 6

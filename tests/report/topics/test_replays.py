@@ -12,7 +12,7 @@ from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
 from dpbench.cli.main import main
 from dpbench.report.formats import Table
 from dpbench.report.report import Report
-from dpbench.report.topics.replays import build_formulations_topic
+from dpbench.report.topics.replays import build_formulations_topic, build_levels_topic
 from dpbench.report.topics.trust import build_trust_topic
 
 REQUIREMENTS = Requirements()
@@ -134,3 +134,15 @@ def test_a_wait_is_said_by_its_largest_replay(records: Any) -> None:
     assert "50 µs as 52.0 µs (largest p50 of the replays)" in waits
     assert "may therefore be wrong by up to 4.0 %" in waits
     assert "busy_wait_50us 52.0 µs" in records.ending()["timing"]
+
+
+def test_accurate_first_moves_without_verified_solutions_are_named(records: Any) -> None:
+    """49 of 600 solutions have a residual above its limit, with first moves below theirs."""
+    for settings in ("default", "high"):
+        records.replay("daqp", steps=600, settings=settings)
+    records.replay("osqp", steps=600, error=5e-3, true_share=1.0 - 49 / 600)
+    topic = build_levels_topic(records.view(), REQUIREMENTS)
+    assert topic.lines[0] == (
+        "First moves accurate on every step with default settings: daqp and osqp. "
+        "Solutions not verified: osqp at default in 49 of 600 steps."
+    )
