@@ -140,7 +140,7 @@ def tabulate_best_times(matrix: RunMatrix) -> pd.DataFrame:
             "max_ms": verdict.algo_max_ns / 1e6,
             "longest_ms": nan
             if (longest := matrix.find_longest_timing(verdict.configuration)) is None
-            else longest[1].raw_max_ns / 1e6,
+            else longest.raw_max_ns / 1e6,
             "margin": nan if margin is None else margin.allowed_slowness_factor,
             "share": 0.0 if isnan(called_ns) else min(1.0, called_ns / verdict.p50_ns),
         }

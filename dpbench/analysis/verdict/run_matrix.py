@@ -170,13 +170,21 @@ class RunMatrix:
         wanted = Experiment("replay", verdict.timed_on, "scaled")
         return self.experiments.index(wanted) if wanted in self.experiments else None
 
-    def find_longest_timing(
-        self, configuration: Configuration
-    ) -> tuple[Experiment, RunRecord] | None:
-        """Return experiment and judged run of a configuration's largest single timing, or None."""
-        judged = self._list_judged_runs(configuration)
-        timed = [(experiment, run) for experiment, run in judged if not math.isnan(run.raw_max_ns)]
-        return max(timed, key=lambda one: one[1].raw_max_ns, default=None)
+    @cached_property
+    def windows(self) -> list[tuple[Configuration, RunRecord]]:
+        """Replays of hardest steps in scaled units, with their configuration."""
+        return [
+            (get_configuration_in_common_form(run), run)
+            for run in self.records.select_runs(mode="replay", units="scaled")
+            if run.steps_searched_for_hardest
+        ]
+
+    def find_longest_timing(self, configuration: Configuration) -> RunRecord | None:
+        """Return a configuration's judged run with its largest single timing; None if not timed."""
+        judged = [run for _, run in self._list_judged_runs(configuration)]
+        judged += [run for c, run in self.windows if c == configuration]
+        timed = [run for run in judged if not math.isnan(run.raw_max_ns)]
+        return max(timed, key=lambda run: run.raw_max_ns, default=None)
 
     def get_speed_margin(self, configuration: Configuration) -> SpeedMargin | None:
         """Return how much slower a computer may be for a configuration; None if not timed."""

@@ -105,15 +105,19 @@ def tooltips(*entries: Any) -> list[Any]:
 
 
 def describe_marks(chart: Any, tips: Sequence[Any]) -> Any:
-    """Return a chart with its tooltip's labels and values as the text that screen readers read."""
-    parts = []
+    """Return a chart with its tooltip's labels and values as the text that screen readers read.
+
+    As in the page's tooltips, a value that is missing or "–" is left out, with its label.
+    """
+    parts: list[str] = []
     for tip in tips:
         known = tip.to_dict()
         value = f"datum.{known['field']}"
         shown = f"format({value}, '{known['format']}')" if "format" in known else value
         label = known.get("title", known["field"])
-        parts.append(f"{json.dumps(f'{label}: ')} + (isValid({value}) ? {shown} : '–')")
-    return chart.transform_calculate(said=" + '; ' + ".join(parts)).encode(
+        said = f"{json.dumps(('; ' if parts else '') + f'{label}: ')} + {shown}"
+        parts.append(f"(isValid({value}) && {value} !== '–' ? {said} : '')")
+    return chart.transform_calculate(said=" + ".join(parts)).encode(
         description=alt.Description("said:N")
     )
 

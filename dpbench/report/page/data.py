@@ -176,19 +176,22 @@ class PageData(RunMatrix):
         return kept
 
     @cached_property
-    def longest_window_steps(self) -> dict[Configuration, list[tuple[int, int, float]]]:
-        """Longest steps of all windows by configuration: loop's experiment index, k, time [ns]."""
-        loops = {
+    def loop_indices(self) -> dict[str, int]:
+        """Index of each scenario's closed loop in scaled units on this computer, by scenario."""
+        return {
             experiment.name: p
             for p, experiment in enumerate(self.experiments)
             if (experiment.mode, experiment.units, experiment.study)
             == ("closed_loop", "scaled", "")
             and not experiment.slowdown
         }
+
+    @cached_property
+    def longest_window_steps(self) -> dict[Configuration, list[tuple[int, int, float]]]:
+        """Longest steps of all windows by configuration: loop's experiment index, k, time [ns]."""
+        loops = self.loop_indices
         windows = {
-            run.run_id: run
-            for run in self.records.select_runs(mode="replay", units="scaled")
-            if run.steps_searched_for_hardest and run.has_steps and run.scenario in loops
+            run.run_id: run for _, run in self.windows if run.has_steps and run.scenario in loops
         }
         found: dict[Configuration, list[tuple[int, int, float]]] = {}
         for run_id, steps, _ in self.records.yield_merged_and_raw_steps([*windows.values()]):
@@ -352,12 +355,19 @@ MOST_ROWS = 3000
 def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
     """Return the table of runs as columns for the page's script, without empty columns.
 
-    A window of hardest steps has a configuration, but no experiment on the page.
+    A window of hardest steps leads to its closed loop, if the page has that.
     """
     runs = runs.iloc[:MOST_ROWS]
     runs = runs.assign(limiting_p99_ns=_compute_limiting_p99_ns(data, runs))
     by_id = {run.run_id: key for key, run in data.runs.items()}
     keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
+    of_windows = {
+        run.run_id: (c, data.loop_indices.get(run.scenario))
+        for configuration, run in data.windows
+        if (c := data.find_index(configuration)) >= 0
+    }
+    window_keys = [of_windows.get(str(run_id)) for run_id in runs["run_id"]]
+    shown = [key or window for key, window in zip(keys, window_keys, strict=True)]
     always: dict[str, Iterable[Any]] = {
         "solver": runs["solver"],
         "call mode": runs["route"] + " " + runs["policy"],
@@ -399,8 +409,9 @@ def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
         "calibration_runs": int(runs["solver"].isin(list(CALIBRATION)).sum()),
         "columns": columns,
         "values": values,
-        "c": _find_configuration_indices(data, runs),
-        "p": [None if key is None else key[1] for key in keys],
+        "c": [None if key is None else key[0] for key in shown],
+        "p": [None if key is None or key not in data.runs else key[1] for key in shown],
+        "windows": [i for i, key in enumerate(window_keys) if key is not None],
     }
 
 
@@ -418,16 +429,6 @@ def _compute_limiting_p99_ns(data: PageData, runs: pd.DataFrame) -> "pd.Series[f
     factors = {run.run_id: run.untimed_iterations for run in data.records.runs}
     scale = runs["run_id"].astype(str).map(factors).astype(np.float64).fillna(1.0)
     return runs["algo_p99_ns"].fillna(runs["window_p99_ns"]) * scale
-
-
-def _find_configuration_indices(data: PageData, runs: pd.DataFrame) -> list[int | None]:
-    """Return the index of each run's configuration on the page (R,); None for one not shown."""
-    shown = {run.run_id: c for (c, _), run in data.runs.items()}
-    for run in data.records.select_runs(mode="replay", units="scaled"):
-        c = data.find_index(get_configuration_in_common_form(run))
-        if run.steps_searched_for_hardest and c >= 0:
-            shown[run.run_id] = c
-    return [shown.get(str(run_id)) for run_id in runs["run_id"]]
 
 
 def select_tiles(tiles: pd.DataFrame) -> pd.DataFrame:

@@ -43,7 +43,7 @@ from dpbench.report.formats import (
 from dpbench.report.page.data import PageData
 from dpbench.report.ship.capability_text import describe_consequence_solver, describe_unanswered_qps
 from dpbench.report.ship.ship_text import ShipSummary, summarise_ships
-from dpbench.report.verdict.findings_text import describe_findings
+from dpbench.report.verdict.findings_text import describe_findings, name_experiment
 from dpbench.report.verdict.verdict_text import (
     NOBODY,
     describe_deployment,
@@ -413,16 +413,15 @@ def _list_limiting_steps(data: PageData, margin: SpeedMargin, time: str) -> list
 
 def _yield_longest_timing(data: PageData, c: Configuration) -> Iterator[str]:
     """Yield a sentence on a configuration's largest single timing beside the machine's stalls."""
-    longest, stall_ns = data.find_longest_timing(c), find_largest_stall_ns(data.records)
-    if longest is None:
+    run, stall_ns = data.find_longest_timing(c), find_largest_stall_ns(data.records)
+    if run is None:
         return
-    experiment, run = longest
     stall = f"; calibration runs, which run no solver, have stalls of up to {format_time(stall_ns)}"
     stall *= stall_ns > 0.0
     wait = describe_longest_wait(data.records, run)
     yield (
         "Stalls do not scale with the speed of the computer. The largest single timing is "
-        f"{format_time(run.raw_max_ns)}{wait} in `{experiment.label}`{stall}."
+        f"{format_time(run.raw_max_ns)}{wait} in {name_experiment(run)}{stall}."
     )
 
 

@@ -99,7 +99,6 @@ def _describe_configuration(
     data: PageData, recommendation: Recommendation, c: Configuration, v: Verdict | None
 ) -> dict[str, Any]:
     """Return the facts of a configuration that the page's script needs."""
-    longest = data.find_longest_timing(c)
     times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
     return {
         **make_configuration_columns(c),
@@ -119,7 +118,6 @@ def _describe_configuration(
         **_describe_margin(data, c, v),
         "longest_in_windows": [list(step) for step in data.longest_window_steps.get(c, ())],
         "max_wait": describe_hardest_wait(data.records, None if v is None else v.max_run),
-        "longest": None if longest is None else convert_to_json_number(longest[1].raw_max_ns),
     }
 
 

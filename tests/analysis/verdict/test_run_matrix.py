@@ -234,7 +234,16 @@ def test_the_longest_timing_is_of_scaled_runs_outside_studies(records: Any) -> N
     records.loop("scs", raw_max_ns=9e6)
     matrix = _matrix(records, kept=1)
     found = matrix.find_longest_timing(matrix.configurations[0])
-    assert (found[0].label, found[1].raw_max_ns) == ("paper (replay)", 3e6)
+    assert (found.mode, found.raw_max_ns) == ("replay", 3e6)
+
+
+def test_the_longest_timing_may_be_in_a_window(records: Any) -> None:
+    records.loop("daqp", "turn", raw_max_ns=2e6)
+    cell = json.dumps({"source": {"kind": "hardest", "name": "turn hardest 30", "of": 450}})
+    window = {"steps": 30, "scenario": "turn", "cell": cell}
+    records.replay("daqp", "turn hardest 30", raw_max_ns=4e6, **window)
+    matrix = _matrix(records)
+    assert matrix.find_longest_timing(matrix.configurations[0]).raw_max_ns == 4e6
 
 
 @pytest.mark.parametrize(("reported", "all_reported"), [(1.0, True), (0.9, False)])

@@ -170,7 +170,7 @@ def test_the_hardest_steps_are_those_of_the_experiment_then_of_all(selected: Any
     page = selected("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
     page.locator("#hard summary").click()
     heads = page.locator("#hard span").all_inner_texts()
-    assert page.locator("#hard h3").all_inner_texts() == ["Hardest steps of paper"]
+    assert page.locator("#hard h3").all_inner_texts() == ["Extreme steps of paper"]
     error = "largest error of the first move [maximum increments]"
     own = [error, "largest single timings, stalls included"]
     everywhere = "longest steps of replays and windows, each in its fastest round"
@@ -249,9 +249,12 @@ def test_a_step_of_a_loop_says_where_the_ship_is(selected: Any, campaign: Path) 
     assert float(ship[5]) == pytest.approx(100 * row["tau_x_N"] / limit, rel=0.05, abs=0.2)
 
 
-def test_the_query_is_that_of_the_replay_behind_the_p99(selected: Any, campaign: Path) -> None:
-    """Whatever experiment is chosen; its lines give the p99 that the page names."""
+def test_the_query_is_that_of_the_selected_run(selected: Any, campaign: Path) -> None:
+    """Of a replay, its lines give the p99 that the page names."""
     page = selected("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper_tight")
+    loop_id = page.evaluate("cell(state.c, state.p).id")
+    assert loop_id in page.text_content("#data-query")
+    page = selected("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper+(replay)")
     output = page.text_content("#data-query")
     run = re.search(r'"run_id", "==", "(\w+)"', output)
     assert run and "(replay)" in output
@@ -289,7 +292,7 @@ def test_a_bound_is_never_rounded_up(selected: Any) -> None:
     page = selected()
     for value in (245.9, 246.0, 29.96, 1234.9, 1.0049, 0.4567, 99_950.0):
         shown = page.evaluate(f"roundedDown({value})").replace("\u202f", "")
-        assert float(shown) == float(format_rounded_down(value))
+        assert float(shown) == float(format_rounded_down(value).replace("\u202f", ""))
 
 
 def test_the_speed_margin_decides_on_slower_computers(selected: Any, written: Any) -> None:

@@ -115,7 +115,7 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
     slower = dict(report.summary_rows())["margin"]
     hardest = f"The longest step takes 10.0 ms{waits[0]} in step 7 of paper"
     assert hardest in slower and "reaches the deadline of 300 ms at a slowdown of × 30.0." in slower
-    assert f"The largest single timing is 40.0 ms{waits[1]} in paper" in slower
+    assert f"The largest single timing is 40.0 ms{waits[1]} in the replay of paper" in slower
     assert f"| 10.0 ms{waits[0]} |" in make_report_markdown(report)
     text, worst = compare_solver(report, "daqp")
     assert f"| 10.0 ms{waits[0]} |" in text.partition("worst by")[2]

@@ -33,15 +33,17 @@ function drawTable() {
     th.append(button); head.append(th);
   }
   // A row is chosen where it stands; its name opens it above.
-  // A window has no experiment of its own: what is shown stays, where the configuration has that.
-  const shownOf = (c) => (cell(c, state.p) ? state.p : Math.max(0, facts.experiments.findIndex((_, p) => cell(c, p))));
-  const choose = (i) => { if (table.c[i] !== null) select({ c: table.c[i], p: table.p[i] ?? shownOf(table.c[i]), k: null }); };
+  // A window has no experiment of its own: its closed loop is shown.
+  const choose = (i) => {
+    const window = table.windows.includes(i) ? i : null;
+    if (table.p[i] !== null) select({ c: table.c[i], p: table.p[i], k: null, window });
+  };
   const body = rows.slice(from, from + ROWS).map((i) => {
     const tr = document.createElement("tr");
     for (const [column, j] of shown) {
       const td = document.createElement("td"), value = table.values[j][i];
       td.dataset.name = column.group ? column.label : "";
-      if (j === 0 && table.c[i] !== null) {
+      if (j === 0 && table.p[i] !== null) {
         const button = document.createElement("button");
         button.textContent = value;
         button.addEventListener("click", () => { choose(i); go("one"); });
@@ -51,7 +53,8 @@ function drawTable() {
       if (value === null || value === "") td.classList.add("empty");
       tr.append(td);
     }
-    if (table.c[i] === state.c && table.p[i] === state.p) tr.setAttribute("aria-current", "true");
+    const isShown = table.c[i] === state.c && table.p[i] === state.p && !table.windows.includes(i);
+    if (state.window === null ? isShown : i === state.window) tr.setAttribute("aria-current", "true");
     tr.addEventListener("click", () => choose(i));
     return tr;
   });
@@ -78,14 +81,19 @@ function scaled(value, column) {
   return column.scale && typeof value === "number" ? value * column.scale : value;
 }
 
-// The rows behind the p99 that the page names; of what was not timed, those of the chosen experiment.
+// The value of a column of the table in a row.
+const valueOf = (name, i) => facts.table.values[facts.table.columns.findIndex((column) => column.name === name)][i];
+
+// The steps of the selected run.
 function drawQuery() {
-  const p = C().timed_experiment_index?.[state.c] ?? state.p, run = cell(state.c, p);
-  $("data-query").closest("details").hidden = !run;
-  $("data-query").textContent = !run ? ""
-    : `steps = pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${run.id}")])`
-      + `  # ${label(state.c)} in ${facts.experiments[p].label}`
-      + (facts.experiments[p].mode === "replay"
+  const run = cell(state.c, state.p), window = state.window;
+  const id = window === null ? run?.id : valueOf("run_id", window);
+  const where = window === null ? facts.experiments[state.p]?.label : valueOf("where", window);
+  $("data-query").closest("details").hidden = !id;
+  $("data-query").textContent = !id ? ""
+    : `steps = pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${id}")])`
+      + `  # ${label(state.c)} in ${where}`
+      + (window === null && facts.experiments[state.p].mode === "replay"
         ? `\ntotal_ns = steps.filter(regex="^(setup|update|solve|read|allocation)_ns$").sum(axis=1)`
           + `\ntotal_ns[steps.counts].groupby(steps.k).min().quantile([0.5, 0.99]) / 1e3  # p50 and p99 [µs]`
         : "");
@@ -109,7 +117,7 @@ function download(name, text) {
 }
 
 SECTIONS.push({
-  id: "data", after: ["c", "p"], draw: drawTable,
+  id: "data", after: ["c", "p", "window"], draw: drawTable,
   listen: () => {
     for (const [id, event] of [["filter", "input"], ["group", "change"], ["of", "change"]]) {
       on(`table-${id}`, event, () => { sorting.from = 0; drawTable(); });

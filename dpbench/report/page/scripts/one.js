@@ -71,7 +71,7 @@ function wrongOf(run) {
   const found = [[run.inaccurate ?? 0, "step", (count) => `${were(count)} inaccurate${at(run.first_inaccurate, count)}`],
     [run.failed, "step", (count) => `failed${at(run.first_failed, count)}`],
     [run.untrue, once ? "step" : "answer", (count) => `${were(count)} reported as solved but not verified${once ? "" : ` (of ${grouped(run.answers)})`}`]]
-    .filter(([count]) => count !== 0)
+    .filter(([count]) => count > 0)
     .map(([count, word, what], i) => `${i ? grouped(count) : many(count, word)} ${what(count)}`);
   return found.length < 2 ? found.join("") : `${found.slice(0, -1).join(", ")} and ${found.at(-1)}`;
 }
@@ -102,6 +102,7 @@ function verdictOf(run, name) {
 function resultOf(run) {
   const solver = `\`${C().solver[state.c]}\``;
   const unverified = unverifiedOf(run), all = ", and all are accurate";
+  if (run.outcome === "refused") return `${solver} was not run in \`${facts.experiments[state.p].label}\`, as it does not support this call mode (${run.why}).`;
   return [
     `${verdictOf(run, solver)}${facts.experiments[state.p].study ? `, ${solver}` : ": it"} ran ${grouped(run.steps)} of ${grouped(run.planned)} steps${
       unverified ? "" : wrongOf(run) ? `; ${wrongOf(run)}` : all}.`,
@@ -122,14 +123,15 @@ async function drawOne() {
   // That of the answer stands there.
   $("one-call").parentElement.hidden = $("one-call").textContent === $("paste-1")?.textContent;
   if (!run) {
-    text.replaceChildren(...coded(notKept() ?? `Not run in \`${facts.experiments[state.p].label}\`.`));
+    text.replaceChildren(...coded(notKept() ?? `Not run in \`${facts.experiments[state.p].label}\`${C().verdict[state.c] === "not run" ? `: ${C().why[state.c]}` : ""}.`));
     for (const id of ["hard", "figure-strips", "strips-said", "step", "ship"]) $(id).hidden = true;
     return;
   }
   $("hard").hidden = false;
   $("ship").hidden = !trackOf(run);
-  const judged = C().verdict[state.c] !== "not judged";
+  const judged = !["not judged", "not run"].includes(C().verdict[state.c]);
   text.replaceChildren(...coded([
+    state.window === null ? "" : "A window has no chart of its own, so its closed loop is shown.",
     resultOf(run),
     judged ? `Overall verdict, without runs in SI units: ${C().verdict[state.c]}${C().why[state.c] ? `, because ${C().why[state.c]}` : ""}.` : "",
     solver.method ? `Method: ${solver.method}.` : "",
@@ -214,8 +216,8 @@ function drawHard(run) {
     ...[...worst, ...most].map((m) => [m, names[m]]),
     [0, "largest single timings of all closed loops, stalls included", "closed_loop"]];
   const all = document.createElement("details"), title = document.createElement("summary"), heading = document.createElement("h3");
-  title.textContent = "Hardest steps of all scenarios and replays, without runs in SI units";
-  heading.replaceChildren(...coded(`Hardest steps of \`${facts.experiments[state.p].label}\``));
+  title.textContent = "Extreme steps of all scenarios and replays, without runs in SI units";
+  heading.replaceChildren(...coded(`Extreme steps of \`${facts.experiments[state.p].label}\``));
   all.open = $("hard").querySelector("details")?.open ?? false;
   all.append(title, ...(several ? everywhere : []).map(([m, name, mode]) => row(name, worstAnywhere(m, mode).map(said(m))))
     .filter((line) => line.children.length > 1));
@@ -251,7 +253,9 @@ function drawStep(run) {
   // The packed arrays are rounded; what stands on the buttons is not.
   const exact = run.hard?.[0].find((hard) => hard[0] === k), off = run.hard?.[2].find((hard) => hard[0] === k);
   const error = off ? off[1] : array(run.e)[j];
-  $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}, ${array(run.i)[j] == null ? "iterations not reported" : many(array(run.i)[j], "iteration")}, `
+  const inWindow = C().longest_in_windows[state.c].find((step) => step[0] === state.p && step[1] === k);
+  const where = inWindow ? ` in the closed loop shown (${time(inWindow[2])} in its window, fastest round)` : "";
+  $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}${where}, ${array(run.i)[j] == null ? "iterations not reported" : many(array(run.i)[j], "iteration")}, `
     + `${many(array(run.a)[j], "active limit")}, ${[Infinity, "inf"].includes(error) ? "no solution" : `error of the first move ${figure(error)}${error == null ? "" : " times the maximum increment"}`}. `
     + `The solver ${said(0) ? "reported “solved”" : `did not report “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}. `
     + `Its solution is ${said(1) ? "correct" : "not correct"}.${flags.length ? ` Flags: ${flags.join(", ")}.` : ""} ${moved(run, k)}`;

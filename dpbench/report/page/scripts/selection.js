@@ -6,7 +6,8 @@
 // and cells is looked up here; `draw` (page.js) follows it.
 "use strict";
 
-const state = {};
+// `window` is the row of a window in the table of all runs, whose closed loop is shown, or null.
+const state = { window: null };
 
 // What each section registers: the `id` of a node without which it is not on the page, `draw` after
 // a change of these parts of the selection, `redraw` in another look, and `listen` at the start.
@@ -61,7 +62,7 @@ const positive = (text, usual) => (Number(text) > 0 && Number.isFinite(Number(te
 
 function read() {
   const asked = new URLSearchParams(location.hash.slice(1));
-  Object.assign(state, { cpi: positive(asked.get("cpi"), 1), mhz: positive(asked.get("mhz"), 100) });
+  Object.assign(state, { window: null, cpi: positive(asked.get("cpi"), 1), mhz: positive(asked.get("mhz"), 100) });
   if (!count()) { Object.assign(state, { c: null, p: 0, k: null, slow: 1, b: null }); return; }
   const first = facts.answer.first;
   const solver = asked.get("s") ?? C().solver[first];
@@ -78,7 +79,9 @@ function read() {
 }
 
 function select(change) {
-  Object.assign(state, change);
+  // A window is left with its configuration or scenario.
+  const left = "c" in change || "p" in change ? { window: null } : {};
+  Object.assign(state, left, change);
   const hash = new URLSearchParams({
     s: C().solver[state.c], w: callMode(state.c), set: C().settings[state.c],
     sc: facts.experiments[state.p].label,
