@@ -161,7 +161,7 @@ class Results(result_folder.Results):
     def verdict(self) -> pd.DataFrame:
         """Return a table of verdicts: a row per solver and settings, with reason and main numbers.
 
-        Times in µs; error_move and failed_steps over all its runs.
+        Times in µs; error_move and failed_steps over all its runs except those in SI units.
 
         Examples
         --------
@@ -251,7 +251,9 @@ class Results(result_folder.Results):
         """
         require_lists_of_names(columns=columns, solvers=solvers)
         if isinstance(table, str):
-            _refuse_unknown_name("table", table, self.tables, "dpbench report DIR --tables")
+            _refuse_unknown_name(
+                "table", table, self.tables, "results.tables` or `dpbench report DIR --tables"
+            )
             frame = self.tables[table]
         else:
             frame = table

@@ -18,6 +18,7 @@ from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.judge.answer_caching import find_caching_sign
 from dpbench.bench.judge.evaluation import EvaluatedCell, evaluate_loop_log, evaluate_replay_log
 from dpbench.bench.judge.rows import make_run_row, make_step_columns, make_step_rows
+from dpbench.bench.judge.rules import UNCERTIFIED
 from dpbench.bench.record.cell import DEFAULT_FALLBACK, FORMULATIONS, Cell, Formulation, Outcome
 from dpbench.bench.record.raw_log import RawLog
 from dpbench.bench.record.schema import convert_to_run_columns
@@ -131,12 +132,14 @@ class Run:
 
     def __repr__(self) -> str:
         row, unverified = self.summary, self._unverified_text
-        time, note = self._time_text
+        failed, (time, note) = row["failed_steps"], self._time_text
         return (
             f"<{'Inaccurate run' if self._is_inaccurate else 'Run'} of {self.label}: "
             f"{self.case_text}, {self._steps_text}, "
             f"{format_share(row['true_share'])} verified, "
             f"{f'{unverified} reported solved but not verified, ' if unverified else ''}"
+            f"{f'{self._uncertified_text}, ' if self._uncertified_text else ''}"
+            f"{f'{format_count(failed)} failed, ' if failed else ''}"
             f"{f'{self._late_text}, ' if self._late_text else ''}"
             f"error_move ≤ {format_error(row['error_move_max'])}, p50 {time}{note and f' ({note})'}"
             f"{f'; {self._machine_text}' if self._machine_text else ''}"
@@ -149,7 +152,7 @@ class Run:
         row = self.summary
         time, note = self._time_text
         fields = {
-            "warning": "inaccurate" if self._is_inaccurate else "",
+            "warning": "inaccurate" if self._is_inaccurate else self._uncertified_text,
             "steps": self._steps_text,
             "answers verified": format_share(row["true_share"]),
             "reported solved but not verified": self._unverified_text or "0",
@@ -198,6 +201,14 @@ class Run:
         )
 
     @property
+    def _uncertified_text(self) -> str:
+        """Number of steps whose solutions cannot be judged, as text; "" for none."""
+        # A late step has no solution to judge.
+        solved = self.steps[self.steps["total_ns"].notna()]
+        count = solved.loc[solved["certificate"] == UNCERTIFIED, "k"].nunique()
+        return f"{plural(count, 'step')} without a certified optimum" if count else ""
+
+    @property
     def _late_text(self) -> str:
         """Steps that missed their deadline, and fallbacks, as text; "" for none."""
         if not self._is_closed_loop:
@@ -239,7 +250,7 @@ class Run:
     def _steps_text(self) -> str:
         """Number of steps done and planned in the run, as text."""
         row = self.summary
-        return f"{row['steps_done']} of {plural(row['steps_planned'], 'step')}"
+        return f"{format_count(row['steps_done'])} of {plural(row['steps_planned'], 'step')}"
 
     @property
     def _ship(self) -> ShipSummary:
@@ -285,7 +296,7 @@ def run_closed_loop(
     scenario : an object, a name or a TOML file; `Scenario.with_horizons` sets other horizons. Or a
         `LinearMPC`, for a plant that is no ship.
     workspace : an object of `open_workspace`, or the name of a solver.
-    steps : only the first so many; by default the whole scenario.
+    steps : only the first so many; by default, and above its number of steps, the whole scenario.
     backup : name of a second solver, called before the fallback acts; "" for none.
     slowdown : how much slower than this machine the ship's computer is (≥ 1), so that answers
         arrive late; 0 for a ship that waits for each. Time is simulated, not waited for.

@@ -307,6 +307,13 @@ class QPStep:
         parts = "vectors" if self.refresh is Refresh.VECTORS else "vectors and matrices"
         return f"<QPStep: {describe_qp_size(len(self.q), len(self.l))}, {parts}>"
 
+    if not TYPE_CHECKING:  # A type checker still finds names that do not exist.
+
+        def __getattr__(self, name: str) -> Any:
+            """Raise AttributeError that names what has the complete QP, as for `setup(step)`."""
+            allowed = "a QuadraticProgram has the complete QP, such as `condensed.problem(step)`"
+            raise AttributeError(f"QPStep has no {name!r}; {allowed}")
+
     @property
     def refresh(self) -> Refresh:
         """Parts of the QP that this step changes: vectors alone, or matrices and bounds too.

@@ -8,6 +8,7 @@ import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,11 @@ import pytest
 
 from dpbench import (
     InputError,
+    QPSequence,
+    QPStep,
+    QuadraticProgram,
     Run,
+    UnknownNameError,
     certify,
     condense,
     load_scenario,
@@ -25,6 +30,7 @@ from dpbench import (
     replay,
     run_campaign,
     run_closed_loop,
+    save_sequence,
 )
 
 STEPS = 12
@@ -394,3 +400,28 @@ def test_a_replay_names_what_disturbed_it() -> None:
     waiting = replace(calm, steps=still.assign(waited_ns=still["total_ns"] // 4))
     waits = "in 25.0 % of the timed span the solver waited for the processor core, which other"
     assert waits in repr(waiting)
+
+
+def test_steps_without_a_certified_optimum_are_counted() -> None:
+    """An unbounded QP: min z₂ over the plane."""
+    none = np.zeros((3, 0))
+    qp = QuadraticProgram(np.zeros((2, 2)), [0.0, 1.0])
+    run = replay(QPSequence("open", qp, np.tile(qp.q, (3, 1)), none, none), "daqp", repeats=2)
+    assert "– verified, 3 steps without a certified optimum, 3 failed, " in repr(run)
+    cells = _Cells(run._repr_html_()).cells
+    assert cells[cells.index("warning") + 1] == "3 steps without a certified optimum"
+    assert "P is singular, and the QP may be unbounded" in repr(certify(qp))
+
+
+def test_a_sequence_with_nan_is_not_saved(tmp_path: Path) -> None:
+    qp, none = QuadraticProgram(np.eye(1), [1.0]), np.zeros((1, 0))
+    with pytest.raises(InputError, match="save_sequence: sequence: q: found NaN"):
+        save_sequence(tmp_path / "nan.npz", QPSequence("nan", qp, [[np.nan]], none, none))
+
+
+def test_a_scenario_in_place_of_a_sequence_and_a_step_in_place_of_a_qp_are_named() -> None:
+    with pytest.raises(UnknownNameError, match=r"found 'paper'; .*`record_sequence\('paper'\)`"):
+        replay("paper", "daqp")
+    step = QPStep(np.ones(1), np.zeros(0), np.zeros(0))
+    with pytest.raises(AttributeError, match="QPStep has no 'm'; a QuadraticProgram has"):
+        open_workspace("daqp").setup(step)  # type: ignore[arg-type] # the mistake to name

@@ -311,7 +311,8 @@ def load_results(out: str | Path, *, without_steps: bool = False) -> Results:
     folder = Path(out)
     if not folder.is_dir():
         allowed = "a folder written by `run_campaign()`"
-        raise ResultsError(str(folder), "", "no such folder", allowed)
+        found = "a file" if folder.exists() else "no such folder"
+        raise ResultsError(str(folder), "", found, allowed)
     no_steps = without_steps and not (folder / "steps.parquet").exists()
     runs, steps = _read_checked_runs(folder), StepsOnDisk(folder, is_optional=without_steps)
     results = Results(runs, steps, *load_machine_and_suite(folder))

@@ -139,7 +139,8 @@ class ExactLoop:
         for optima in (self.optima, self.allocated):
             for k, optimum in enumerate(optima):
                 if optimum.kind == "none":
-                    raise CertificateError(f"{name}: step {k} has no certified optimum")
+                    why = f": {optimum.reason}" if optimum.reason else ""
+                    raise CertificateError(f"{name}: step {k} has no certified optimum{why}")
 
     def save(self, path: Path) -> None:
         """Write the states, forces and certified optima of the loop to a file."""

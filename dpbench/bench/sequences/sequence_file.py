@@ -52,7 +52,13 @@ from dpbench.bench.record.npz import (
     write_npz,
 )
 from dpbench.bench.sequences.foreign_qps import read_acados_qp, read_maros_meszaros_problem
-from dpbench.errors import InputError, require_name_or_file, require_type, shorten_found
+from dpbench.errors import (
+    InputError,
+    UnknownNameError,
+    require_name_or_file,
+    require_type,
+    shorten_found,
+)
 from dpbench.files.regular_files import open_regular_file, parse_json
 from dpbench.qp.program import (
     CONSTANT,
@@ -63,7 +69,7 @@ from dpbench.qp.program import (
     require_or_make_symmetric,
 )
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Kind, Optimum
-from dpbench.scenario.problem_files import resolve_sequence_path
+from dpbench.scenario.problem_files import list_shipped_problem_names, resolve_sequence_path
 
 if TYPE_CHECKING:
     from dpbench.mpc.condense import UnitSystem
@@ -101,7 +107,7 @@ def save_sequence(
     Parameters
     ----------
     path : a name that ends in .npz; InputError for another.
-    sequence : one in SI is written as its scaled form.
+    sequence : one in SI is written as its scaled form; InputError for one with NaN.
     optima : those of `certify_all_steps`, which finds them where they are not given.
     units, documents : instead of those of the sequence.
 
@@ -125,6 +131,10 @@ def save_sequence(
 
         optima = certify_all_steps(scaled)
     base = scaled.base
+    for name in (*CONSTANT, "q", "l", "u"):
+        for array in (getattr(base, name), getattr(scaled, name)):
+            if array is not None and np.isnan(array).any():
+                raise InputError("save_sequence", f"sequence: {name}", "NaN", "numbers")
     meta = scaled.meta | {name: version(name) for name in VERSIONED} | {"zlib": ZLIB}
     arrays: dict[str, Any] = {
         "format": FORMAT,
@@ -197,7 +207,13 @@ def as_sequence(given: object) -> QPSequence:
     Raises TypeError for anything else, and what `load_sequence` raises.
     """
     if isinstance(given, (str, Path)):
-        return load_sequence(given)
+        try:
+            return load_sequence(given)
+        except UnknownNameError as error:
+            if str(given) not in list_shipped_problem_names("scenarios"):
+                raise
+            allowed = f"`record_sequence('{given}')` for the QPs of this scenario"
+            raise UnknownNameError(error.where, error.key, error.found, allowed) from None
     if isinstance(given, QPSequence):
         return given
     found, allowed = shorten_found(given), "a QPSequence, a name or a .npz file"

@@ -98,6 +98,7 @@ REMEMBERED = 128  # Active sets whose KKT inverse is kept
 EXACT_SIZE = 40  # Largest n for the rational certificate, whose cost grows like n⁴: 0.3 s at n = 30
 INVALID = "P, q or A is not finite, or limits are NaN or infinite on the wrong side"
 INDEFINITE = "P is not proven positive semidefinite"
+SINGULAR = "P is singular, and the QP may be unbounded"
 SEMIDEFINITE_SIZE = 100
 """Largest block of P for the exact test of semidefiniteness, done once per referee."""
 
@@ -383,7 +384,8 @@ class Referee:
 
     def _make_optimum_without_proof(self) -> Optimum:
         """Return the result for a QP with nothing proven: NaN arrays, infinite error bound."""
-        n, nan, reason = len(self._lb), np.nan, "" if self._convex else INDEFINITE
+        n, nan = len(self._lb), np.nan
+        reason = "" if self._definite else SINGULAR if self._convex else INDEFINITE
         nothing = np.full(n, nan), np.full(self._m, nan), np.full(n, nan)
         return Optimum(*nothing, np.inf, "none", reason)
 

@@ -14,9 +14,13 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError, ShapeError, require_integer_at_least, shorten_found
 from dpbench.files.regular_files import is_plain_file_name
 from dpbench.mpc.condense import ControlProblem, Terminal
+from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.model import StateSpace, augment_to_incremental_model, discretise_zero_order_hold
 from dpbench.scenario.controllers.controller import FIXED_MODEL, Controller, MetricGroup
 from dpbench.scenario.problem_files import ScenarioDocuments
+
+_ROUNDING = float(np.finfo(np.float64).eps)
+"""Eigenvalues within this share of the largest, times the size, are zero."""
 
 
 class LinearController(Controller):
@@ -46,7 +50,7 @@ class LinearMPC:
     A, B, C : (n_x, n_x), (n_x, n_u), (n_y, n_x), in discrete time.
     sample_s, steps : length [s] and number of the samples of a run.
     prediction_horizon, control_horizon : N_p and N_c, samples and planned moves.
-    output_weight, increment_weight : Q and R; a vector is the diagonal.
+    output_weight, increment_weight : Q and R, positive semidefinite; a vector is the diagonal.
     u_min, u_max, du_max : (n_u,) limits of u, and of its change in one sample; all finite.
     reference : (n_y,) or, over time, (K, n_y), whose last row is kept; the plan sees none ahead.
     u_start : (n_u,) input before the first sample; zero by default.
@@ -55,7 +59,8 @@ class LinearMPC:
 
     Raises
     ------
-    InputError : for impossible horizons, limits, shapes or names.
+    InputError : for impossible horizons, limits, weights, shapes or names, or if the QPs are not
+        positive definite.
 
     Examples
     --------
@@ -200,6 +205,11 @@ class LinearMPC:
             most,
             self.terminal,
         )
+        eigenvalues = np.linalg.eigvalsh(CondensedQP(problem).P)
+        if not eigenvalues[0] > _ROUNDING * len(eigenvalues) * eigenvalues[-1]:
+            found = f"a QP with the smallest eigenvalue {eigenvalues[0]:.1g}"
+            allowed = "weights that make the QP positive definite, such as above 0"
+            raise InputError(name, "increment_weight", found, allowed)
         return LinearController(
             tuning=name,
             problem=problem,
@@ -255,10 +265,19 @@ class LinearMPC:
 
 def _to_array(name: str, key: str, values: ArrayLike, dimensions: int) -> Matrix:
     """Return values as an array of finite numbers; InputError, naming the key, for others."""
-    array = np.array(values, dtype=np.float64, ndmin=1)
+    array = _to_numbers(name, key, values)
     if array.ndim != dimensions:
         expected = ("a vector, as [1.0, 2.0]", "a matrix, as [[1.0], [2.0]]")[dimensions - 1]
         raise ShapeError.from_shapes(name, key, array.shape, expected)
+    return array
+
+
+def _to_numbers(name: str, key: str, values: ArrayLike) -> Matrix:
+    """Return values as an array of any shape; InputError, naming the key, unless all are finite."""
+    try:
+        array: Matrix = np.array(values, dtype=np.float64, ndmin=1)
+    except (TypeError, ValueError) as error:
+        raise InputError(name, key, shorten_found(values), "finite numbers") from error
     if len(wrong := array[~np.isfinite(array)]):
         raise InputError(name, key, f"the value {wrong[0]}", "finite numbers")
     return array
@@ -266,10 +285,19 @@ def _to_array(name: str, key: str, values: ArrayLike, dimensions: int) -> Matrix
 
 def _to_weight(name: str, key: str, values: ArrayLike, size: int) -> Matrix:
     """Return a weight as a matrix (size, size), from its diagonal or the whole of it."""
-    weight = np.array(values, dtype=np.float64, ndmin=1)
+    weight = _to_numbers(name, key, values)
     weight = np.diag(weight) if weight.ndim == 1 else weight
     if weight.shape != (size, size):
         raise ShapeError.from_shapes(
             name, key, weight.shape, f"shape ({size},) or ({size}, {size})"
         )
+    if (weight != weight.T).any() or not _is_semidefinite(weight):
+        allowed = "weights of at least 0, or a symmetric positive semidefinite matrix"
+        raise InputError(name, key, shorten_found(values), allowed)
     return weight
+
+
+def _is_semidefinite(matrix: Matrix) -> bool:
+    """Return whether no eigenvalue of a symmetric matrix is below 0 by more than rounding."""
+    eigenvalues = np.linalg.eigvalsh(matrix)
+    return bool(eigenvalues[0] >= -_ROUNDING * len(matrix) * abs(eigenvalues[-1]))

@@ -166,7 +166,7 @@ def test_a_step_without_certificate(scenario: Scenario, monkeypatch: pytest.Monk
         if next(count) != 5:
             return optimum
         n, m = len(optimum.z), len(optimum.y)
-        return Optimum(*(np.full(size, np.nan) for size in (n, m, n)), np.inf, "none")
+        return Optimum(*(np.full(size, np.nan) for size in (n, m, n)), np.inf, "none", "no proof")
 
     monkeypatch.setattr(Referee, "certify_vectors", fail_at_five)
     exact = solve_loop_exactly(scenario.truncate(8))
@@ -175,7 +175,7 @@ def test_a_step_without_certificate(scenario: Scenario, monkeypatch: pytest.Monk
     np.testing.assert_allclose(
         (exact.tau[5] - exact.tau[4]) / du_max, exact.optima[4].z[3:6], atol=1e-12
     )
-    with pytest.raises(CertificateError, match="paper: step 5 has no certified optimum"):
+    with pytest.raises(CertificateError, match="step 5 has no certified optimum: no proof"):
         exact.require_certificates(scenario.name)
 
 

@@ -162,6 +162,13 @@ def test_a_reference_over_time_keeps_its_last_row() -> None:
         ({"sample_s": 0.0}, "cart: sample_s: found 0.0"),
         ({"inputs": ("a", "b")}, "cart: inputs: .*1 different names"),
         ({"name": "../cart"}, "a name without a path"),
+        ({"increment_weight": [-1.0]}, r"cart: increment_weight: found \[-1.0\]; .*at least 0"),
+        ({"output_weight": [np.nan]}, "cart: output_weight: found the value nan; .*finite"),
+        ({"A": "x"}, "cart: A: found 'x'; allowed: finite numbers"),
+        (
+            {"increment_weight": [0.0], "output_weight": [0.0]},
+            "a QP with the smallest eigenvalue 0; allowed: .*positive definite",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_when_it_is_made(changed: dict[str, Any], words: str) -> None:
