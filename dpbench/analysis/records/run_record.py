@@ -45,7 +45,8 @@ class RunRecord:
     x : of a study, the values of its keys at the run's point.
     default_route : whether it runs on its solver's own route, set by `Records`.
     untimed_iterations : of a replay, the factor that bounds its p99 by the iterations of its
-        solver's closed loop, set by `Records`; at least 1.
+        solver's closed loop, set by `Records`; at least 1. untimed_iterations_max : of its
+        longest step.
     own_switches_a_step : involuntary switches a step of the configuration's own making, set by
         `machine.py` and then not among `involuntary_switches`; NaN for none.
     """
@@ -172,6 +173,7 @@ class RunRecord:
     default_route: bool = False
     own_switches_a_step: float = np.nan
     untimed_iterations: float = 1.0
+    untimed_iterations_max: float = 1.0
 
     def copy_without_times(self) -> "RunRecord":
         """Return a copy of the run with all times set to NaN."""

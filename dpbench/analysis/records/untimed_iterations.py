@@ -16,13 +16,17 @@ from dpbench.analysis.records.run_record import RunRecord
 def relate_replays_to_closed_loops(runs: Sequence[RunRecord]) -> list[RunRecord]:
     """Return runs, each replay with its `untimed_iterations`; those of other runs stay 1."""
     loops = {
-        (run.scenario, run.configuration): run.iterations_p99
+        (run.scenario, run.configuration): run
         for run in runs
         if run.mode == "closed_loop" and not run.study and not run.slowdown > 0.0
     }
     # QPs outside verdicts, as of a consequence analysis, are not those of the loop.
     return [
-        replace(run, untimed_iterations=_compute_excess(run, loops.get(key, math.nan)))
+        replace(
+            run,
+            untimed_iterations=_compute_excess(run, loops[key].iterations_p99),
+            untimed_iterations_max=_divide(loops[key].iterations_max, run.iterations_max),
+        )
         if run.mode == "replay"
         and not run.is_outside_verdicts
         and (key := (run.scenario, run.configuration)) in loops
@@ -39,11 +43,15 @@ def _compute_excess(replay: RunRecord, of_loop: float) -> float:
     A solver without an iteration in the replay still makes a step there, which counts as one. If
     the replay has a step with as many iterations as the loop, its longest step bounds the p99.
     """
-    excess = (1.0 + of_loop) / (1.0 + replay.iterations_p99)
-    if not math.isfinite(excess):
-        return 1.0
+    excess = _divide(of_loop, replay.iterations_p99)
     if replay.iterations_max >= of_loop:
         p99s = (replay.window_p99_ns, replay.algo_p99_ns)
         p99_ns = next(filter(math.isfinite, p99s), replay.algo_max_ns)
         excess = min(excess, replay.algo_max_ns / p99_ns)
     return max(1.0, excess)
+
+
+def _divide(of_loop: float, of_replay: float) -> float:
+    """Return the ratio of two counts of iterations, each with the step's own; at least 1."""
+    ratio = (1.0 + of_loop) / (1.0 + of_replay)
+    return max(1.0, ratio) if math.isfinite(ratio) else 1.0

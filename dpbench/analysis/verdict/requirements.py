@@ -112,6 +112,7 @@ Doubt = Literal[
     "no step",
     "no p99",
     "slow steps untimed",
+    "longest step untimed",
     "p99 waits",
     "p95 waits",
     "deadline waits",

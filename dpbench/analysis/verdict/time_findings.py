@@ -333,6 +333,10 @@ def _compare_with_deadline(figures: _ReplayTimes, limit_ns: float, factor: float
     if own_ns <= factor * limit_ns < longest_ns:
         return figures.doubt("deadline waits", "few deadline timings", longest_ns, own_ns)
     if longest_ns < limit_ns / factor:
+        # Nothing passes with a speed margin below 1.
+        bound_ns = longest_ns * figures.run.untimed_iterations_max
+        if bound_ns > limit_ns:
+            return Finding("longest step untimed", (figures.run,), bound_ns, machine=longest_ns)
         return None
     kind: Cause | Near = (
         "deadline late" if longest_ns > factor * limit_ns else "deadline borderline"
@@ -387,7 +391,8 @@ class SlowStep:
 class SpeedMargin:
     """Largest slowdown of a computer at which a solver passes, and the steps that limit it.
 
-    hardest : the step with the largest algorithmic time.
+    hardest : the step with the largest algorithmic time, scaled up to the largest number of
+        iterations of the closed loop.
     p99 : the step whose time is the largest p99 of all replays; the hardest step where none
         supports a p99.
     deadline, p99_limit : factors until the hardest step takes the deadline, and until the p99
@@ -403,6 +408,11 @@ class SpeedMargin:
     def limiting_p99_ns(self) -> float:
         """The p99 that limits the speed margin [ns], scaled up to the closed loop's iterations."""
         return self.p99.time_ns * self.p99.run.untimed_iterations
+
+    @property
+    def longest_ns(self) -> float:
+        """The time of the hardest step [ns], scaled up to the closed loop's iterations."""
+        return self.hardest.time_ns * self.hardest.run.untimed_iterations_max
 
     @property
     def allowed_slowness_factor(self) -> float:
@@ -434,7 +444,8 @@ def compute_speed_margins(
             run: times.algo_ns for run in runs if (times := records.get_step_times(run)) is not None
         }
         if algo:
-            hardest = max(algo, key=lambda run: float(algo[run].max()))
+            longest = {run: float(algo[run].max()) * run.untimed_iterations_max for run in algo}
+            hardest = max(longest, key=longest.__getitem__)
             p99 = {run: compute_p99_ns(run, algo[run]) * run.untimed_iterations for run in algo}
             known = [run for run in algo if not math.isnan(p99[run])]
             bounds[configuration] = hardest, max(known, key=lambda run: p99[run], default=hardest)
@@ -444,8 +455,11 @@ def compute_speed_margins(
     margins = {}
     for configuration, (slowest, at_p99) in bounds.items():
         step, p99_step = steps[slowest.run_id][0], steps[at_p99.run_id][1]
-        bound_ns = p99_step.time_ns * at_p99.untimed_iterations
-        factors = requirements.deadline_ns / step.time_ns, requirements.p99_ns / bound_ns
+        bounds_ns = (
+            step.time_ns * slowest.untimed_iterations_max,
+            p99_step.time_ns * at_p99.untimed_iterations,
+        )
+        factors = requirements.deadline_ns / bounds_ns[0], requirements.p99_ns / bounds_ns[1]
         margins[configuration] = SpeedMargin(step, p99_step, *factors)
     return margins
 

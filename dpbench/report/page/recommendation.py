@@ -379,7 +379,10 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
 def _describe_margin_limit(margin: SpeedMargin, requirements: Requirements, time: str) -> str:
     """Return in words which time of a solver first reaches its limit on a slower computer."""
     if margin.deadline < margin.p99_limit:
-        longest, deadline = format_time(margin.hardest.time_ns), f"{requirements.deadline_ms:g} ms"
+        longest, deadline = format_time(margin.longest_ns), f"{requirements.deadline_ms:g} ms"
+        if margin.hardest.run.untimed_iterations_max > 1.0:
+            loop = f"the closed loop of `{margin.hardest.run.scenario}`"
+            longest = f"estimated at {longest} from the iterations of {loop}"
         return f"the solver's longest step, {longest}, then reaches the deadline of {deadline}"
     bound, limit = format_time(margin.limiting_p99_ns), f"{requirements.p99_ms:g} ms"
     if margin.p99.run.untimed_iterations > 1.0:
@@ -401,12 +404,17 @@ def _list_limiting_steps(data: PageData, margin: SpeedMargin, time: str) -> list
             f". Scaled to the iterations of the closed loop, the {time} is "
             f"{format_time(margin.limiting_p99_ns)}"
         )
+    scaled = (
+        f". Scaled to the iterations of the closed loop, it takes {format_time(margin.longest_ns)}"
+        if margin.hardest.run.untimed_iterations_max > 1.0
+        else ""
+    )
     requirements = data.requirements
     return [
         f"{first}{second}. It reaches the limit of {requirements.p99_ms:g} ms at a slowdown of × "
         f"{format_rounded_down(margin.p99_limit)}.",
-        f"The longest step takes {_describe_slow_step(margin.hardest, wait)}. It reaches the "
-        f"deadline of {requirements.deadline_ms:g} ms at a slowdown of × "
+        f"The longest step takes {_describe_slow_step(margin.hardest, wait)}{scaled}. It reaches "
+        f"the deadline of {requirements.deadline_ms:g} ms at a slowdown of × "
         f"{format_rounded_down(margin.deadline)}.",
     ]
 

@@ -128,6 +128,7 @@ def _describe_margin(data: PageData, c: Configuration, v: Verdict | None) -> dic
         return {"margin": None, "limited_by": ""}
     requirements, longest = data.requirements, format_time(margin.hardest.time_ns)
     if margin.deadline < margin.p99_limit:
+        longest = format_time(margin.longest_ns)
         limited_by = f"longest step of {longest} (deadline {requirements.deadline_ms:g} ms)"
     elif v is None or isnan(v.p99_ns):
         limit = f"p99 limit {requirements.p99_ms:g} ms, as too few steps give a p99"

@@ -164,7 +164,8 @@ def _describe_solver_to_use(
         label = f"With commanded thrusters {c.label} is {chosen.state}"
     if margin is None:
         return f"{label}; no replay times its QPs."
-    step, share = margin.hardest, format_sample_share(1.0 / margin.deadline)
+    step = margin.hardest
+    share = format_sample_share(step.time_ns / (margin.deadline * margin.longest_ns))
     where = f"step {step.k} of the replay of {step.run.sequence}"
     wait = describe_hardest_wait(records, step.run)
     return f"{label}: its longest step, {where}, takes {share} of the sample time{wait}."

@@ -28,6 +28,7 @@ DERIVED = [
     "default_route",
     "own_switches_a_step",
     "untimed_iterations",
+    "untimed_iterations_max",
 ]
 
 

@@ -449,6 +449,27 @@ def test_a_step_with_the_iterations_of_the_loop_bounds_the_p99(
     assert _judged(records)[1]["p99_bound_ns"] == pytest.approx(bound_ns)
 
 
+@pytest.mark.parametrize(
+    ("most", "longest_ns", "kinds"),
+    [(19.0, 1.6e6, []), (99.0, 8e6, []), (100.0, 8.08e6, ["longest step untimed"])],
+)
+def test_the_longest_step_is_scaled_to_the_most_iterations_of_the_loop(
+    records: Any, most: float, longest_ns: float, kinds: list[str]
+) -> None:
+    """Its longest step takes 400 µs with 4 iterations; the deadline is 8 ms."""
+    records.loop("daqp", "turn", iterations_p99=4.0, iterations_max=most)
+    counts = {"iterations_p99": 4.0, "iterations_max": 4.0}
+    _even_replay(records, 400_000, 1000, sequence="turn[0:1000]", scenario="turn", **counts)
+    (margin,) = compute_speed_margins(records.view(), REQUIREMENTS).values()
+    assert margin.hardest.time_ns == 4e5 and margin.p99_limit == pytest.approx(2.5)
+    assert margin.longest_ns == pytest.approx(longest_ns)
+    assert margin.deadline == pytest.approx(8e6 / longest_ns)
+    found = [one for one in _judged(records)[0] if one.kind != "short slow loop"]
+    assert _kinds(found) == kinds
+    if kinds:
+        assert "of `turn`, and 8.08 ms if scaled up to the iterations" in describe_findings(found)
+
+
 def test_a_loop_without_iterations_leaves_a_window_as_it_was_timed(records: Any) -> None:
     records.loop("daqp", "turn")
     _window(records, 450, 400_000, scenario="turn", iterations_p99=4.0)
