@@ -188,13 +188,16 @@ def _list_solvers(**_: object) -> list[str]:
 
 
 def _add_list_options(listing: options.Command) -> None:
-    """Add the argument of `dpbench list` to its parser."""
+    """Add the arguments of `dpbench list` to its parser."""
     listing.add_argument(
         "what",
         metavar="KIND",
         choices=_LISTED,
         type=lambda word: f"{word}s" if f"{word}s" in _LISTED else word,
         help=", ".join(_LISTED),
+    )
+    listing.add_argument(
+        "name", metavar="NAME", nargs="?", default="", help="show one solver, with its options"
     )
 
 
@@ -372,7 +375,7 @@ COMMANDS: dict[str, CommandHelp] = {
         _HELP,
         "List vessels, scenarios, suites, sequences or solvers",
         _add_list_options,
-        ("list solvers", "list suites"),
+        ("list solvers osqp", "list suites"),
     ),
     "doctor": CommandHelp(
         _HELP,

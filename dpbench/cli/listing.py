@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.console import Group, RenderableType
 
 from dpbench.cli.terminal import format_heading_and_paragraphs, make_small_table, make_unstyled_text
+from dpbench.errors import InputError
 from dpbench.report.formats import MISSING, plural
 
 VESSELS_ARE = """
@@ -29,8 +30,15 @@ form: matrix format. native, qpsolvers: routes, each with its call policies.
 low, mid, high: tolerance presets."""
 
 
-def list_table(kind: str) -> RenderableType:
-    """Return a table of all stored vessels, scenarios, suites, QP sequences or known solvers."""
+def list_table(kind: str, name: str = "") -> RenderableType:
+    """Return a table of all stored vessels, scenarios, suites, QP sequences or known solvers.
+
+    name : of a solver, which alone is described then, with its options.
+    """
+    if name:
+        if kind != "solvers":
+            raise InputError("NAME", "", repr(name), "nothing; only one solver can be described")
+        return make_unstyled_text(_describe_solver(name, with_options=True) + f"\n{SOLVERS_ARE}")
     makers = {"vessels": _list_vessels, "scenarios": _list_scenarios, "suites": _list_suites}
     return (makers | {"sequences": _list_sequences, "solvers": _list_solvers})[kind]()
 
@@ -131,10 +139,15 @@ def _list_solvers() -> RenderableType:
     )
 
 
-def _describe_solver(name: str) -> str:
-    """Return a text on a solver: version, method, form, policies and tolerance levels."""
-    from dpbench.solvers.settings import describe_option_presets
-    from dpbench.solvers.table import find_solver_availability, find_solver_record
+def _describe_solver(name: str, *, with_options: bool = False) -> str:
+    """Return a text on a solver: version, method, form, policies, tolerance levels and options."""
+    from dpbench.solvers.settings import describe_option_presets, list_option_names
+    from dpbench.solvers.table import (
+        find_solver_availability,
+        find_solver_record,
+        get_native_adapter,
+        get_qpsolvers_adapter,
+    )
 
     # Importing all libraries takes longer than all the rest.
     row, library = find_solver_record(name), find_solver_availability(name, imported=False)
@@ -145,6 +158,10 @@ def _describe_solver(name: str) -> str:
         f"form {row.form}; {policies}",
         *describe_option_presets(name).splitlines(),
     ]
+    for route in row.routes if with_options and library.ok else ():
+        adapter = get_native_adapter(name) if route == "native" else get_qpsolvers_adapter(name)
+        options = list_option_names(adapter)
+        about.append(f"options, {route}: {', '.join(options or []) or 'none known'}")
     return format_heading_and_paragraphs(f"{name} {version}".rstrip(), about)
 
 

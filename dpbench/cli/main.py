@@ -512,7 +512,7 @@ def _print_listing(arguments: argparse.Namespace) -> None:
     from dpbench.cli.listing import list_table
     from dpbench.cli.terminal import make_console
 
-    make_console().print(list_table(arguments.what))
+    make_console().print(list_table(arguments.what, arguments.name))
 
 
 def _write_own_ship(arguments: argparse.Namespace) -> None:

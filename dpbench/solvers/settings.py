@@ -4,7 +4,7 @@ The tolerance levels `default`, `low`, `mid` and `high` and further names of a s
 record (`make_tolerance_presets`), for both routes.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Any
 
@@ -43,19 +43,27 @@ def resolve_settings_to_options(
     if isinstance(settings, str):
         return dict(find_options_of_preset(settings, name))
     target = None if adapter.make_settings is None else adapter.make_settings()
+    if (known := list_option_names(adapter)) is not None:
+        refuse_unknown_option_names(name, settings, known)
     if adapter.list_options is not None:
         options = adapter.list_options()
-        refuse_unknown_option_names(name, settings, options)
         defaults = options if isinstance(options, Mapping) else {}
         _refuse_text_and_limits_below_zero(
             name, settings, {**adapter.record.levels.get(MID, {}), **defaults}
         )
-    elif target is not None:
-        refuse_unknown_option_names(name, settings, list_public_settings_attributes(target))
     if target is not None:
         _set_options_or_refuse_values(name, settings, target)
     _refuse_values_out_of_range(name, settings, adapter.record.ranges)
     return resolve_settings_with_fixed_options(settings, name)
+
+
+def list_option_names(adapter: NativeAdapter | QpsolversAdapter) -> list[str] | None:
+    """Return the sorted names of a library's options on a route; None if they are not known."""
+    if adapter.list_options is not None:
+        return sorted(adapter.list_options())
+    if adapter.make_settings is not None:
+        return sorted(list_public_settings_attributes(adapter.make_settings()))
+    return None
 
 
 def resolve_settings_with_fixed_options(settings: Settings, solver: str) -> Options:
@@ -169,15 +177,17 @@ def describe_option_presets(solver: str) -> str:
 
 
 def refuse_unknown_option_names(
-    solver: str, settings: Mapping[str, object], allowed: Iterable[str]
+    solver: str, settings: Mapping[str, object], known: Sequence[str]
 ) -> None:
     """Raise SettingsError for the first option name that the solver does not have."""
-    known = sorted(allowed)
+    listing = f"dpbench list solvers {solver}"
     for name, value in settings.items():
         keys = [f"{name}.{member}" for member in value] if isinstance(value, Mapping) else [name]
         for key in keys:
             if key not in known:
-                allowed = format_allowed_names(key, known) if known else "no settings"
+                allowed = (
+                    format_allowed_names(key, known, listing=listing) if known else "no settings"
+                )
                 raise SettingsError(f"settings of {solver}", key[:80], "an unknown option", allowed)
 
 

@@ -127,6 +127,12 @@ def test_bad_input_is_one_line_and_exit_2(words: list[str], parts: list[str], re
             "more: `dpbench list solvers`",
         ),
         (
+            lambda: run_campaign("smoke", "out", solvers=["osqp"], settings={"osqp": {"rho": 1.6}}),
+            "below 1; for options use `solvers`, such as 'osqp[rho=1.6]'",
+            ["run", "smoke", "--out", "out", "--solver", "osqp", "--settings", "osqp"],
+            "below 1; for options use --solver, such as 'osqp[rho=1.6]'",
+        ),
+        (
             lambda: load_results("missing"),
             "required: a folder written by `run_campaign()`",
             ["report", "missing"],
@@ -145,7 +151,16 @@ def test_bad_input_is_one_line_and_exit_2(words: list[str], parts: list[str], re
             "use `dpbench run SUITE --scenario SCENARIO@FILE`",
         ),
     ],
-    ids=["renamed", "option", "several", "listing", "function", "positional", "arguments"],
+    ids=[
+        "renamed",
+        "option",
+        "several",
+        "listing",
+        "own options",
+        "function",
+        "positional",
+        "arguments",
+    ],
 )
 def test_a_mistake_is_named_as_the_user_made_it(
     call: Callable[[], object], said: str, words: list[str], typed: str, refuse: Say

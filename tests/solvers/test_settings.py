@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_matrix
 
+from dpbench.cli.main import main
 from dpbench.errors import SettingsError
 from dpbench.qp.program import QPStep
 from dpbench.qp.referee.referee import certify
@@ -187,7 +188,8 @@ def test_an_unknown_key_is_refused(installed, key):
 def test_the_refusal_names_the_nearest_keys(solver, key, near):
     group, _, name = key.rpartition(".")
     settings = {group: {name: 1.0}} if group else {name: 1.0}
-    with pytest.raises(SettingsError, match=f"{key}: found an unknown option; allowed: .*{near}"):
+    words = f"{key}: found an unknown option; allowed: .*{near}.*`dpbench list solvers {solver}`"
+    with pytest.raises(SettingsError, match=words):
         open_workspace(solver, settings=settings)
 
 
@@ -296,3 +298,12 @@ def test_presets_of_qpoases_are_settings_that_change_its_steps(sequence):
         assert answer.status is Status.SOLVED
         np.testing.assert_allclose(answer.z, exact, rtol=0, atol=atol)
     assert not has_distinct_tolerance_presets("qpoases")
+
+
+def test_the_options_of_a_solver_are_listed(capsys):
+    assert main(["list", "solvers", "osqp"]) == 0
+    options = capsys.readouterr().out.partition("options, native:")[2]
+    # https://osqp.org/docs/interfaces/solver_settings.html
+    assert {"rho,", "eps_abs,", "max_iter,", "check_termination,"} <= set(options.split())
+    assert main(["list", "suites", "osqp"]) == 2
+    assert "found 'osqp'; allowed: nothing" in capsys.readouterr().err

@@ -150,6 +150,7 @@ def refuse_unknown_settings_names(
             presets = [preset for solver in solvers for preset in list_preset_names(solver)]
             known = dict.fromkeys((*presets, *suite.settings))
             allowed = f"{', '.join(known)}, or a tolerance such as 1e-4, above 0 and below 1"
+            allowed += "; for options use `solvers`, such as 'osqp[rho=1.6]'"
             raise SettingsError("settings", "", repr(name), allowed)
 
 
