@@ -46,7 +46,11 @@ from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import Table, escape_markdown, strip_markdown
 from dpbench.report.own_settings_text import describe_own_settings, describe_own_settings_in_si
 from dpbench.report.page.data import PageData
-from dpbench.report.page.live import draw_section_charts, select_static_charts
+from dpbench.report.page.live import (
+    describe_failures_in_si,
+    draw_section_charts,
+    select_static_charts,
+)
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.settings_grids import tabulate_settings_grids
@@ -151,6 +155,8 @@ class Report:
             rows += [("not counted", line.removeprefix("Not counted: ")) for line in missing]
         if verdicts.of:
             rows.append(("solvers", describe_which_solvers_pass(verdicts)))
+            if in_si := describe_failures_in_si(self.data, beyond_verdicts=True):
+                rows.append(("units", in_si))
             own = [*describe_own_settings(verdicts), *describe_own_settings_in_si(self.data)]
             rows += [("options", line) for line in own]
         records = self.data.records

@@ -28,6 +28,7 @@ from dpbench.report.formats import (
 )
 from dpbench.report.own_settings_text import describe_failing_settings_and_grids
 from dpbench.report.page.data import PageData
+from dpbench.report.page.live import describe_failures_in_si
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
@@ -87,7 +88,8 @@ def make_report_markdown(report: Report) -> str:
     wording = [note for about, note in recommendation.notes if about == "stopped"]
     if data.verdicts.of or not lead:
         wording = [recommendation.sentence, *(note for _, note in recommendation.notes)]
-    after = [*_yield_verdicts_by_scenario(data, recommendation)]
+    after = list(filter(None, [describe_failures_in_si(data, beyond_verdicts=True)]))
+    after += _yield_verdicts_by_scenario(data, recommendation)
     after += yield_disturbance_sentences(data.studies)
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     if data.counts.sequences:

@@ -16,6 +16,7 @@ from dpbench.analysis.times.solver_tables import (
 )
 from dpbench.analysis.verdict.verdict import (
     MOST_OWN,
+    list_best_verdict_of_each_solver,
     list_best_verdict_of_own_settings,
     list_main_verdicts,
 )
@@ -39,6 +40,7 @@ from dpbench.report.page.data import (
 )
 from dpbench.report.page.section import Section
 from dpbench.report.verdict.findings_text import shorten_findings
+from dpbench.report.verdict.verdict_text import MOST_NAMED
 
 Charts = dict[str, Any]
 
@@ -105,13 +107,8 @@ def _explain_verdict_grid(data: PageData) -> str:
     tables = tiles, select_tiles(tiles)
     there, drawn = (table["experiment"].nunique() if len(table) else 0 for table in tables)
     wording = [MATRIX]
-    if unscaled := _list_unscaled_experiments(data):
-        ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["verdict"].ne("not run")]
-        requested = ran[ran["settings"] == "default"]
-        failing = requested.loc[requested["verdict"] == "fail", "solver"].nunique()
-        of = f"{failing} of {plural(requested['solver'].nunique(), 'solver')}"
-        verb = "fails" if requested["solver"].nunique() == 1 else "fail"
-        wording += [f"{of} {verb} in SI units (N, N·m): scale the QP."] if failing else []
+    if failures := describe_failures_in_si(data):
+        wording.append(failures)
     if elsewhere := _list_experiments_of_other_modes(tiles):
         wording.append(
             f"In {join_with_and(elsewhere)}, some solvers were run in a call mode other "
@@ -123,6 +120,32 @@ def _explain_verdict_grid(data: PageData) -> str:
         )
         wording.append(f"{most}; `tables/experiments.csv` contains all.")
     return " ".join(wording)
+
+
+def describe_failures_in_si(data: PageData, *, beyond_verdicts: bool = False) -> str:
+    """Return a sentence on solvers that fail in SI units with default settings; "" for none.
+
+    beyond_verdicts : nor if all these solvers have the overall verdict "fail".
+    """
+    unscaled = _list_unscaled_experiments(data)
+    tiles = tabulate_experiment_verdicts(data) if unscaled else pd.DataFrame()
+    if tiles.empty:
+        return ""
+    ran = tiles[tiles["experiment_id"].isin(unscaled) & tiles["verdict"].ne("not run")]
+    requested = ran[ran["settings"] == "default"]
+    failing = requested.loc[requested["verdict"] == "fail", "solver"].unique().tolist()
+    best = list_best_verdict_of_each_solver(data.verdicts)
+    known = {verdict.configuration.solver for verdict in best if verdict.state == "fail"}
+    if not failing or (beyond_verdicts and known.issuperset(failing)):
+        return ""
+    count = requested["solver"].nunique()
+    verb = "fails" if count == 1 else "fail"
+    names = [f"`{name}`" for name in failing[:MOST_NAMED]]
+    names += [f"{len(failing) - MOST_NAMED} more"] if len(failing) > MOST_NAMED else []
+    return (
+        f"In SI units (N, N·m) {len(failing)} of {plural(count, 'solver')} {verb}: "
+        f"{join_with_and(names)}. Scale the QP."
+    )
 
 
 def _list_experiments_of_other_modes(tiles: pd.DataFrame) -> list[str]:

@@ -10,7 +10,11 @@ from dpbench.analysis.verdict.requirements import Cause, Doubt, Gap, Near, Requi
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.report.page import data as page_data
 from dpbench.report.page.data import PageData, convert_to_json_number, select_tiles
-from dpbench.report.page.live import _explain_further_verdicts, _explain_verdict_grid
+from dpbench.report.page.live import (
+    _explain_further_verdicts,
+    _explain_verdict_grid,
+    describe_failures_in_si,
+)
 from dpbench.report.page.terms import describe_experiments
 from dpbench.report.report import Report
 from dpbench.report.verdict.findings_text import shorten_findings
@@ -153,8 +157,14 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
     assert "N·m" not in _explain_verdict_grid(_facts(records))
     records.loop("osqp", units="si", error=0.5)
     assert _explain_verdict_grid(_facts(records)).endswith(
-        " 1 of 2 solvers fail in SI units (N, N·m): scale the QP."
+        " In SI units (N, N·m) 1 of 2 solvers fail: `osqp`. Scale the QP."
     )
+    # osqp has the overall verdict "fail" already.
+    assert describe_failures_in_si(_facts(records), beyond_verdicts=True) == ""
+    records.loop("quadprog")
+    records.loop("quadprog", units="si", error=0.5)
+    found = describe_failures_in_si(_facts(records), beyond_verdicts=True)
+    assert found == "In SI units (N, N·m) 2 of 3 solvers fail: `osqp` and `quadprog`. Scale the QP."
 
 
 def test_every_kind_of_finding_has_a_short_text() -> None:
