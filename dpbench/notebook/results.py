@@ -239,8 +239,8 @@ class Results(result_folder.Results):
 
         table : a name in `tables`, or a data frame, such as some rows of one. columns : some of its
         columns, by default all; of "verdicts" those that identify a configuration, its verdict,
-        error and times. solvers : only their rows. only_run : without rows of verdict "not run".
-        InputError for a table, column or solver that is not there.
+        error and times, without empty ones. solvers : only their rows. only_run : without rows of
+        verdict "not run". InputError for a table, column or solver that is not there.
 
         Examples
         --------
@@ -272,7 +272,11 @@ class Results(result_folder.Results):
             of_one_run = frame["finding"] == "one run"
             frame.loc[of_one_run, values] = math.nan
         are_verdicts = isinstance(table, str) and table == "verdicts"
-        usual = [name for name in frame if not are_verdicts or name in VERDICT_COLUMNS]
+        usual = [
+            name
+            for name in frame
+            if not are_verdicts or (name in VERDICT_COLUMNS and not frame[name].isna().all())
+        ]
         caption = self._describe_table(table) if isinstance(table, str) else ""
         if {"ratio", "finding"} <= {*frame}:
             caption = f"{caption} {RATIO_NOTE}".lstrip()
@@ -283,7 +287,8 @@ class Results(result_folder.Results):
             and {"p50_us", "p99_us"} <= {*frame}
             and not {"timed_on", "p99_on"} & {*frame}
         ):
-            caption += " The p50 and the p99 are from the replays in `timed_on` and `p99_on`."
+            caption += " `results.verdict()` has the replays of the p50 and the p99 in its columns"
+            caption += " `timed_on` and `p99_on`."
         return make_tabular(frame) + (f"% Caption: {escape_latex(caption)}\n" if caption else "")
 
     def _describe_table(self, name: str) -> str:

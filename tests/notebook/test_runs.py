@@ -308,6 +308,22 @@ def test_steps_of_several_runs_have_a_line_each(loop: Run, replayed: Run) -> Non
         loop.plot.steps(3)  # type: ignore[arg-type] # the mistake that is tested
 
 
+def test_a_legend_has_the_settings_that_differ(replayed: Run) -> None:
+    runs = [
+        replace(replayed, summary=pd.Series({**replayed.summary, "settings": settings}))
+        for settings in ("eps_abs=1e-6,eps_rel=0.0,rho=0.1", "eps_abs=1e-6,rho=1.0,eps_rel=0.0")
+    ]
+    chart = runs[0].plot.steps(runs[1])
+    assert {*chart.vconcat[0].data["law"]} == {
+        "daqp (native, fresh, rho=0.1)",
+        "daqp (native, fresh, rho=1.0)",
+    }
+    assert chart.vconcat[1].to_dict()["layer"][0]["encoding"]["y"]["title"] == [
+        "error of the",
+        "first move",
+    ]
+
+
 @pytest.mark.slow
 def test_a_printed_figure_has_no_type_3_fonts(loop: Run) -> None:
     pytest.importorskip("matplotlib", reason="an extra")

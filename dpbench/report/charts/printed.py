@@ -91,7 +91,7 @@ def draw_step_strips(
         some = table[table["failed"].astype(bool) == failed]
         errors.plot(some["k"], some["error"].clip(lower=style.FLOOR), color=colour, **dots)
     errors.axhline(error_limit, **_LIMIT)
-    errors.set(ylabel="error_move", yscale="log")
+    errors.set(ylabel="error of the\nfirst move", yscale="log")
     for axes in (times, errors):
         _label_log_axis(axes.yaxis)
     iterations.fill_between(table["k"], table["active"], step="post", color=style.LINE)

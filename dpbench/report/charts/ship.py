@@ -105,12 +105,13 @@ def _draw_panel(panel: Panel, laws: Sequence[Law], over: str) -> Any:
 def _draw_law_lines(panel: Panel, laws: Sequence[Law], over: str) -> Any:
     """Return a chart of a panel's quantity, a line per control law; `over` names the x axis."""
     scale, axis = style.log_scale() if panel.is_log else alt.Scale(), alt.Axis(tickCount=4)
+    title = panel.title.splitlines() if "\n" in panel.title else panel.title
     line = (
         alt.Chart(panel.table)
         .mark_line(strokeWidth=1.3, interpolate="step-after")
         .encode(
             x=alt.X("t:Q", title=over or None, scale=alt.Scale(nice=False)),
-            y=alt.Y("value:Q", title=panel.title, scale=scale, axis=axis),
+            y=alt.Y("value:Q", title=title, scale=scale, axis=axis),
             color=_law_colour(laws),
             strokeDash=_law_dash(laws),
         )

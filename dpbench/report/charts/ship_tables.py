@@ -112,7 +112,7 @@ def make_step_panels(runs: Sequence[Law], error_limit: float) -> list[Panel]:
     panels = []
     for column, title, limits in (
         ("time_us", "time [µs]", ()),
-        ("error", "error_move", (error_limit,)),
+        ("error", "error of the\nfirst move", (error_limit,)),
         ("iterations", "iterations", ()),
     ):
         table = _tabulate_by_law_over_time(runs, lambda run, c=column: run.steps[c], over="k")
