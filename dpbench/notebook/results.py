@@ -102,7 +102,7 @@ class Results(result_folder.Results):
         Examples
         --------
         >>> load_results("results/smoke").answer  # doctest: +ELLIPSIS
-        'Use paper_active_set (native, ...'
+        'Use paper_active_set (native ...'
         """
         state = f"The machine was {self._disturbed}." if self._disturbed else ""
         return " ".join(filter(None, (self._warning, self._recommendation, state)))

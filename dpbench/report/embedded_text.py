@@ -129,7 +129,7 @@ def list_embedded_cost_sentences(
     of_deadline = f", {share} of the {describe_deadline(requirements)}"
     return [
         f"On {core}, `{solver}` executes at most {format_count(one.worst)} instructions per step "
-        f"({describe_range_of_steps(sequence.sequence)}), which take {format_time(worst_ns)} at "
+        f"({describe_range_of_steps(sequence.sequence)}). They take {format_time(worst_ns)} at "
         f"an assumed {CYCLES:g} cycle per instruction and {CLOCK_MHZ:g} MHz"
         f"{of_deadline * requirements.judges_step_times}.",
         _describe_p99_counts(results, sequence, solver, requirements.error_move),

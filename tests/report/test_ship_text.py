@@ -319,7 +319,7 @@ def test_no_solver_is_recommended_before_the_ship(records: Any) -> None:
     records.replay("daqp")
     report = Report.from_results(records.results())
     assert "caution" not in dict(report.summary_rows())
-    alone = "As a solver of these QPs alone, `daqp` (qpsolvers, fresh, default) passes."
+    alone = "As a solver of these QPs alone, `daqp` (qpsolvers fresh, default) passes."
     assert f"was run. {alone}" in report.recommendation.sentence
     assert [about for about, _ in report.summary_rows()][:3] == ["warning", "ship", "answer"]
     first, _, rest = make_report_markdown(report).partition(alone)
@@ -493,18 +493,19 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     text = _summary(records).text
     assert text.startswith(
         "With exactly solved QPs, the controller holds the ship on station (5 m, 5°) in 2 of 2 "
-        "scenarios, except while it approaches a new setpoint. The largest offset is 1.77 m in "
+        "scenarios, except while it approaches a new setpoint. Apart from these approaches, the "
+        "largest offset is 1.77 m in "
         "`paper` at the start (0.0400 m at the end)."
     )
     assert text.endswith(
-        "In `turn`, the ship is on station from 73.8 s on, after the approach to a new setpoint "
-        "(up to 17.0 m from it)."
+        "In `turn`, the ship is up to 17.0 m from the new setpoint during the approach and on "
+        "station from 73.8 s."
     )
     farther = {"exact_transfer_offset_max_m": 25.0, "exact_transfer_s": 40.2}
     records.loop("daqp", "move", **TURN | farther)
     assert (
-        "In `turn` and `move`, the ship is on station from 73.8 s on at the latest, after "
-        "the approach to a new setpoint (up to 25.0 m from it)."
+        "In `turn` and `move`, the ship is up to 25.0 m from the new setpoint during the approach "
+        "and on station from 73.8 s at the latest."
     ) in _summary(records).text
 
 
@@ -523,8 +524,8 @@ def test_the_line_of_a_ship_after_a_transfer_states_both_offsets(records: Any) -
     records.loop("daqp", "turn", **TURN)
     (ship,) = find_ship_results(records.view())
     assert describe_ship(ship).startswith(
-        "`turn`: on station from 73.8 s on, after the approach to a new setpoint (up to "
-        "17.0 m from it); largest offset after it 0.831 m at 104 s, last 0.0400 m; "
+        "`turn`: up to 17.0 m from the new setpoint during the approach and on station from "
+        "73.8 s; largest offset after it 0.831 m at 104 s, last 0.0400 m; "
     )
 
 
@@ -536,10 +537,13 @@ def test_a_small_offset_that_grows_until_the_end_has_not_settled(records: Any) -
     records.loop("daqp", "paper")
     records.loop("daqp", "thrusters", exact_offset_rise_m=0.3, **GROWING)
     assert "At the end of `thrusters`, the ship has not settled." in _summary(records).headline
-    said = "At the end of `thrusters`, the offset is 0.446 m and still growing."
+    said = "After the last step of `thrusters`, the offset is 0.446 m and still growing."
     assert said in _summary(records).details and _summary(records).caution == ""
     records.loop("daqp", "waves", exact_offset_rise_m=0.1, **GROWING | {"exact_offset_end_m": 0.45})
-    said = "At the end of `thrusters` and `waves`, the offset is up to 0.450 m and still growing."
+    said = (
+        "After the last step of `thrusters` and `waves`, the offset is up to 0.450 m and still "
+        "growing."
+    )
     assert said in _summary(records).details
 
 

@@ -214,7 +214,7 @@ def _describe_choice(
     ) * (is_recommended and not is_first)
     return (
         f"{both + ' ' if both else ''}{opening}.{' It is part of dpbench itself.' * own}",
-        f"It was correct on every step of {describe_judged_runs(chosen)}. Its "
+        f"It was accurate on every step of {describe_judged_runs(chosen)}. Its "
         f"{describe_usual_time(timed)}.",
         f"The largest error of the first move is {format_error(chosen.error_move)} times the "
         f"maximum increment.{_describe_infeasible_steps(data, c)}{unranked}",
@@ -224,7 +224,7 @@ def _describe_choice(
 def _describe_verdict_on_choice(chosen: Verdict, *, is_lost: bool) -> str:
     """Return a text that recommends a configuration, or states why it does not pass."""
     c = chosen.configuration
-    call = f"`{c.solver}` ({c.route}, {c.policy}, {c.settings})"
+    call = f"`{c.solver}` ({c.route} {c.policy}, {c.settings})"
     if is_lost:
         verdicts = {"pass": f"{call} passes", "borderline": f"{call} is borderline"}
         lead = "As a solver of these QPs alone, "
@@ -368,8 +368,8 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
     opening = f"{controller}{computer}"
     return [
         f"{opening[0].upper()}{opening[1:]} may be up to "
-        f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this one{also}: "
-        f"{_describe_margin_limit(margin, requirements, time)}.",
+        f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this machine"
+        f"{also}. At that slowdown, {_describe_margin_limit(margin, requirements, time)}.",
         *_list_limiting_steps(data, margin, time),
         *_yield_longest_timing(data, chosen.configuration),
         *_yield_untimed_loops_sentences(data),
@@ -381,40 +381,44 @@ def _describe_margin_limit(margin: SpeedMargin, requirements: Requirements, time
     if margin.deadline < margin.p99_limit:
         longest, deadline = format_time(margin.longest_ns), f"{requirements.deadline_ms:g} ms"
         if margin.hardest.run.untimed_iterations_max > 1.0:
-            loop = f"the closed loop of `{margin.hardest.run.scenario}`"
-            longest = f"estimated at {longest} from the iterations of {loop}"
-        return f"the solver's longest step, {longest}, then reaches the deadline of {deadline}"
+            scaled = f"that of `{margin.hardest.run.scenario}` scaled up to the iterations of its"
+            return (
+                f"the longest step reaches the deadline of {deadline}: {longest} here, {scaled} "
+                "closed loop"
+            )
+        return f"the longest step of {longest} reaches the deadline of {deadline}"
     bound, limit = format_time(margin.limiting_p99_ns), f"{requirements.p99_ms:g} ms"
     if margin.p99.run.untimed_iterations > 1.0:
-        loop = f"the closed loop of `{margin.p99.run.scenario}`"
-        bound = f"estimated at {bound} from the iterations of {loop}"
-    return f"the solver's {time}, {bound}, then reaches the limit of {limit}"
+        scaled = f"the p99 of `{margin.p99.run.scenario}` scaled up to the iterations of its"
+        return f"the {time} reaches the limit of {limit}: {bound} here, {scaled} closed loop"
+    return f"the {time} of {bound} reaches the limit of {limit}"
 
 
 def _list_limiting_steps(data: PageData, margin: SpeedMargin, time: str) -> list[str]:
     """Return sentences on the steps that limit a speed margin, and each one's largest slowdown."""
     wait = describe_hardest_wait(data.records, margin.hardest.run)
-    p99 = _describe_slow_step(margin.p99)
+    is_longest = margin.p99.time_ns == margin.hardest.time_ns
+    p99 = (
+        f"{format_time(margin.p99.time_ns)}{wait * is_longest}, the time of "
+        f"{_name_slow_step(margin.p99)} ({_describe_work(margin.p99)})"
+    )
     first, second = f"The {time} is {p99}", ""
-    if margin.p99.time_ns == margin.hardest.time_ns:
-        first = f"The {time} is {_describe_slow_step(margin.hardest, wait)}"
     if margin.p99.run.untimed_iterations > 1.0:
         first = f"Before scaling, the p99 is {p99}"
         second = (
-            f". Scaled to the iterations of the closed loop, the {time} is "
+            f". Scaled up to the iterations of the closed loop, the {time} is "
             f"{format_time(margin.limiting_p99_ns)}"
         )
-    scaled = (
-        f". Scaled to the iterations of the closed loop, it takes {format_time(margin.longest_ns)}"
-        if margin.hardest.run.untimed_iterations_max > 1.0
-        else ""
-    )
+    hardest = f"{format_time(margin.hardest.time_ns)}{wait} ({_describe_work(margin.hardest)})"
+    if margin.hardest.run.untimed_iterations_max > 1.0:
+        longest = format_time(margin.longest_ns)
+        hardest += f". Scaled up to the iterations of the closed loop, it takes {longest}"
     requirements = data.requirements
     return [
         f"{first}{second}. It reaches the limit of {requirements.p99_ms:g} ms at a slowdown of × "
         f"{format_rounded_down(margin.p99_limit)}.",
-        f"The longest step takes {_describe_slow_step(margin.hardest, wait)}{scaled}. It reaches "
-        f"the deadline of {requirements.deadline_ms:g} ms at a slowdown of × "
+        f"The longest step is {_name_slow_step(margin.hardest)}: {hardest}. It reaches the "
+        f"deadline of {requirements.deadline_ms:g} ms at a slowdown of × "
         f"{format_rounded_down(margin.deadline)}.",
     ]
 
@@ -447,12 +451,15 @@ def _yield_untimed_loops_sentences(data: PageData) -> Iterator[str]:
         yield f"Not timed, as no replay has their QPs: {join_with_and(untimed)}."
 
 
-def _describe_slow_step(step: SlowStep, wait: str = "") -> str:
-    """Return a text on a slow step: time, wait, scenario, index, iterations, active limits."""
+def _name_slow_step(step: SlowStep) -> str:
+    """Return the name of a slow step: its index and its scenario or sequence."""
+    return f"step {step.k} of `{step.run.scenario or step.run.sequence}`"
+
+
+def _describe_work(step: SlowStep) -> str:
+    """Return the iterations of a slow step, where known, and its active limits as text."""
     iterations = "" if isnan(step.iterations) else f"{plural(step.iterations, 'iteration')}, "
-    work = f"{iterations}{plural(step.n_active, 'active limit')}"
-    where = step.run.scenario or step.run.sequence
-    return f"{format_time(step.time_ns)}{wait} in step {step.k} of `{where}` ({work})"
+    return f"{iterations}{plural(step.n_active, 'active limit')}"
 
 
 def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:

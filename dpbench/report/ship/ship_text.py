@@ -168,11 +168,11 @@ def describe_ship(ship: ShipResult) -> str:
     if ship.state == "not run":
         return f"`{ship.name}`: not run"
     left = f" (at {significant(run.exact_left_s)} s)" if ship.has_left_station else ""
-    since = ""
+    result, since = f"{ship.state}{left}", ""
     if ship.has_transfer and not ship.has_left_station:
-        left, since = f" {_describe_arrival([ship])}", " after it"
+        result, since = _describe_arrival([ship]), " after it"
     return (
-        f"`{ship.name}`: {ship.state}{left}; largest offset{since} "
+        f"`{ship.name}`: {result}; largest offset{since} "
         f"{significant(run.exact_offset_max_m)} m {_format_time_of_offset(run)}, last "
         f"{significant(run.exact_offset_end_m)} m; limits active in "
         f"{format_share(run.exact_active_share)} of {plural(run.exact_steps, 'step')}"
@@ -186,13 +186,13 @@ def _describe_arrival(moved: Sequence[ShipResult]) -> str:
     """
     known = [ship.run for ship in moved if not math.isnan(ship.run.exact_transfer_s)]
     if not known:
-        return "after the approach to a new setpoint"
+        return "on station after the approach to a new setpoint"
     last_s = max(run.exact_transfer_s for run in known)
     off_m = max(run.exact_transfer_offset_max_m for run in known)
     latest = " at the latest" if len(moved) > 1 else ""
     return (
-        f"from {significant(last_s)} s on{latest}, after the approach to a new setpoint (up to "
-        f"{significant(off_m)} m from it)"
+        f"up to {significant(off_m)} m from the new setpoint during the approach and on station "
+        f"from {significant(last_s)} s{latest}"
     )
 
 
@@ -265,10 +265,13 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         there = f" at {_locate_ship(farthest)}" if run.study else f" in `{farthest.name}`"
     from_deg = find_weather_direction(ship.run for ship in known)
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
-    moves = ", except while it approaches a new setpoint" * any(ship.has_transfer for ship in kept)
+    moves, largest = "", "The largest offset"
+    if any(ship.has_transfer for ship in kept):
+        moves = ", except while it approaches a new setpoint"
+        largest = "Apart from these approaches, the largest offset"
     return (
         f"With exactly solved QPs, the controller holds the ship on station "
-        f"({_format_station_limits(farthest)}){weather} {where}{moves}. The largest offset is "
+        f"({_format_station_limits(farthest)}){weather} {where}{moves}. {largest} is "
         f"{significant(run.exact_offset_max_m)} m{there} {_format_time_of_offset(run)} "
         f"({significant(run.exact_offset_end_m)} m at the end)."
     )
@@ -277,7 +280,7 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
 def _describe_transfers(known: Sequence[ShipResult]) -> Iterator[str]:
     """Yield a sentence on ships that move to a new setpoint and then stay on station, if any."""
     if moved := [ship for ship in known if ship.state == "on station" and ship.has_transfer]:
-        yield f"In {_name_ships(moved)}, the ship is on station {_describe_arrival(moved)}."
+        yield f"In {_name_ships(moved)}, the ship is {_describe_arrival(moved)}."
 
 
 def find_weather_direction(runs: Iterable[RunRecord]) -> float:
@@ -347,7 +350,7 @@ def _describe_growth(known: Sequence[ShipResult]) -> Iterator[str]:
         far_m = max(ship.run.exact_offset_end_m for ship in growing)
         up_to = "up to " * (len(growing) > 1)
         yield (
-            f"{AT_END.capitalize()} of {_name_ships(growing)}, the offset is "
+            f"After the last step of {_name_ships(growing)}, the offset is "
             f"{up_to}{significant(far_m)} m and still growing."
         )
 

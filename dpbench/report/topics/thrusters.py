@@ -89,8 +89,8 @@ def _describe_thruster_load(
     names = join_with_and([f"`{name}`" for name in sorted(best)])
     all_runs = " of all these scenarios" * (len(best) > 1)
     return (
-        f"In the closed loop of `{hardest.scenario}` nearest to the reference loop, at least one "
-        "thruster is at its limit in "
+        f"Of all closed loops of `{hardest.scenario}`, the one nearest to the reference loop has "
+        "at least one thruster at the limit of its thrust, as applied and not as planned, in "
         f"{100.0 * hardest.at_limit_thrusters:.0f} % of the {plural(hardest.steps_done, 'step')}. "
         f"{whole} of the {plural(len(configurations), 'configuration')} run in {names} "
         f"{'is' if whole == 1 else 'are'} accurate on every step{all_runs}."
@@ -157,7 +157,7 @@ def _describe_solver_to_use(
     if chosen is None:
         return "No solver can be recommended for a controller that commands thrusters."
     c = chosen.configuration
-    label = f"For commanded thrusters use {c.solver} ({c.route}, {c.policy}, {c.settings})"
+    label = f"For commanded thrusters use {c.solver} ({c.route} {c.policy}, {c.settings})"
     if is_alone and chosen.state == "pass":
         label = f"With commanded thrusters {c.label} passes; only {c.solver} was run"
     elif chosen.state != "pass":

@@ -296,7 +296,8 @@ def describe_usual_time(verdict: Verdict) -> str:
         steps = f"the {plural(searched, 'step')} of `{verdict.p99_run.scenario}`"
         if searched < LEAST_STRETCH:
             return f"{name} is {time}, over {steps}"
-        return f"{name} is {time}, estimated for {steps} from its hardest steps (no interval)"
+        found = "from the hardest of them, without an interval"
+        return f"{name} is {time}, estimated for {steps} {found}"
     interval = describe_p99_interval(verdict)
     return f"largest p99 step time is {time}{interval}, in {name_experiment(verdict.p99_run)}"
 
@@ -307,8 +308,8 @@ def describe_scaled_p99(verdict: Verdict) -> str:
     if run is None or not verdict.p99_bound_ns > verdict.p99_ns:
         return ""
     return (
-        f" The closed loop of `{run.scenario}` needs more iterations than the replayed steps: "
-        f"scaled to them, the p99 is estimated at {format_time(verdict.p99_bound_ns)}."
+        f" The closed loop of `{run.scenario}` needs more iterations than the replayed steps. "
+        f"Scaled up to its iterations, the p99 is {format_time(verdict.p99_bound_ns)}."
     )
 
 
@@ -393,7 +394,7 @@ def _describe_time_ratio(compared: PairedComparison, end: str) -> str:
         wording += f" (geometric mean of {plural(compared.steps, 'step')}, {few})"
     else:
         interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
-        wording += f" (geometric mean, 95 % interval {interval} within this run)"
+        wording += f" (95 % interval within this run: {interval})"
         if compared.is_tied:
             return f"{wording}: no significant difference"
     if not compared.is_unstable:

@@ -537,7 +537,7 @@ def test_a_clear_lead_is_called_so(records: Any) -> None:
     assert not found.is_tied and found.finding_text == "slower"
     said = (
         r"[\d.]+ times as long over the same steps of `[a-z, ]+` "
-        r"\(geometric mean, 95 % interval [\d.]+ to [\d.]+ within this run\)"
+        r"\(95 % interval within this run: [\d.]+ to [\d.]+\)"
     )
     assert re.fullmatch(said, describe_paired_times([found]))
 

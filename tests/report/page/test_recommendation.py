@@ -55,8 +55,8 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
     margin = written.report.data.get_speed_margin(chosen.configuration)
     for output in (page, text, terminal):
         plain = output.replace("`", "")
-        assert "Use daqp (qpsolvers, fresh, default), the fastest deployable" in plain
-        assert "It was correct on every step of 4 closed loops" in plain
+        assert "Use daqp (qpsolvers fresh, default), the fastest deployable" in plain
+        assert "It was accurate on every step of 4 closed loops" in plain
         assert f"step time is {format_time(chosen.p99_ns)}" in output
         assert format_error(chosen.error_move) in output
         factor = format_rounded_down(margin.allowed_slowness_factor)
@@ -65,9 +65,10 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
         assert f"reaches the limit of 3 ms at a slowdown of × {limit}." in output
         deadline = format_rounded_down(margin.deadline)
         assert f"reaches the deadline of 300 ms at a slowdown of × {deadline}." in output
-        for step in (margin.p99, margin.hardest):
-            where = f"{format_time(step.time_ns)} in step {step.k} of {step.run.scenario} ("
-            assert where in plain
+        p99, hardest = margin.p99, margin.hardest
+        of_p99 = f"{format_time(p99.time_ns)}, the time of step {p99.k} of {p99.run.scenario} ("
+        longest = f"The longest step is step {hardest.k} of {hardest.run.scenario}: "
+        assert of_p99 in plain and f"{longest}{format_time(hardest.time_ns)} (" in plain
     output = dict(written.lines)
     assert "native warm" not in output["answer"], (
         "a call mode that was replayed alone is not recommended"
@@ -113,7 +114,7 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
         " (including a wait of 39.0 ms for the core)",
     )
     slower = dict(report.summary_rows())["margin"]
-    hardest = f"The longest step takes 10.0 ms{waits[0]} in step 7 of paper"
+    hardest = f"The longest step is step 7 of paper: 10.0 ms{waits[0]}"
     assert hardest in slower and "reaches the deadline of 300 ms at a slowdown of × 30.0." in slower
     assert f"The largest single timing is 40.0 ms{waits[1]} in the replay of paper" in slower
     assert f"| 10.0 ms{waits[0]} |" in make_report_markdown(report)
@@ -129,8 +130,8 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
     [
         (
             450,
-            "largest p99 step time is {}, estimated for the 450 steps of `paper` from its hardest "
-            "steps (no interval)",
+            "largest p99 step time is {}, estimated for the 450 steps of `paper` from the hardest "
+            "of them, without an interval",
         ),
         (60, "longest step time is {}, over the 60 steps of `paper`"),
     ],
@@ -299,7 +300,7 @@ def test_the_best_of_a_flat_grid_is_the_recommended_one(records: Any) -> None:
         records.loop("osqp", **options)
         records.replay("osqp", median_us=us, **options)
     rows = Report.from_results(records.results()).summary_rows()
-    assert "Use osqp (qpsolvers, fresh, rho=0.1)." in dict(rows)["answer"]
+    assert "Use osqp (qpsolvers fresh, rho=0.1)." in dict(rows)["answer"]
     (best,) = (text for about, text in rows if text.startswith("Best of 5"))
     assert re.search(r"\): rho=0\.1; equally fast within the noise: ", best)
     assert best.endswith("osqp[rho=0.4], osqp[rho=1.6] and 2 more.")
@@ -456,8 +457,8 @@ def test_a_chip_says_how_other_ways_did_where_the_first_was_not_run(records: Any
 def test_open_is_not_recommended(records: Any) -> None:
     records.replay("daqp")
     sentence = _answer(records).sentence
-    assert "`daqp` (qpsolvers, fresh, default) is inconclusive: no closed loop" in sentence
-    assert "was correct on every step of 1 replay. Its largest p99 step time is " in sentence
+    assert "`daqp` (qpsolvers fresh, default) is inconclusive: no closed loop" in sentence
+    assert "was accurate on every step of 1 replay. Its largest p99 step time is " in sentence
     records.replay("daqp", policy="reuse", route="native", median_us=5.0)
     assert "inconclusive" not in dict(_answer(records).notes), "the sentence says so"
 
@@ -477,7 +478,7 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     data = Report.from_results(records.results()).data
     (verdict,) = data.verdicts.all_verdicts
     text = " ".join(list_speed_margin_sentences(data, verdict))
-    scaled = "Scaled to the iterations of the closed loop, the limiting p99 is 40.0 µs"
+    scaled = "Scaled up to the iterations of the closed loop, the limiting p99 is 40.0 µs"
     assert f"{scaled}. It reaches the limit of 3 ms at a slowdown of × 75.0." in text
 
 
@@ -594,7 +595,7 @@ def test_defaults_are_not_called_faster_than_settings_of_ones_own(
     records.loop("daqp", **own)
     records.replay("daqp", median_us=median_us, **own)
     answer = records.ending()["answer"]
-    assert "Use daqp (native, fresh, default)" in answer
+    assert "Use daqp (native fresh, default)" in answer
     assert says in answer
 
 
@@ -820,5 +821,5 @@ def test_a_margin_of_too_few_steps_names_no_p99(records: Any, steps: int, named:
     data = Report.from_results(records.results()).data
     (verdict,) = data.verdicts.all_verdicts
     margin = " ".join(list_speed_margin_sentences(data, verdict))
-    assert f"The {named} is 20.0 µs in step " in margin
+    assert f"The {named} is 20.0 µs, the time of step " in margin
     assert "It reaches the limit of 3 ms at a slowdown of × 150." in margin

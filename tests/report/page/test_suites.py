@@ -224,7 +224,7 @@ NO_SOLVER = "No solver was run, so there is nothing to judge."
 PARTIAL: list[tuple[Callable[[Any], Any], str]] = [
     (lambda _: None, NO_SOLVER),
     (lambda records: records.refused("qpax", "not installed"), "Nothing is recommended"),
-    (_single_step, "Use daqp (qpsolvers, fresh, default)"),
+    (_single_step, "Use daqp (qpsolvers fresh, default)"),
     (lambda records: _all_failed(records, **CRASHED), "Nothing is recommended"),
     (
         lambda records: _all_failed(records, error=float("inf"), failed=120),

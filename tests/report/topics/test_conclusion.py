@@ -36,7 +36,7 @@ def test_solvers_that_do_for_three_forces_only_are_named_with_their_fault(record
     solvers = {"daqp": (40.0, 1e-9), "piqp": (4000.0, 1e-9), "osqp": (60.0, 0.3)}
     first, second = output(campaign(records, solvers))
     assert first.startswith(
-        "For commanded thrusters use daqp (native, warm, default): its longest step, step "
+        "For commanded thrusters use daqp (native warm, default): its longest step, step "
     )
     assert first.endswith(
         "3 solvers pass with three forces (three_forces); 2 of them fail with "
@@ -141,5 +141,5 @@ def test_times_for_thrusters_are_those_of_thruster_qps(records: Any) -> None:
     assert "in the replay of `thrusters`." in recommendation.sentence
     margin = dict(recommendation.notes)["margin"]
     assert margin.startswith("With commanded thrusters, the ship's computer may be up to ")
-    assert " over all replays): " in margin and "in step " in margin
+    assert " over all replays). " in margin and "the time of step " in margin
     assert "three_forces" not in margin

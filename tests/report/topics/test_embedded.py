@@ -41,7 +41,7 @@ def test_counts_are_named_beside_the_speed_margin(judged: MadeRecords) -> None:
     assert "may be up to" in found["margin"]
     # 4.5 million instructions at one cycle each and 100 MHz: 45 ms of 300 ms.
     assert (
-        "executes at most 4\u202f500\u202f000 instructions per step (steps 0 to 199 of `paper`), "
+        "executes at most 4\u202f500\u202f000 instructions per step (steps 0 to 199 of `paper`). "
         in found["counted"]
     )
     assert (

@@ -108,7 +108,7 @@ function resultOf(run) {
       unverified ? "" : wrongOf(run) ? `; ${wrongOf(run)}` : all}.`,
     unverified && `${unverified[0].toUpperCase()}${unverified.slice(1)}.`,
     largestErrorOf(run),
-    run.off_m === null ? "" : `The ship was up to ${figure(run.off_m)} m off the reference loop and ${figure(run.setpoint_m)} m off its setpoint.`,
+    run.off_m === null ? "" : `At the start of a step, the ship was up to ${figure(run.off_m)} m off the reference loop and ${figure(run.setpoint_m)} m off its setpoint.`,
     run.infeasible > 0 ? `${grouped(run.infeasible)} of the steps have no feasible solution${run.all_true ? ", which the solver reported correctly" : ""}.` : "",
     run.why && run.verdict !== "pass" ? `${run.outcome === "finished" ? "Messages of the solver" : `Outcome \`${run.outcome}\``}: ${run.why}.` : "",
   ].filter(Boolean).join(" ");

@@ -11,8 +11,8 @@ function drawChosen() {
     times && `${times}${timed ? ` in \`${timed}\`` : ""}`,
     C().max[c] !== null && `longest step ${time(C().max[c])}${C().max_wait[c]}`,
   ].filter(Boolean).join(", ");
-  const shown = `steps shown below: \`${facts.experiments[state.p].label}\`${state.k === null ? "" : `, step ${state.k}`}`;
-  $("chosen").replaceChildren(...coded(`${marked(c)}${about && `: ${about}`}; ${shown}`));
+  const shown = `${state.k === null ? "steps" : `step ${state.k}`} of \`${facts.experiments[state.p].label}\` below`;
+  $("chosen").replaceChildren(...coded(`${marked(c)}${about && `, ${about}`}; ${shown}`));
 }
 
 // Draws the eye to what has changed.
