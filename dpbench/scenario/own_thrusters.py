@@ -24,7 +24,7 @@ from dpbench.ship.thrusters import ThrusterSet
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather import Windage
 
-TEXTS = ("name", "kind", "propeller", "group")
+TEXTS = ("name", "kind", "propeller", "group", "barred_protects")
 ASSUMED_IN_SOURCE = "; assumed: "
 """Text of a vessel file's `source` after which it lists the values that were assumed."""
 _WIND_AREAS = re.compile(r"wind areas (?P<areas>[^;]* m² on the side), scaled from [^;]*")

@@ -92,6 +92,7 @@ class Thruster:
         its forces are a convex set; None for `sector_rad`, or the middle half turn of a wider one.
     group : what fails together, as behind one switchboard.
     turning_radps : fastest turning of an azimuth [rad/s], if known.
+    barred_protects : name of the thruster after whose loss capability plots ignore `sector_rad`.
     """
 
     name: str
@@ -106,6 +107,7 @@ class Thruster:
     screw: Screw | None = None
     turning_radps: float | None = None
     controller_sector_rad: tuple[float, float] | None = None
+    barred_protects: str = ""
 
     def __post_init__(self) -> None:
         if self.turning_radps is not None and self.kind != "azimuth":
@@ -173,6 +175,12 @@ class ThrusterSet:
             raise InputError(
                 self.where, "thrusters.name", f"{twice[0]!r} twice", "a different name for each"
             )
+        for thruster in self.thrusters:
+            if (to := thruster.barred_protects) and to not in (
+                others := {*names} - {thruster.name}
+            ):
+                key, allowed = "thrusters.barred_protects", format_allowed_names(to, sorted(others))
+                raise InputError(self.where, key, repr(to), allowed)
         if np.linalg.matrix_rank(self.T_e / [[1.0], [1.0], [self.longest_arm_m]]) < AXES:
             key = "" if self.where == "thrusters" else "thrusters"
             allowed = "thrusters that give surge force, sway force and yaw moment independently"
@@ -216,13 +224,21 @@ class ThrusterSet:
                 if convex != thruster.sector_rad
                 else ""
             )
+            + (
+                f"; after the loss of {thruster.barred_protects}, the capability plot counts all "
+                "directions"
+                if thruster.barred_protects
+                else ""
+            )
             for thruster in self.thrusters
             if thruster.sector_rad is not None and (convex := thruster.convex_sector_rad)
         ]
 
     def copy_with_convex_sectors(self) -> "ThrusterSet":
         """Return the thrusters with the sectors that controllers plan with in place of theirs."""
-        convex = (replace(t, sector_rad=t.convex_sector_rad) for t in self.thrusters)
+        convex = (
+            replace(t, sector_rad=t.convex_sector_rad, barred_protects="") for t in self.thrusters
+        )
         return replace(self, thrusters=tuple(convex))
 
     @property

@@ -498,6 +498,27 @@ def test_a_zone_that_bars_the_push_towards_a_thruster_but_not_the_race_is_warned
     assert (said in " ".join(json.loads(capsys.readouterr().out)["cautions"])) != of_race
 
 
+def test_a_zone_kept_after_a_loss_is_named_until_the_file_says_what_it_protects(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """In the same group both are lost at once, and nothing is printed."""
+    head = "name,kind,x_m,y_m,power_kW,group,barred_from_deg,barred_to_deg,barred_protects"
+    kept = "The barred zone of `port` stays in force after the loss of `starboard`."
+    opened = "after the loss of starboard, the capability plot counts all directions"
+    for board, protects in (("B", ""), ("A", ""), ("B", "starboard")):
+        rows = [head, f"port,azimuth,-35,-5,1200,board A,240,300,{protects}"]
+        rows += [
+            f"starboard,azimuth,-35,5,1200,board {board},,,",
+            "bow 1,tunnel,33,,800,board A,,,",
+        ]
+        rows += ["bow 2,tunnel,30,,800,board B,,,"]
+        assert init("\n".join(rows) + "\n", "--force") == 0
+        said = " ".join(capsys.readouterr().out.split())
+        assert (kept in said) == (board == "B" and not protects)
+        assert (opened in said) == bool(protects)
+    assert load_vessel(FILES[0]).thrusters.thrusters[0].barred_protects == "starboard"
+
+
 @pytest.mark.parametrize("port", [-1, 1])
 def test_the_sea_comes_from_the_side_of_the_bow_from_which_less_is_held(
     port: int, capsys: pytest.CaptureFixture[str]

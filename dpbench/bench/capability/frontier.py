@@ -113,12 +113,13 @@ class CapabilityPlot:
         every = self.thrusters.thrusters
         working = [every[j] for j in range(len(every)) if j not in case.lost]
         dead = [every[j] for j in sorted(case.lost)]
+        dead_names = {thruster.name for thruster in dead}
         step = CHORD_RAD if self.sides is None else 2.0 * math.pi / self.sides
         return [
             [Piece()]
             if thruster.kind != "azimuth" or i in case.lost
             else split_force_set_into_convex_pieces(
-                thruster.sector_rad,
+                None if thruster.barred_protects in dead_names else thruster.sector_rad,
                 losses.find_forbidden_thrust_directions(thruster, working),
                 losses.list_losses_at_dead_thrusters(thruster, dead),
                 losses.list_losses_at_skegs(thruster, self.hull),

@@ -119,18 +119,20 @@ class OwnThrusters:
         `_list_half_turns` of those that are equal to 0.1 m/s. The first round begins with whole
         sectors, the second has what the first chose for the others.
         """
-        every, tables = list(self.thrusters.thrusters), list(self.tables)
+        # Controllers keep their sectors after a loss.
+        every = [replace(thruster, barred_protects="") for thruster in self.thrusters.thrusters]
+        tables = list(self.tables)
         wide = [i for i, t in enumerate(every) if t.convex_sector_rad != t.sector_rad]
         lines_by_azimuth = {}
         for i in 2 * wide:
             thruster, tried = self.thrusters.thrusters[i], {}
             for half in _list_half_turns(thruster):
-                every[i] = replace(thruster, sector_rad=half)
+                every[i] = replace(thruster, sector_rad=half, barred_protects="")
                 fitted = replace(self.thrusters, thrusters=tuple(every))
                 tried[half] = find_winds_of_worse_side(replace(vessel, thrusters=fitted))[1]
             # Of equals `max` takes the first.
             best = max(tried, key=lambda half: _list_winds_as_compared(tried[half]))
-            every[i] = replace(thruster, sector_rad=best)
+            every[i] = replace(thruster, sector_rad=best, barred_protects="")
             lines_by_azimuth[i] = _describe_half_turns(thruster.name, tried, best)
             half_deg = [round(math.degrees(angle) % 360.0, 9) for angle in best]
             tables[i] = tables[i].model_copy(update={"controller_sector_deg": half_deg})

@@ -455,4 +455,6 @@ def _name_thruster(thruster: Mapping[str, Any]) -> str:
     facts += [describe_sector(*sector_deg)] if sector_deg else []
     if planned_deg := thruster.get("controller_sector_deg"):
         facts.append(f"controllers plan with {format_directions(*planned_deg)}")
+    if protected := thruster.get("barred_protects"):
+        facts.append(f"all directions after the loss of {protected} in the capability plot")
     return str(thruster["name"]) + (f" ({', '.join(facts)})" if facts else "")

@@ -70,7 +70,7 @@ class ReflectionTable(FileModel):
 class ThrusterTable(FileModel):
     """One thruster: its position, and its thrust or the data to compute it by DNV-ST-0111."""
 
-    later_keys: ClassVar[frozenset[str]] = frozenset({"controller_sector_deg"})
+    later_keys: ClassVar[frozenset[str]] = frozenset({"controller_sector_deg", "barred_protects"})
 
     name: str
     """Name in tables, and in the faults of a scenario."""
@@ -102,6 +102,9 @@ class ThrusterTable(FileModel):
     """Part of sector_deg that controllers plan with, at most half a turn wide, as their QPs need a
     convex set of forces; by default sector_deg, or the middle half turn of a wider one. Capability
     plots use all of sector_deg."""
+    barred_protects: str | None = None
+    """Name of the thruster that the barred directions protect. Capability plots count all
+    directions in a failure case in which that thruster is lost. Controllers keep their sector."""
     turning_degps: keys.Positive | None = None
     """Largest turning rate of an azimuth [°/s]; required with azimuth_turning = true."""
     group: str = ""
@@ -133,6 +136,8 @@ class ThrusterTable(FileModel):
             )
         if self.height_m is not None and self.thrust_kN is not None:
             raise ValueError("height_m only together with power_kW, diameter_m and propeller")
+        if self.barred_protects is not None and self.sector_deg is None:
+            raise ValueError("barred_protects only together with barred_deg or sector_deg")
         return self
 
     def build_thruster(self) -> Thruster:
@@ -148,7 +153,9 @@ class ThrusterTable(FileModel):
         rest = self.astern, _convert_sector_to_radians(self.sector_deg), self.group, screw
         turning = None if self.turning_degps is None else math.radians(self.turning_degps)
         planned = _convert_sector_to_radians(self.controller_sector_deg)
-        return Thruster(*place, thrust_N, self.rise_s, *rest, turning, planned)
+        return Thruster(
+            *place, thrust_N, self.rise_s, *rest, turning, planned, self.barred_protects or ""
+        )
 
 
 def _convert_sector_to_radians(sector_deg: Sequence[float] | None) -> tuple[float, float] | None:

@@ -15,7 +15,7 @@ dead one (3.11.4) or a skeg (3.11.5); α is where it pushes to, clockwise from a
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, permutations
 from statistics import NormalDist
 
 from dpbench.ship.capability.loads import CapabilityHull, Condition, mirror_angle_to_one_side
@@ -111,7 +111,28 @@ def list_zone_cautions(thrusters: ThrusterSet) -> list[str]:
                 f"towards {' or '.join(hit)}, but may send its race there. To bar the race, set "
                 f"barred_deg = [{end % 360.0:g}, {start % 360.0:g}]."
             )
-    return cautions
+    return [*cautions, *_list_zones_kept_after_loss(thrusters)]
+
+
+def _list_zones_kept_after_loss(thrusters: ThrusterSet) -> list[str]:
+    """Return sentences on zones that bar the race to a thruster which is lost alone."""
+    alone = [
+        (one, other)
+        for one, other in permutations(thrusters.thrusters, 2)
+        if not one.barred_protects and (one.group or one.name) != (other.group or other.name)
+    ]
+    return [
+        f"The barred zone of `{one.name}` stays in force after the loss of `{other.name}`. If it "
+        "only protects that thruster, add barred_protects."
+        for one, other in alone
+        if (_is_within_reach_of_race(one, other) or _is_azimuth_beside(one, other))
+        and not one.may_push(_direction_hitting_other_thruster(one, other))
+    ]
+
+
+def _is_azimuth_beside(thruster: Thruster, other: Thruster) -> bool:
+    """Return whether two azimuths may reach each other for lack of a known propeller."""
+    return thruster.screw is None and thruster.kind == other.kind == "azimuth"
 
 
 def caution_on_wash(thrusters: ThrusterSet) -> list[str]:

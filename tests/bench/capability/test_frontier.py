@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,11 +14,13 @@ from dpbench.bench.capability.frontier import FROM_DEG, CapabilityPlot, Case, Wi
 from dpbench.errors import InputError
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.capability.loads import DP_CONDITIONS
+from dpbench.ship.thrusters import ThrusterSet
 
 pytestmark = pytest.mark.slow
 INTACT = Case("intact", frozenset())
 MSV = Path(__file__).with_name("msv.toml")
 PUBLISHED = Path(__file__).parents[2] / "ship" / "capability" / "ratownik_published.csv"
+PAIR = ("stern port", "stern starboard")
 
 
 def test_numbers_are_the_published_ones(held_intact: list[WindLimit]) -> None:
@@ -100,3 +103,28 @@ def test_what_cannot_be_is_refused() -> None:
     for sides in (2, 7):
         with pytest.raises(InputError, match="an even number"):
             CapabilityPlot(load_vessel("osv"), sides)
+
+
+def test_a_zone_is_open_in_the_cases_without_the_thruster_that_it_protects() -> None:
+    """Then the ship holds what it holds without the zone; in other cases, what it holds with it."""
+    vessel = load_vessel("osv")
+    assert vessel.thrusters is not None
+    thrusters = vessel.thrusters.thrusters
+    port, starboard = (next(t for t in thrusters if t.name == name) for name in PAIR)
+    half = (math.radians(-90.0), math.radians(90.0))
+
+    def build_plot(**keys: Any) -> CapabilityPlot:
+        every = [replace(t, **keys) if t is port else t for t in thrusters]
+        return CapabilityPlot(replace(vessel, thrusters=ThrusterSet(tuple(every))))
+
+    plots = [build_plot(sector_rad=half, barred_protects=starboard.name)]
+    plots += [build_plot(), build_plot(sector_rad=half)]
+    from_rad = math.radians(120.0)
+    for case in plots[0].intact_and_failure_cases:
+        protected, free, barred = (plot.find_wind_limit(case, from_rad) for plot in plots)
+        lost = {thrusters[i].name for i in case.lost}
+        assert protected == (free if starboard.name in lost else barred)
+        if starboard.name in lost and port.name not in lost:
+            assert free.wind_mps > barred.wind_mps + 0.5
+    with pytest.raises(InputError, match=f"barred_protects: found 'nobody'; .*{starboard.name}"):
+        build_plot(sector_rad=half, barred_protects="nobody")
