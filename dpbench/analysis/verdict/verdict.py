@@ -9,7 +9,8 @@ It *fails* by a wrong or failed step or a process that crashed, and is *late* by
 step, or a call that did not return. No time proves it that other programs may have caused
 (`find_own_times_ns`). It is *inconclusive* where it was not run, could not be measured, may be
 late, or no step has a feasible point. It is *borderline* where nothing of that holds and a time is
-within its uncertainty of a limit (`estimate_uncertainty`).
+within its uncertainty of a limit (`estimate_uncertainty`). QPs without a sample time, in a folder
+of their own, need no closed loop.
 
 The fastest of all may exist only as this benchmark's own Python code; it is named, not recommended.
 """
@@ -39,7 +40,7 @@ from dpbench.analysis.verdict.requirements import (
     make_finding_on_worst_runs,
 )
 from dpbench.bench.judge.rules import maximum_of_known
-from dpbench.bench.record.cell import Configuration, sort_key_of_settings
+from dpbench.bench.record.cell import Configuration, RecordedSource, sort_key_of_settings
 from dpbench.errors import UnknownNameError
 from dpbench.solvers.contract import POLICIES, SolverRecord
 from dpbench.solvers.own_settings import decode_options_from_json
@@ -53,6 +54,7 @@ class Verdict:
     near : times within their uncertainty of a limit.
     gaps : where its solver's reference was judged and this configuration was not, or not whole.
     refusal : why it was not run at all.
+    has_plant : False of QPs without a sample time, which have no closed loop to be judged in.
     loops, replays, windows : how many of its runs were judged; is_beside_study : whether its folder
         has a study, whose loops are judged apart.
     steps : the steps with a judged answer; error_move : their largest error of the first move.
@@ -76,6 +78,7 @@ class Verdict:
     near: tuple[Finding, ...] = ()
     gaps: tuple[Finding, ...] = ()
     refusal: str = ""
+    has_plant: bool = True
     loops: int = 0
     replays: int = 0
     windows: int = 0
@@ -114,7 +117,7 @@ class Verdict:
     def findings_that_bar_pass(self) -> tuple[Finding, ...]:
         """Findings that bar a pass but are no failure: doubts, times near a limit, missing runs."""
         kind: Doubt = "no loop but studied ones" if self.is_beside_study else "no closed loop"
-        no_loop = () if self.loops else (Finding(kind),)
+        no_loop = () if self.loops or not self.has_plant else (Finding(kind),)
         no_replay = () if self.replays or self.windows else (Finding("no replay"),)
         return (*self.doubts, *self.near, *self.gaps, *no_loop, *no_replay)
 
@@ -243,13 +246,18 @@ def judge_configuration(
     causes = [*find_wrong_answers(records, ran, requirements), *ended, *late]
     doubts = [*_find_unfinished(ran), *_find_lack_of_optima(ran), *unsure]
     gaps = _find_missing_runs(runs, asked)
+    has_plant = requirements.judges_step_times or not all(
+        isinstance(run.source, RecordedSource) for run in records.all_runs
+    )
+    is_whole = len({run.mode for run in ran}) == 2 or not has_plant
     return Verdict(
         configuration,
-        _decide_overall_state(causes, [*doubts, *gaps], near, len({run.mode for run in ran})),
+        _decide_overall_state(causes, [*doubts, *gaps], near, is_whole=is_whole),
         tuple(causes),
         tuple(doubts),
         tuple(near),
         tuple(gaps),
+        has_plant=has_plant,
         loops=len(ran) - len(replays),
         replays=sum(not run.steps_searched_for_hardest for run in replays),
         windows=sum(run.steps_searched_for_hardest > 0 for run in replays),
@@ -262,12 +270,19 @@ def judge_configuration(
 
 
 def _decide_overall_state(
-    causes: Sequence[Finding], doubts: Sequence[Finding], near: Sequence[Finding], modes: int
+    causes: Sequence[Finding],
+    doubts: Sequence[Finding],
+    near: Sequence[Finding],
+    *,
+    is_whole: bool,
 ) -> State:
-    """Return the verdict, pass to fail, that faults, doubts and times near a limit lead to."""
+    """Return the verdict, pass to fail, that faults, doubts and times near a limit lead to.
+
+    is_whole : whether it was run in closed loop and replay, or in all there is.
+    """
     if causes:
         return "late" if all(cause.kind in LATE for cause in causes) else "fail"
-    if doubts or modes < 2:
+    if doubts or not is_whole:
         return "inconclusive"
     return "borderline" if near else "pass"
 

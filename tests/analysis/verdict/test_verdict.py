@@ -386,6 +386,24 @@ def test_a_hardest_step_beyond_the_deadline_is_late(records: Any) -> None:
     )
 
 
+def test_qps_without_a_sample_time_are_judged_by_accuracy_alone(records: Any) -> None:
+    """They have no plant; with a deadline, a pass needs a closed loop."""
+    cell = json.dumps({"source": {"kind": "recorded", "path": "mine.npz"}})
+    for solver, error in (("daqp", 1e-9), ("osqp", 0.4)):
+        records.replay(solver, error=error, cell=cell, scenario="")
+    unlimited = Requirements.from_suite({"requirements": {"deadline_ms": 0.0}})
+    (good,), (bad,) = judge_solvers(records.view(), unlimited).of.values()
+    assert (good.state, good.findings_that_bar_pass, bad.state) == ("pass", (), "fail")
+    (good,), _ = judge_solvers(records.view(), REQUIREMENTS).of.values()
+    assert (good.state, [f.kind for f in good.findings_that_bar_pass]) == (
+        "inconclusive",
+        ["no closed loop"],
+    )
+    records.replay("daqp", "rough")
+    (good, *_), _ = judge_solvers(records.view(), unlimited).of.values()
+    assert good.state == "inconclusive"
+
+
 def test_without_a_deadline_no_time_is_judged(records: Any) -> None:
     """Steps of a minute pass, and have no speed margin; a wrong answer fails all the same."""
     for solver, error in (("daqp", 1e-9), ("osqp", 0.4)):
