@@ -31,7 +31,7 @@ _PART = re.compile(r"(?P<scenario>.+)\[(?P<first>\d+):\d+\]")
 class CountedSolver:
     """Counts of a solver's C along a sequence on one core, and its time on the desk.
 
-    p50, p99, worst : instructions a step; k : of the worst, in the sequence.
+    p50, p99, worst : instructions a step; k : of the worst, in the scenario.
     iterations, active : of the worst step; −1 where not reported.
     constants, static, heap, stack, code : bytes.
     error_move : largest error of the first move; failed_steps : steps without a claimed optimum.
@@ -155,7 +155,7 @@ def _summarise_counted_run(records: Records, run: dict[str, Any], compiler: str)
         p50=run["instructions_p50"],
         p99=run["instructions_p99"],
         worst=run["instructions_max"],
-        k=run["worst_step"],
+        k=run["worst_step"] + _find_first_step(run["sequence"]),
         iterations=run["worst_iterations"],
         active=run["worst_active"],
         error_move=run["error_move"],
@@ -165,6 +165,12 @@ def _summarise_counted_run(records: Records, run: dict[str, Any], compiler: str)
         settings=_find_settings_unlike_default(run["solver"], run["settings"]),
         **{name: run[f"{name}_bytes"] for name in ("code", "constants", "static", "heap", "stack")},
     )
+
+
+def _find_first_step(sequence: str) -> int:
+    """Return the step of the scenario at which a sequence named as `rough[900:1400]` starts."""
+    found = re.fullmatch(r".*\[(\d+):\d*\]", sequence)
+    return 0 if found is None else int(found[1])
 
 
 def _find_settings_unlike_default(

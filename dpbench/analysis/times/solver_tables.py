@@ -196,7 +196,7 @@ def _make_experiment_row(
     wanted = next(judged, known[0])
     c = matrix.find_index(wanted)
     run, verdict = matrix.runs.get((c, p)), matrix.states.get((c, p))
-    findings = () if verdict is None else (*verdict.causes, *verdict.doubts, *verdict.near)
+    findings = () if verdict is None else verdict.causes or (*verdict.doubts, *verdict.near)
     return {
         "solver": wanted.solver,
         "settings": wanted.settings,

@@ -136,17 +136,17 @@ class Disturbance:
         """Return the limits of a quiet machine that are exceeded, each with the excess in words."""
         lines = {}
         if self.rounds > 0 and self.disturbed > MAX_DISTURBED_SHARE * self.rounds:
-            lines[f"disturbed rounds (limit {100 * MAX_DISTURBED_SHARE:g} %)"] = (
+            lines[f"{100 * MAX_DISTURBED_SHARE:g} % disturbed rounds"] = (
                 f"{self.disturbed:.0f} of {self.rounds:.0f} rounds disturbed after a repeat"
             )
         if self.steal_share > MAX_STEAL_SHARE:
-            lines[f"stolen time (limit {100 * MAX_STEAL_SHARE:g} %)"] = (
+            lines[f"{100 * MAX_STEAL_SHARE:g} % stolen time"] = (
                 f"{100 * self.steal_share:.1f} % of the time stolen by the host"
             )
         if self.switches_per_s > MAX_SWITCHES_PER_S:
-            lines[f"context switches (limit {MAX_SWITCHES_PER_S:g} per second)"] = (
+            lines[f"{MAX_SWITCHES_PER_S:g} context switches per second"] = (
                 f"{self.switches_per_s:.0f} involuntary context switches per second"
             )
         if self.throttled > 0:
-            lines["throttle events (limit 0)"] = f"{self.throttled:.0f} throttle events"
+            lines["0 throttle events"] = f"{self.throttled:.0f} throttle events"
         return lines

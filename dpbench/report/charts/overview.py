@@ -118,7 +118,7 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
         chart = placed.facet(column=alt.Column("settings:N", **own), spacing=max(14, room))
     chart.usermeta = {"tall": tall}
     states = "pass, borderline, inconclusive, late, fail or not run"
-    about = f"Verdict on each solver in each scenario for each settings name: {states}."
+    about = f"Verdict on each solver in each scenario or replay, for each settings name: {states}."
     return style.set_style(chart, "Verdicts by scenario and replay", about)
 
 

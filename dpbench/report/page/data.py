@@ -276,7 +276,7 @@ def convert_rows_to_columns(rows: Sequence[dict[str, Any]]) -> dict[str, list[An
 
 GROUPS: dict[str, str] = {
     "times": (
-        "algo_p50_ns algo_p99_ns window_p99_ns limiting_p99_ns algo_max_ns raw_p50_ns raw_p99_ns "
+        "algo_p50_ns algo_p99_ns window_p99_ns scaled_p99_ns algo_max_ns raw_p50_ns raw_p99_ns "
         "raw_max_ns raw_samples rounds disturbed_rounds"
     ),
     "accuracy": (
@@ -302,7 +302,7 @@ LABELS = {
     "algo_p50_ns": "p50",
     "algo_p99_ns": "p99",
     "window_p99_ns": "p99 of window",
-    "limiting_p99_ns": "scaled p99",
+    "scaled_p99_ns": "scaled p99",
     "algo_max_ns": "longest step",
     "raw_p50_ns": "p50 of single timings",
     "raw_p99_ns": "p99 of single timings",
@@ -339,7 +339,7 @@ LABELS = {
 """Labels of columns on the page; others are their names with spaces."""
 COLUMNS = {
     **RUN_COLUMNS,
-    "limiting_p99_ns": (
+    "scaled_p99_ns": (
         "float64",
         "p99 scaled up to the iterations of the closed loop; the largest of a configuration is its "
         "limiting p99",
@@ -358,7 +358,7 @@ def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
     A window of hardest steps leads to its closed loop, if the page has that.
     """
     runs = runs.iloc[:MOST_ROWS]
-    runs = runs.assign(limiting_p99_ns=_compute_limiting_p99_ns(data, runs))
+    runs = runs.assign(scaled_p99_ns=_compute_scaled_p99_ns(data, runs))
     by_id = {run.run_id: key for key, run in data.runs.items()}
     keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
     of_windows = {
@@ -424,7 +424,7 @@ def _name_scenario_or_replay(run: RunRecord) -> str:
     return replace(Experiment.from_run(run), slowdown=0.0).label
 
 
-def _compute_limiting_p99_ns(data: PageData, runs: pd.DataFrame) -> "pd.Series[float]":
+def _compute_scaled_p99_ns(data: PageData, runs: pd.DataFrame) -> "pd.Series[float]":
     """Return the p99 of each replay and window (R,) [ns], scaled up to its loop; or NaN."""
     factors = {run.run_id: run.untimed_iterations for run in data.records.runs}
     scale = runs["run_id"].astype(str).map(factors).astype(np.float64).fillna(1.0)

@@ -220,7 +220,7 @@ def _explain_accuracy(data: PageData) -> str:
     usual, *others = points["timed_on"].value_counts().index
     exceptions = [
         f"; for {join_with_and(_mark_names(points['solver'][points['timed_on'] == names]))}, it is "
-        f"{_name_timed_replays(names)}"
+        f"{_name_timed_replays(names)}{_explain_other_replays(points, names, usual)}"
         for names in others
     ]
     replays = len(data.records.sequences)
@@ -228,8 +228,17 @@ def _explain_accuracy(data: PageData) -> str:
     return (
         f"Largest error of each solver{where} against its step time, in the call mode of the "
         f"first figure. The step time is {_name_timed_replays(usual)}{''.join(exceptions)}. Fill: "
-        "verdict over all scenarios and replays. Dashed line: largest error allowed."
+        "overall verdict. Dashed line: largest error allowed."
     )
+
+
+def _explain_other_replays(points: pd.DataFrame, names: str, usual: str) -> str:
+    """Return why solvers are timed on other replays than usual, if these give them no p99."""
+    has_p99 = points["p99_us"].notna()
+    if has_p99[points["timed_on"] == names].any() or not has_p99[points["timed_on"] == usual].all():
+        return ""
+    replays = join_with_and([describe_range_of_steps(name) for name in usual.split("; ")])
+    return f", as it completed too few steps of {replays} for a p99"
 
 
 def _mark_names(names: Iterable[str]) -> list[str]:
@@ -265,7 +274,7 @@ def _draw_counts(data: PageData) -> Charts:
     for sequence in data.counts.sequences:
         group = name_sequence_and_core(sequence)
         for one in sequence.solvers:
-            name = f"{one.solver}, {sequence.sequence if one_core else group}"
+            name = f"{one.solver} in {sequence.sequence if one_core else group}"
             row = {"label": name, "group": group, "k": str(one.k)}
             rows.append(row | {"p50": one.p50, "p99": one.p99, "worst": one.worst})
     return {"embedded": draw_instructions(pd.DataFrame(rows))} if rows else {}

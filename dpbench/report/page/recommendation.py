@@ -409,16 +409,19 @@ def _list_limiting_steps(data: PageData, margin: SpeedMargin, time: str) -> list
             f". Scaled up to the iterations of the closed loop, the {time} is "
             f"{format_time(margin.limiting_p99_ns)}"
         )
-    hardest = f"{format_time(margin.hardest.time_ns)}{wait} ({_describe_work(margin.hardest)})"
+    hardest = (
+        f"longest step is {_name_slow_step(margin.hardest)}: "
+        f"{format_time(margin.hardest.time_ns)}{wait} ({_describe_work(margin.hardest)})"
+    )
+    opening = f"The {hardest}"
     if margin.hardest.run.untimed_iterations_max > 1.0:
         longest = format_time(margin.longest_ns)
-        hardest += f". Scaled up to the iterations of the closed loop, it takes {longest}"
+        opening = f"Scaled up in this way, the {hardest} before and {longest} after scaling"
     requirements = data.requirements
     return [
         f"{first}{second}. It reaches the limit of {requirements.p99_ms:g} ms at a slowdown of × "
         f"{format_rounded_down(margin.p99_limit)}.",
-        f"The longest step is {_name_slow_step(margin.hardest)}: {hardest}. It reaches the "
-        f"deadline of {requirements.deadline_ms:g} ms at a slowdown of × "
+        f"{opening}. It reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of × "
         f"{format_rounded_down(margin.deadline)}.",
     ]
 

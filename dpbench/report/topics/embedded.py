@@ -22,7 +22,7 @@ from dpbench.report.page.section import Topic
 WORST = "The maximum holds for these steps only."
 TABLE = "Instructions per step, memory and error"
 LABELS = {
-    "k": "index of worst step",
+    "k": "worst step, k",
     "worst": "maximum",
     "active": "active limits",
     "code": "code [bytes]",

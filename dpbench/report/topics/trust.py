@@ -126,9 +126,9 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
-        f" Taken alone, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
-        f"exceeded a limit: {' or '.join(kinds)}. Small differences in step time are not ranked "
-        "there."
+        f" Individually, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
+        f"exceeded the limit of {' or '.join(kinds)}. Small differences in step time are not "
+        "ranked there."
     )
 
 
@@ -190,5 +190,5 @@ def build_trust_topic(records: Records) -> Topic | None:
         short="Measurement",
         lines=(*lines, COVERED.format(f"{others} and tunings")),
         figures=tuple(figures),
-        tables=(Table(("machine", ""), tuple(data), "Machine", COMPARED, folded=True),),
+        tables=(Table(("property", "value"), tuple(data), "Machine", COMPARED, folded=True),),
     )

@@ -136,7 +136,8 @@ def describe_finding(finding: Finding) -> str:
         time=format_time(finding.value),
         share=format_share(finding.value),
         timings=plural(finding.steps, "timing"),
-        machine=format_share(finding.machine),
+        machine=_format_explained(finding.machine),
+        only_machine=_format_explained(finding.machine, "only "),
         net=format_time(finding.machine),
         net_range=_describe_uncertain_part(finding),
         limit=format_time(finding.limit),
@@ -147,6 +148,12 @@ def describe_finding(finding: Finding) -> str:
         over=over,
         also_over=f" ({'' if over else 'above the limit '}also in {also})" if also else "",
     )
+
+
+def _format_explained(share: float, only: str = "") -> str:
+    """Return the share of late timings that other work explains as text, after `only`, or none."""
+    text = format_share(share)
+    return "none of them" if text == format_share(0.0) else f"{only}{text}"
 
 
 def _name_first_step(finding: Finding) -> str:

@@ -49,7 +49,7 @@ def list_machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
         ("processor", f"{of('cpu_model')}, {of('cores')} cores"),
         ("processor family", of("cpu_family")),
         ("vector instructions", vectors),
-        ("cores allowed", ", ".join(cores) or "not recorded"),
+        ("cores used (numbers)", ", ".join(cores) or "not recorded"),
         ("frequency governor", of("governor")),
         ("frequency at the start", of("frequency_MHz", "MHz")),
         ("throttle counters", of("throttle_counters")),

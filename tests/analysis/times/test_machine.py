@@ -210,5 +210,5 @@ def test_a_replay_that_is_worse_than_the_limits_alone_is_counted(records: Any) -
         line for line in topic.lines if line.startswith("Over all replays, the machine was quiet: ")
     )
     assert "quiet: 4 of 32 rounds were repeated because other work disturbed them, and 1 " in load
-    assert "remained disturbed (3.1 %, limit 5 %). Taken alone, 1 of 4 replays " in load
-    assert "exceeded a limit: disturbed rounds (limit 5 %). Small differences" in load
+    assert "remained disturbed (3.1 %, limit 5 %). Individually, 1 of 4 replays " in load
+    assert "exceeded the limit of 5 % disturbed rounds. Small differences" in load

@@ -44,7 +44,7 @@ def test_the_table_of_runs_has_windows_with_their_limiting_p99(records: Any) -> 
     data = PageData.from_verdicts(view, judge_solvers(view, Requirements()))
     table = make_table_of_runs(data, records.results().runs)
     names = [column["name"] for column in table["columns"]]
-    assert table["values"][names.index("limiting_p99_ns")] == [None, 40e3]
+    assert table["values"][names.index("scaled_p99_ns")] == [None, 40e3]
     assert table["values"][names.index("where")] == ["turn", "turn, window of 30 steps"]
     assert (table["c"], table["p"]) == ([0, 0], [0, 0])
     assert table["windows"] == [1]

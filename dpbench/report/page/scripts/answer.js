@@ -55,7 +55,7 @@ FIGURES.ladder = {
 SECTIONS.push({
   id: "figure-ladder", after: ["c", "p"],
   draw: () => mark("ladder", { id: String(state.c) }),
-  listen: () => steerable("ladder"),
+  listen: () => steerable("ladder", "row"),
 }, {
   id: "slow", after: ["slow", "c"], draw: drawSlow,
   listen: () => {

@@ -113,11 +113,11 @@ function rowsDrawn(name) {
 }
 
 // A figure that the arrow keys choose in, as a click does; Enter opens what is chosen.
-function steerable(name) {
+function steerable(name, item) {
   const host = $(`figure-${name}`);
   host.tabIndex = 0;
   host.setAttribute("role", "application");
-  host.setAttribute("aria-label", `${facts.charts[name].description} Use the arrow keys to select and Enter to open.`);
+  host.setAttribute("aria-label", `${facts.charts[name].description} Use the arrow keys to select a ${item} and Enter to show its steps.`);
   host.addEventListener("keydown", (event) => {
     const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
     if (event.key === "Enter") go("one");

@@ -77,7 +77,7 @@ SECTIONS.push({
   draw: () => { drawSelected(); return mark("matrix", { id: String(state.c), experiment_id: String(state.p) }); },
   redraw: () => $("matrix-mode").value && drawMatrix(),
   listen: () => {
-    steerable("matrix");
+    steerable("matrix", "cell");
     $("matrix-mode").append(...unique(all().map(callMode)).map((w) => new Option(w.replace("-", " "), w)));
     on("matrix-mode", "change", drawMatrix);
   },

@@ -70,9 +70,10 @@ function wrongOf(run) {
   const at = (first, count) => ((first ?? -1) < 0 ? "" : ` (${count === 1 ? "" : "first "}at step ${first})`);
   const found = [[run.inaccurate ?? 0, "step", (count) => `${were(count)} inaccurate${at(run.first_inaccurate, count)}`],
     [run.failed, "step", (count) => `failed${at(run.first_failed, count)}`],
-    [run.untrue, once ? "step" : "answer", (count) => `${were(count)} reported as solved but not verified${once ? "" : ` (of ${grouped(run.answers)})`}`]]
+    [run.untrue, once ? "step" : "answer", null]]
     .filter(([count]) => count > 0)
-    .map(([count, word, what], i) => `${i ? grouped(count) : many(count, word)} ${what(count)}`);
+    .map(([count, word, what], i) => (what ? `${i ? grouped(count) : many(count, word)} ${what(count)}`
+      : `for ${many(count, word)}${once ? "" : ` of ${grouped(run.answers)}`}, the status “solved” could not be verified`));
   return found.length < 2 ? found.join("") : `${found.slice(0, -1).join(", ")} and ${found.at(-1)}`;
 }
 
