@@ -44,6 +44,7 @@ from dpbench.embedded.toolchain import (
 from dpbench.errors import DpbenchError, InputError, format_allowed_names
 from dpbench.report.formats import MISSING, Table, format_count, format_error
 from dpbench.scenario.scenario import Scenario, load_scenario
+from dpbench.solvers.own_settings import format_options_as_toml
 
 REMARK = (
     "Instruction counts compare solvers built with one compiler and the same flags. They are not "
@@ -121,7 +122,7 @@ def _count_and_print_all_steps(
             )
         )
     else:
-        _print_tables(counts, path)
+        _print_tables(counts, path, _describe_settings(recipes, settings))
     return int(bool(refused))
 
 
@@ -210,14 +211,22 @@ def _read_settings(texts: list[str], recipes: list[Recipe]) -> dict[str, dict[st
     return settings
 
 
-def _print_tables(counts: list[StepCounts], path: Path) -> None:
-    """Print a table of counts and one of sizes for each sequence and target."""
+def _describe_settings(recipes: list[Recipe], settings: dict[str, dict[str, Setting]]) -> list[str]:
+    """Return a line with all settings of the C code of each solver that has settings."""
+    used = {r.solver: r.with_settings(settings.get(r.solver, {})) for r in recipes}
+    return [
+        f"Settings of {name}: {format_options_as_toml(own)}." for name, own in used.items() if own
+    ]
+
+
+def _print_tables(counts: list[StepCounts], path: Path, settings: list[str]) -> None:
+    """Print a table of counts and one of sizes for each sequence and target, then settings."""
     screen = make_console()
     for table in _make_tables(summarise_counted_runs(tabulate_counted_steps(counts))):
         screen.print(make_report_table(table, screen))
         screen.print()
     compiler = f"Compiled by ziglang {compiler_version()} with -O2. Steps: {path}"
-    print_wrapped([REMARK, compiler])
+    print_wrapped([*settings, REMARK, compiler])
 
 
 def _make_tables(runs: list[dict[str, Any]]) -> Iterator[Table]:
@@ -333,7 +342,8 @@ def print_largest_horizons(
         for table in _make_fit_tables(fits, single=single):
             screen.print(make_report_table(table, screen))
             screen.print()
-        print_wrapped([f"Compiled by ziglang {compiler_version()} with -O2. Steps: {path}"])
+        compiler = f"Compiled by ziglang {compiler_version()} with -O2. Steps: {path}"
+        print_wrapped([*_describe_settings(recipes, settings), compiler])
     return int(bool(reasons))
 
 

@@ -65,6 +65,7 @@ def test_tables(recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert main(["embedded", "--target", "a53", *own, "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     assert "on Cortex-A53, float: instructions per step" in " ".join(printed.split())
+    assert "\nSettings of zero: answer=" in printed
     assert max(len(line) for line in printed.splitlines() if str(tmp_path) not in line) <= 80
 
 

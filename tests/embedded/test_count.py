@@ -101,12 +101,13 @@ def test_answers_equal_those_of_the_desk(solver: str, name: str) -> None:
     assert counts.error_move.max() < 1e-2
 
 
-def test_answers_of_osqp_equal_those_of_its_wheel() -> None:
+@pytest.mark.parametrize("own", [{}, {"rho": 1.6, "eps_abs": 1e-5, "eps_rel": 1e-3}])
+def test_answers_of_osqp_equal_those_of_its_wheel(own: dict[str, float]) -> None:
     sequence = load("move-30-5", 6)
-    counts, qp = count("osqp", "a53", sequence), sequence.base
+    counts, qp = count("osqp", "a53", sequence, settings=own), sequence.base
     library = osqp.OSQP()
     rows = scipy.sparse.csc_matrix(np.vstack([qp.A, np.eye(qp.n)]))
-    options = {"rho": 0.25, "eps_abs": 1e-6, "eps_rel": 0.0, "max_iter": 200000}
+    options = {"rho": 0.25, "eps_abs": 1e-6, "eps_rel": 0.0, "max_iter": 200000} | own
     limits = np.append(qp.l, qp.lb), np.append(qp.u, qp.ub)
     library.setup(
         scipy.sparse.csc_matrix(qp.P),

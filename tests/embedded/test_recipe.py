@@ -41,7 +41,7 @@ def test_a_recipe_of_a_users_own(tmp_path: Path) -> None:
         select_recipes(["mine"])
     with pytest.raises(
         InputError,
-        match=r"settings of osqp: sigma: found an unknown option; allowed: one of eps_abs, rho, ",
+        match=r"settings of osqp: sigma: found an unknown option; allowed: one of eps_abs, ",
     ):
         select_recipes(["osqp"])[0].with_settings({"sigma": 1})
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
 
 INFINITY = 1e30  # OSQP_INFTY
@@ -29,7 +30,11 @@ def write_sources(
         for pair in ((qp.l, qp.lb), (qp.u, qp.ub))
     )
     solver = import_module("osqp").OSQP()
-    options = {"verbose": False, "adaptive_rho": False, "eps_rel": 0.0, **settings}
+    if settings["adaptive_rho"]:
+        raise InputError(
+            "settings of osqp", "adaptive_rho", "1", "0: generated code has a fixed rho"
+        )
+    options = {"verbose": False, **settings, "adaptive_rho": False}
     solver.setup(scipy.sparse.csc_matrix(qp.P), qp.q, rows, low, high, **options)
     generated = folder / "generated"
     solver.codegen(str(generated), parameters="vectors", extension_name=None, use_float=single)
