@@ -34,6 +34,7 @@ class PairedComparison:
     `leaders` names the faster one by each yardstick; where they differ the order is unstable.
     first_ns, second_ns : geometric mean step time of each on these steps [ns].
     sequences : the replays that these steps are of.
+    slower_steps : those of `steps` in which the second takes longer.
     separate : why there is no ratio, as they were not interleaved; "" where they were.
     spread : slowest over fastest round, the larger of both, where other load disturbed one; else 1.
     """
@@ -49,6 +50,7 @@ class PairedComparison:
     separate: str = ""
     spread: float = 1.0
     sequences: tuple[str, ...] = ()
+    slower_steps: int = 0
 
     @property
     def is_tied(self) -> bool:
@@ -204,6 +206,7 @@ def _compare_on_size(
         sequences=tuple(
             one.sequence for one, log in zip(used, logs, strict=True) if id(log) in long
         ),
+        slower_steps=sum(int((log > 0.0).sum()) for log in select_long_series(logs)),
     )
 
 

@@ -31,6 +31,7 @@ from dpbench.bench.record.cell import Configuration
 from dpbench.qp.residuals import TRUE_TOL
 from dpbench.report.formats import (
     describe_wait,
+    format_count,
     format_error,
     format_time,
     join_with_and,
@@ -396,13 +397,21 @@ def _describe_time_ratio(compared: PairedComparison, end: str) -> str:
         interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
         wording += f" (95 % interval within this run: {interval})"
         if compared.is_tied:
-            return f"{wording}: no significant difference"
+            return f"{wording}: no significant difference, {_describe_slower_steps(compared)}"
     if not compared.is_unstable:
         return f"{wording}{_describe_spread(compared)}"
     slower = compared.first if compared.ratio.value < 1.0 else compared.second
     against = [name for name, leader in compared.leaders.items() if leader == slower]
     size = "larger" if slower == compared.first else "smaller"
     return f"{wording}, with the {size} {against[-1]}: which is faster depends on the measure"
+
+
+def _describe_slower_steps(compared: PairedComparison) -> str:
+    """Return in how many steps the second configuration is slower, or else faster."""
+    slower, steps = compared.slower_steps, compared.steps
+    is_slower = 2 * slower >= steps
+    count = format_count(slower if is_slower else steps - slower)
+    return f"{'slower' if is_slower else 'faster'} in {count} of {format_count(steps)} steps"
 
 
 def _describe_spread(compared: PairedComparison) -> str:

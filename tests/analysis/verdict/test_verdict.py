@@ -9,10 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.analysis.times.paired_times import compare_paired_times, compare_settings_of_solvers
+from dpbench.analysis.times.paired_times import (
+    compare_configurations,
+    compare_paired_times,
+    compare_settings_of_solvers,
+)
 from dpbench.analysis.verdict.requirements import MISSED, Finding, Requirements
 from dpbench.analysis.verdict.time_findings import compute_speed_margins
 from dpbench.analysis.verdict.verdict import judge_solvers, sort_fastest_first
+from dpbench.bench.record.cell import Configuration
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.verdict.findings_text import describe_finding, describe_findings
 from dpbench.report.verdict.verdict_text import (
@@ -564,6 +569,23 @@ def test_a_tie_is_called_a_tie(records: Any) -> None:
     found = _duel(records, 20.0)
     assert found.is_tied and found.finding_text == "tied"
     assert "no significant difference" in describe_paired_times([found])
+
+
+def test_a_tie_counts_the_steps_that_are_slower(records: Any) -> None:
+    """The second takes 1.01 times as long, 20 times in the first 200 steps and half as long in one.
+
+    The logs of the five parts have one outlier, so that their interval includes 1.
+    """
+    slow = dict.fromkeys(range(200), 20.0) | {900: 0.5}
+    for solver, median_us, slow_steps in (("first", 20.0, {}), ("second", 20.2, slow)):
+        records.loop(solver)
+        records.replay(solver, median_us=median_us, spread=0.0, slow=slow_steps)
+    (found,) = compare_configurations(
+        records.view(), *(Configuration(s, "qpsolvers", "fresh") for s in ("first", "second"))
+    )
+    assert found.finding_text == "tied" and found.ratio.value > 1.8
+    said = "no significant difference, slower in 999 of 1\u202f000 steps"
+    assert describe_paired_times([found]).endswith(said)
 
 
 def test_two_names_of_one_run_are_called_so(records: Any) -> None:

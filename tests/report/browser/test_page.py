@@ -471,6 +471,10 @@ def test_two_solvers_are_compared(selected: Any) -> None:
     assert output.startswith("piqp (")
     assert float(ratio[1]) == pytest.approx(90.0 / 18.0, rel=0.1)
     assert re.search(r"over \d+ steps of paper \(replay\)", output)
+    rows = "[[1, 2], [3, 4], [6, 5]].map(([a_us, b_us]) => ({ a_us, b_us, variables: 1 }))"
+    slower = page.evaluate(f"slowerIn({rows}, 0.9, true)")
+    assert slower == "It is slower in 2 of 3 steps, but the interval includes 1. "
+    assert page.evaluate(f"slowerIn({rows}, 1.1, true)") == ""
     for name, title in (("first", "piqp ("), ("second", "daqp (")):
         named = page.evaluate(f"views.pairs.then((view) => view.signal('{name}'))")
         assert named.startswith(title) and named.endswith("[µs]")

@@ -63,6 +63,13 @@ function ratioOf(rows) {
   return Math.exp(means.reduce((sum, x) => sum + x, 0) / means.length);
 }
 
+// In how many steps of the largest QPs the slower one is slower; "" where the interval excludes 1.
+function slowerIn(rows, low, isSecond) {
+  if (low > 1) return "";
+  const largest = ofLargest(rows), longer = largest.filter((row) => (isSecond ? row.b_us > row.a_us : row.a_us > row.b_us));
+  return `It is slower in ${grouped(longer.length)} of ${grouped(largest.length)} steps, but the interval includes 1. `;
+}
+
 // By what factor the 95 % interval of the ratio of two reaches up and down; null without one.
 function reachOf(first, second) {
   const { c, reach } = facts.paired;
@@ -130,7 +137,7 @@ async function drawTwo() {
     + `${time(meanOf(rows, "b"))}, ${rows[0].separate}, so there is no ratio: geometric means over `
     + `${commonSteps(rows)}.`
     : `${marked(slower)} takes ${twoDigits(ratio)} times as long as ${marked(faster)}; `
-    + `${interval}. The ratio is the geometric mean over ${commonSteps(rows)}.`
+    + `${interval}. ${reach === null ? "" : slowerIn(rows, ratio / reach, slower === second)}The ratio is the geometric mean over ${commonSteps(rows)}.`
     + `${reach === null ? "" : whyUnranked(rows, ratio / reach)}${shortTimes(state.c, second)}`;
   said.replaceChildren(...coded(text));
   $("two-caption").replaceChildren(...coded(captionOf(rows, second)));
