@@ -101,6 +101,33 @@ def test_a_failure_is_named_where_every_lost_ship_left_after_one(
     assert warning.startswith(f"{BANNER}{clause}, whatever the solver: in `")
 
 
+@pytest.mark.parametrize("keys", [{}, {"fallbacks": 1}, {"error_move_max": 0.5}])
+@pytest.mark.parametrize(("lost", "most_m"), [(LOST, 180.0), (LOST, 70.0), ({}, 20.0), ({}, 4.0)])
+def test_an_accurate_solver_whose_ship_goes_much_farther_is_named(
+    records: Any, lost: dict[str, float], most_m: float, keys: dict[str, float]
+) -> None:
+    """More than twice the 37 m of the reference loop, or beyond the station of a ship kept."""
+    records.loop("daqp", "rough", r_max_m=3.0, **lost)
+    records.loop("proxqp", "rough", r_max_m=most_m, **lost, **keys)
+    told = _summary(records)
+    is_named = not keys and most_m in (180.0, 20.0)
+    text = told.warning if lost else told.caution
+    assert (f"(with `proxqp` up to {most_m:.3g}" in text) == is_named
+    assert ("daqp" in text) is False and ("proxqp" in text) == is_named
+
+
+@pytest.mark.parametrize(
+    "keys", [{"environment": {"noise": {"position_m": 0.3}}}, {"estimator": {"kind": "kalman"}}, {}]
+)
+def test_sensors_are_named_beside_the_weather_where_the_scenario_has_some(
+    records: Any, keys: dict[str, Any]
+) -> None:
+    cell = json.dumps({"scenario": {"scenario": {"controller": {}} | keys}})
+    records.loop("daqp", "rough", cell=cell, **LOST)
+    sensors = " with these sensors" if keys else ""
+    assert _summary(records).warning.startswith(f"{BANNER}{sensors}, whatever the solver: in")
+
+
 def test_a_ship_that_turns_away_or_comes_back_is_lost_too(records: Any) -> None:
     records.loop("daqp", "turn", exact_left_s=3.0, exact_heading_max_deg=40.0)
     (ship,) = find_ship_results(records.view())

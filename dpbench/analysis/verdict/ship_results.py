@@ -9,10 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.run.exact_loop import HEADING_DEG, RADIUS_M
 from dpbench.scenario.stability import find_unstable_radius
 
@@ -27,6 +29,8 @@ NOTICED_SHARE = 0.1
 """Share of the station below which an offset is no sign of moving away."""
 SETTLED_SHARE = 0.02
 """Share of the station below which an offset that grows counts as settled."""
+FARTHER = 2.0
+"""Multiple of the reference loop's largest offset beyond which another loop's ship is named."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +38,12 @@ class ShipResult:
     """Ship of one scenario, or of one sea of a study, controlled by certified optima.
 
     name : the scenario, with the horizons where it has several; run : one that has the columns
-    `exact_*` of its reference loop.
+    `exact_*` of its reference loop; loops : all closed loops with it.
     """
 
     name: str
     run: RunRecord
+    loops: tuple[RunRecord, ...] = ()
 
     @property
     def state(self) -> ShipState:
@@ -65,6 +70,24 @@ class ShipResult:
         """Largest offset or heading error in multiples of the limits of the station."""
         offset = self.run.exact_offset_max_m / self.run.station_radius_m
         return max(offset, self.run.exact_heading_max_deg / HEADING_DEG)
+
+    @property
+    def farther_loop(self) -> RunRecord | None:
+        """Accurate closed loop whose ship goes farthest off its station, much farther than here.
+
+        A loop with an inaccurate or failed step, or with a fallback, is not counted.
+        """
+        run, most_error = self.run, Requirements().error_move
+        reach_m = np.nanmax([run.exact_offset_max_m, run.exact_transfer_offset_max_m, 0.0])
+        limit_m = max(FARTHER * reach_m, run.station_radius_m)
+        far = [
+            loop
+            for loop in self.loops
+            if loop.r_max_m > limit_m
+            and loop.error_move_max <= most_error
+            and not (loop.failed_steps > 0 or loop.fallbacks > 0)
+        ]
+        return max(far, key=lambda loop: loop.r_max_m, default=None)
 
     @property
     def has_transfer(self) -> bool:
@@ -140,18 +163,20 @@ def find_ship_results(records: Records) -> list[ShipResult]:
     ]
     by_ship = group_by_key(with_ship, _make_ship_key)
     tuned = {key[:-1] for key in by_ship if key[-1] is not None}
-    longest = [
-        max(own, key=lambda run: _count_or_minus_one(run.exact_steps))
+    longest = {
+        max(own, key=lambda run: _count_or_minus_one(run.exact_steps)): own
         for key, own in by_ship.items()
         # QPs without horizons, as of a consequence analysis, have the ship of the scenario's loop.
         if key[-1] is not None or key[:-1] not in tuned
-    ]
+    }
     tunings = group_by_key(longest, lambda run: (run.study, run.scenario))
     return [
         ShipResult(
-            _name_scenario_of_ship(run, several=len(tunings[run.study, run.scenario]) > 1), run
+            _name_scenario_of_ship(run, several=len(tunings[run.study, run.scenario]) > 1),
+            run,
+            tuple(one for one in own if one.mode == "closed_loop"),
         )
-        for run in longest
+        for run, own in longest.items()
     ]
 
 

@@ -37,8 +37,9 @@ class ShipSummary:
     without limits; "" where no ship is lost. state : where the ship is on station, has not settled
     or has no result; "" without any ship. limits : the share of steps with active limits.
     details : moves to a new setpoint, losses, offsets that still grow.
-    caution : of ships on station with little margin, still moving away, or farther off since a
-    loss, and in a report of losses that no closed loop shows to be held; "" without any.
+    caution : of ships on station with little margin, still moving away, farther off since a
+    loss, or lost with an accurate solver, and in a report of losses that no closed loop shows to
+    be held; "" without any.
     conditions : sensors, estimator, lag, delay and mismatch, by scenarios with equal ones.
     """
 
@@ -95,7 +96,8 @@ def _warn_of_lost(lost: Sequence[ShipResult]) -> Iterator[str]:
     unstable = [ship for ship in lost if not math.isnan(ship.unstable_radius)]
     driven = [ship for ship in lost if ship not in unstable]
     if driven:
-        opening = f"{BANNER}{_name_failures(driven)}, whatever the solver"
+        sensors = " with these sensors" * any(map(_has_noise_or_estimator, driven))
+        opening = f"{BANNER}{sensors}{_name_failures(driven)}, whatever the solver"
         yield f"{opening}: {_describe_lost(driven)}."
     if unstable:
         worst = max(unstable, key=lambda ship: ship.unstable_radius)
@@ -103,6 +105,12 @@ def _warn_of_lost(lost: Sequence[ShipResult]) -> Iterator[str]:
         loop = describe_unstable_loop(horizon, worst.unstable_radius)
         opening = "Elsewhere its loop is" if driven else f"{LOST}: its loop is"
         yield f"{opening} {loop}, whatever weather and solver: {_describe_lost(unstable)}."
+
+
+def _has_noise_or_estimator(ship: ShipResult) -> bool:
+    """Return whether a ship's scenario has measurement noise or an estimator."""
+    known = read_conditions((ship.run.scenario_documents or {}).get("scenario") or {})
+    return any(known.noise) or known.estimator != "measured"
 
 
 def list_losses(run: RunRecord) -> list[tuple[float, list[str]]]:
@@ -143,6 +151,7 @@ def _describe_lost(lost: Sequence[ShipResult]) -> str:
         parts.append(
             f"in {plural(len(seas), 'realisation')} of `{study}` it leaves, by up to "
             f"{significant(far.run.exact_offset_max_m)} m at {_name_sea(far.run)}"
+            f"{_format_farther_loop(far)}"
         )
     return "; ".join(parts)
 
@@ -157,9 +166,16 @@ def _describe_departure(ship: ShipResult) -> str:
     return (
         f"in `{ship.name}` it leaves its station ({_format_station_limits(ship)}) at "
         f"{significant(run.exact_left_s)} s{back}; largest offset "
-        f"{significant(run.exact_offset_max_m)} m at {significant(run.exact_offset_max_s)} s, last "
-        f"offset {significant(run.exact_offset_end_m)} m{moving}{turned}"
+        f"{significant(run.exact_offset_max_m)} m at {significant(run.exact_offset_max_s)} s"
+        f"{_format_farther_loop(ship)}, last offset {significant(run.exact_offset_end_m)} m"
+        f"{moving}{turned}"
     )
+
+
+def _format_farther_loop(ship: ShipResult) -> str:
+    """Return how far the ship of an accurate solver goes where that is much farther; or ""."""
+    loop = ship.farther_loop
+    return f" (with `{loop.solver}` up to {significant(loop.r_max_m)} m)" if loop else ""
 
 
 def describe_ship(ship: ShipResult) -> str:
@@ -173,9 +189,10 @@ def describe_ship(ship: ShipResult) -> str:
         result, since = _describe_arrival([ship]), " after it"
     return (
         f"`{ship.name}`: {result}; largest offset{since} "
-        f"{significant(run.exact_offset_max_m)} m {_format_time_of_offset(run)}, last "
-        f"{significant(run.exact_offset_end_m)} m; limits active in "
-        f"{format_share(run.exact_active_share)} of {plural(run.exact_steps, 'step')}"
+        f"{significant(run.exact_offset_max_m)} m {_format_time_of_offset(run)}"
+        f"{_format_farther_loop(ship)}, last {significant(run.exact_offset_end_m)} m; "
+        f"limits active in {format_share(run.exact_active_share)} of "
+        f"{plural(run.exact_steps, 'step')}"
     )
 
 
@@ -366,7 +383,7 @@ def _has_loss(ship: ShipResult) -> bool:
 
 
 def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
-    """Return lines on ships on station still moving away at the end, or coming near a limit."""
+    """Return lines on ships moving away at the end, near a limit, or lost by one solver alone."""
     kept = sorted(
         (ship for ship in known if ship.state == "on station"),
         key=lambda ship: -ship.used_share_of_station_limits,
@@ -393,6 +410,13 @@ def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
         sentences.append(
             f"The margin is small: the ship reaches {up_to}{share} of "
             f"the limits of its station in {_name_ships(near)}."
+        )
+    if far := [ship for ship in kept if ship.farther_loop]:
+        parts = [f"{_locate_ship(ship)}{_format_farther_loop(ship)}" for ship in far[:MOST_NAMED]]
+        parts += [f"{len(far) - MOST_NAMED} more"] if far[MOST_NAMED:] else []
+        sentences.append(
+            "With an accurate solver the ship leaves the station that it keeps with exactly solved "
+            f"QPs in {join_with_and(parts)}."
         )
     return sentences
 
