@@ -362,7 +362,7 @@ def _compare_configurations(arguments: argparse.Namespace) -> None:
         "--reference": arguments.reference,
     }
     if found := [name for name, is_given in given.items() if is_given]:
-        allowed = "one folder, with --markdown"
+        allowed = "one folder, with --markdown (--html is not available with --solver)"
         raise InputError("--solver", "", f"with {' and '.join(found)}", allowed)
     chosen = compare_configurations_of_folder(arguments.folders[0], arguments.choices)
     _print_comparison(chosen.markdown(), [chosen.table], chosen.lines, arguments.markdown)

@@ -180,7 +180,7 @@ def add_compare_options(compare: Command) -> None:
     _option(compare, "--alpha", "SHARE", alpha, type=float, default=0.05)
     output = compare.add_argument_group("output")
     _option(output, "--markdown", "FILE", "write Markdown to this file; - prints it")
-    _option(output, "--html", "FILE", "write an HTML page with figures")
+    _option(output, "--html", "FILE", "write an HTML page with figures; not with --solver")
 
 
 def add_export_options(export: Command) -> None:

@@ -11,7 +11,7 @@ from dpbench.analysis.times.chosen_pairs import compare_chosen
 from dpbench.analysis.times.paired_times import PairedComparison
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.ship_results import find_ship_results
-from dpbench.analysis.verdict.verdict import judge_solvers
+from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
 from dpbench.bench.record.result_folder import load_results
 from dpbench.errors import ResultsError
 from dpbench.report.commands_text import describe_machine, describe_turns, describe_versions
@@ -19,8 +19,10 @@ from dpbench.report.formats import (
     MISSING,
     Table,
     format_count,
+    format_error,
     format_interval,
     format_microseconds,
+    join_with_and,
     make_markdown_document,
     strip_markdown,
 )
@@ -77,9 +79,9 @@ def compare_configurations_of_folder(
         found = "no step that two of the chosen configurations replayed"
         raise ResultsError(str(folder), "", found, "configurations that ran the same replay")
     verdicts = judge_solvers(records, Requirements.from_suite(results.suite))
-    states = {v.configuration.label: v.state for v in verdicts.all_verdicts}
+    judged = {v.configuration.label: v for v in verdicts.all_verdicts}
     lines = [summarise_ships(find_ship_results(records)).warning, describe_turns(records)]
-    lines += [_describe_pair(one, states) for one in pairs]
+    lines += [_describe_pair(one, judged) for one in pairs]
     named = {one.first for one in pairs} | {one.second for one in pairs}
     solvers = {
         v.configuration.solver for v in verdicts.all_verdicts if v.configuration.label in named
@@ -89,9 +91,9 @@ def compare_configurations_of_folder(
     rows = [
         {
             "first": one.first,
-            "verdict": states.get(one.first, MISSING),
+            "verdict": judged[one.first].state if one.first in judged else MISSING,
             "second": one.second,
-            "its verdict": states.get(one.second, MISSING),
+            "its verdict": judged[one.second].state if one.second in judged else MISSING,
             "variables": f"{one.variables:.0f}",
             "first, geometric mean [µs]": format_microseconds(one.first_ns),
             "second, geometric mean [µs]": format_microseconds(one.second_ns),
@@ -106,13 +108,12 @@ def compare_configurations_of_folder(
     return ChosenComparison(pairs, [line for line in lines if line], table)
 
 
-def _describe_pair(one: PairedComparison, states: Mapping[str, str]) -> str:
-    """Return a line on the ratio of two configurations, and which of them does not pass."""
-    lacking = [
-        f"{name}: {states[name]}"
-        for name in (one.second, one.first)
-        if states.get(name, "pass") != "pass"
-    ]
-    verdicts = f" Verdict on {'; on '.join(lacking)}." if lacking else ""
+def _describe_pair(one: PairedComparison, judged: Mapping[str, Verdict]) -> str:
+    """Return a line on the ratio of two configurations, their errors, and which does not pass."""
+    both = [(name, judged[name]) for name in (one.second, one.first) if name in judged]
+    lacking = [f"{name}: {verdict.state}" for name, verdict in both if verdict.state != "pass"]
+    errors = [f"{format_error(verdict.error_move)} ({name})" for name, verdict in both]
+    verdicts = f" Largest error [maximum increments]: {join_with_and(errors)}." if errors else ""
+    verdicts += f" Verdict on {'; on '.join(lacking)}." if lacking else ""
     ratio = f"{strip_markdown(describe_paired_times([one]))}.{verdicts}"
     return f"{one.second} against {one.first} at {one.variables:.0f} variables: {ratio}"

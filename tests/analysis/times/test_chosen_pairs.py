@@ -85,6 +85,8 @@ def test_the_command_prints_ratios_with_verdicts(
         "daqp (qpsolvers fresh) against osqp (qpsolvers fresh, rho=1.6) at 30 variables: 0.500"
         in said
     )
+    errors = "1.0e-09 (daqp (qpsolvers fresh)) and 0.50 (osqp (qpsolvers fresh, rho=1.6))"
+    assert f"Largest error [maximum increments]: {errors}." in " ".join(said.split())
     assert "Verdict on osqp (qpsolvers fresh, rho=1.6): fail." in said
     assert "0.500 times as long over the same steps of " in said
     assert "- Machine: " in said and "- Versions: osqp 1.0, daqp 1.0; suite " in said
@@ -95,5 +97,6 @@ def test_the_command_prints_ratios_with_verdicts(
     assert (row["ratio"], row["first_us"]) == (pytest.approx(0.25), pytest.approx(40.0))
     assert main(["compare", str(out), str(out), *words, "--html", "c.html"]) == 2
     assert capsys.readouterr().err.startswith(
-        "dpbench: --solver: found with 2 folders and --html; allowed: one folder, with --markdown"
+        "dpbench: --solver: found with 2 folders and --html; allowed: one folder, with --markdown "
+        "(--html is not available with --solver)"
     )
