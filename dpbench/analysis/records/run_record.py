@@ -303,6 +303,12 @@ class RunRecord:
         return self.infeasible_steps > 0 and np.isnan(self.error_move_max) and not without_proof
 
     @property
+    def unverified_steps(self) -> int:
+        """Number of steps reported as solved whose solution the referee does not verify."""
+        in_a_round = self.claimed_not_true / max(1.0, np.nan_to_num(self.rounds))
+        return int(np.ceil(np.nan_to_num(in_a_round)))
+
+    @property
     def outcome_message(self) -> str:
         """Message of the solver library or benchmark on how the run ended; "" for none."""
         return self.outcome_detail.strip().rstrip(".")

@@ -34,6 +34,7 @@ from dpbench.errors import InputError, format_allowed_names
 from dpbench.report.commands_text import describe_machine, describe_turns
 from dpbench.report.embedded_text import list_embedded_cost_sentences
 from dpbench.report.formats import (
+    format_count,
     format_error,
     format_rounded_down,
     format_time,
@@ -217,7 +218,8 @@ def _describe_choice(
         f"It was accurate on every step of {describe_judged_runs(chosen)}. Its "
         f"{describe_usual_time(timed)}.",
         f"The largest error of the first move is {format_error(chosen.error_move)} times the "
-        f"maximum increment.{_describe_infeasible_steps(data, c)}{unranked}",
+        f"maximum increment.{_describe_unverified_steps(data, c)}"
+        f"{_describe_infeasible_steps(data, c)}{unranked}",
     )
 
 
@@ -240,6 +242,16 @@ def _is_fastest(data: PageData, chosen: Verdict) -> bool:
     solver = chosen.configuration.solver
     of_solver = (v for v in rank_configurations(data.verdicts) if v.configuration.solver == solver)
     return next(of_solver, chosen) is chosen
+
+
+def _describe_unverified_steps(data: PageData, c: Configuration) -> str:
+    """Return in how many steps of its worst run no solution is verified; "" for none."""
+    own = [run for run in data.records.runs if run.configuration.moved_to_common_formulation == c]
+    worst = max(own, key=lambda run: run.unverified_steps, default=None)
+    if worst is None or not worst.unverified_steps:
+        return ""
+    where = f"{plural(worst.steps_done, 'step')} of {name_experiment(worst)}"
+    return f" In {format_count(worst.unverified_steps)} of {where} the solution is not verified."
 
 
 def _describe_infeasible_steps(data: PageData, c: Configuration) -> str:

@@ -169,12 +169,11 @@ def _list_unverified_of_accurate(records: Records, good: Mapping[str, Sequence[s
     good : the settings by solver with accurate first moves.
     """
     worst: dict[str, RunRecord] = {}
-    for run in sorted(records.runs, key=lambda run: run.true_share):
-        if run.settings in good[run.solver] and run.true_share < 1.0:
+    for run in sorted(records.runs, key=lambda run: -run.unverified_steps):
+        if run.settings in good[run.solver] and run.unverified_steps:
             worst.setdefault(f"{run.solver} at {run.settings}", run)
     return [
-        f"{name} in {round((1.0 - run.true_share) * run.steps_done) or 1} of "
-        f"{plural(run.steps_done, 'step')}"
+        f"{name} in {format_count(run.unverified_steps)} of {plural(run.steps_done, 'step')}"
         for name, run in worst.items()
     ]
 

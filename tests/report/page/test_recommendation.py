@@ -454,6 +454,16 @@ def test_a_chip_says_how_other_ways_did_where_the_first_was_not_run(records: Any
     assert output.mark == "none"
 
 
+def test_a_choice_with_solutions_that_are_not_verified_says_so(records: Any) -> None:
+    records.loop("osqp", error=5e-3)
+    records.replay("osqp", error=5e-3, claimed_not_true=3 * 49)
+    sentence = "In 49 of 1\u202f000 steps of the replay of `paper` the solution is not verified."
+    assert _answer(records).accuracy.endswith(sentence)
+    records.replay("daqp", median_us=5.0)
+    records.loop("daqp")
+    assert "not verified" not in _answer(records).accuracy
+
+
 def test_open_is_not_recommended(records: Any) -> None:
     records.replay("daqp")
     sentence = _answer(records).sentence
