@@ -242,12 +242,12 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
     requirements = data.requirements
     is_scaled = any(margin.p99.run.untimed_iterations > 1.0 for margin in margins)
     scaled = (
-        " Each p99 is first scaled up to the iterations of the closed loop in its scenario."
+        " after each is scaled up to the iterations of the closed loop in its scenario"
     ) * is_scaled
     return (
-        f"Limiting p99: the largest p99 of all replays and windows.{scaled} If there is no p99, "
-        "the longest step is used. Speed margin: factor by which the computer may be slower, the "
-        f"smaller of {requirements.p99_ms:g} ms divided by the limiting p99 and "
+        f"The limiting p99 is the largest p99 of all replays and windows{scaled}. If there is no "
+        "p99, the longest step is used. Speed margin: factor by which the computer may be slower, "
+        f"the smaller of {requirements.p99_ms:g} ms divided by the limiting p99 and "
         f"{requirements.deadline_ms:g} ms divided by the longest step, rounded down."
     )
 

@@ -85,7 +85,7 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
                 "Assumptions where the paper is incomplete",
                 folded=True,
             ),
-            *([_make_stability_table(designs)] if designs is not None else ()),
+            *([_make_stability_table(records, designs)] if designs is not None else ()),
         ),
     )
 
@@ -112,8 +112,10 @@ def _describe_basis(judged: "Sequence[Claim]") -> str:
     return f" ({', '.join(counts)})" if counts else ""
 
 
-def _make_stability_table(designs: Designs) -> Table:
+def _make_stability_table(records: Records, designs: Designs) -> Table:
     """Return a table of each controller's closed-loop spectral radius and sway offset it holds."""
+    is_run = any(run.scenario == WEATHER for run in records.all_runs)
+    absent = "" if is_run else " (not in this suite)"
     return Table(
         (
             "controller",
@@ -135,9 +137,8 @@ def _make_stability_table(designs: Designs) -> Table:
         "prediction horizon and the control horizon. "
         f"{_name_scenarios_of_controllers(designs)} Each range goes from the largest initial sway "
         "offset from which the ship returned to the smallest from which it did not; ≥ precedes the "
-        "largest offset tested. The weather "
-        f"of the last column is that of scenario `{WEATHER}`: moderate, and building up over the "
-        "first minute.",
+        "largest offset tested. The weather of the last column is that of scenario "
+        f"`{WEATHER}`{absent}: moderate, and building up over the first minute.",
         folded=True,
         labels={
             STILL_OFFSET: f"recoverable sway offset, {STILL} [m]",
