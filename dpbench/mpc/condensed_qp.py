@@ -191,6 +191,8 @@ class CondensedQP:
     ) -> QPStep:
         """Return the QP data q, l and u of one step (eq. 20-24), in newly allocated memory.
 
+        The values are not checked, as the call is timed: NaN or None give a QP with NaN.
+
         Parameters
         ----------
         x : (n_x,) augmented state [Δν, Δη, y], SI; heading unwrapped.
