@@ -250,7 +250,7 @@ def test_a_step_of_a_loop_says_where_the_ship_is(selected: Any, campaign: Path) 
 
 
 def test_the_query_is_that_of_the_selected_run(selected: Any, campaign: Path) -> None:
-    """Of a replay, its lines give the p99 that the page names."""
+    """The lines of a replay give the p99 that the page names."""
     page = selected("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper_tight")
     loop_id = page.evaluate("cell(state.c, state.p).id")
     assert loop_id in page.text_content("#data-query")
