@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from types import ModuleType
@@ -296,8 +295,9 @@ def _draw_steps_together(runs: tuple[JudgedRun, ...], limit: float, backend: Bac
 def _convert_to_labelled_curves(runs: tuple[JudgedRun, ...]) -> list[Any]:
     """Convert runs to labelled curves of a plot; name or number the cases of those alike."""
     from dpbench.analysis.suites.paper import Law
+    from dpbench.report.formats import drop_shared_options
 
-    names = _drop_shared_options([run.label for run in runs])
+    names = drop_shared_options([run.label for run in runs])
     cases = [run.case_text for run in runs]
     names = [
         f"{name} in {case}" if names.count(name) > 1 and len(set(cases)) > 1 else name
@@ -308,16 +308,6 @@ def _convert_to_labelled_curves(runs: tuple[JudgedRun, ...]) -> list[Any]:
         for i, name in enumerate(names)
     ]
     return [Law(label, run.steps) for label, run in zip(labels, runs, strict=True)]
-
-
-def _drop_shared_options(labels: list[str]) -> list[str]:
-    """Return labels of different runs without the solver options that all of them have."""
-    options = [re.findall(r"[\w.]+=[^,)]+", label) for label in labels]
-    if len(set(labels)) > 1:
-        for shared in map(re.escape, set(options[0]).intersection(*options)):
-            part = rf"(?<=[ ,]){shared},|, ?{shared}(?=\))"
-            labels = [re.sub(part, "", label) for label in labels]
-    return labels
 
 
 def _make_step_rows(steps: pd.DataFrame) -> pd.DataFrame:

@@ -177,6 +177,16 @@ def join_with_and(words: list[str]) -> str:
     return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
+def drop_shared_options(labels: list[str]) -> list[str]:
+    """Return labels of different runs without the solver options that all of them have."""
+    options = [re.findall(r"[\w.]+=[^,)]+", label) for label in labels]
+    if len(set(labels)) > 1:
+        for shared in map(re.escape, set(options[0]).intersection(*options)):
+            part = rf"(?<=[ ,]){shared},|, ?{shared}(?=\))"
+            labels = [re.sub(part, "", label) for label in labels]
+    return labels
+
+
 _RANGE = re.compile(r"(.*)\[(\d+):(\d+)\]")
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 
 from dpbench.analysis.verdict.requirements import STATES
 from dpbench.report.charts import style
-from dpbench.report.formats import format_rounded_down
+from dpbench.report.formats import drop_shared_options, format_rounded_down
 
 MARKS = ("✓", "≈", "?", "▸", "✕", "–")
 MOST_ACROSS = 30
@@ -306,8 +306,28 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
         style.tooltip("timing:N", "largest single timing [ms]"),
         style.tooltip("allowed:N", ALLOWED),
     ]
-    y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=style.row_name_axis())
+    short = f"{json.dumps(_shorten_labels(table['label'].tolist()))}[datum.label] || datum.label"
+    axis = style.row_name_axis(330, labelExpr=short)
+    y = alt.Y("label:N", sort=table["label"].tolist(), title=None, axis=axis)
     return scaled.encode(y=y, tooltip=tips)
+
+
+def _shorten_labels(labels: list[str]) -> dict[str, str]:
+    """Return short labels of configurations with options: those of a solver without shared ones.
+
+    Examples
+    --------
+    >>> grid = [f"osqp (native warm, alpha=1.6,eps_abs=1e-5,rho={rho})" for rho in (0.1, 1)]
+    >>> [*_shorten_labels(["daqp (native warm)", *grid]).values()]
+    ['osqp (native warm, rho=0.1)', 'osqp (native warm, rho=1)']
+    """
+    own = [label for label in labels if "=" in label]
+    short: dict[str, str] = {}
+    for solver in dict.fromkeys(label.partition(" ")[0] for label in own):
+        alike = [label for label in own if label.startswith(f"{solver} ")]
+        short |= zip(alike, drop_shared_options(alike), strict=True)
+    is_clear = len({short.get(label, label) for label in labels}) == len(labels)
+    return short if is_clear else {}
 
 
 def _time_axis(table: pd.DataFrame, deadline_ms: float) -> alt.X:
