@@ -88,7 +88,9 @@ class Rates:
         return own_s + _estimate_solving_s(cell, step_s) + _estimate_judging_s(cell, size)
 
 
-STATED_RATES = Rates("rates of another machine; a run in the same folder measures this machine")
+STATED_RATES = Rates(
+    "step times of another machine; a run in the same folder measures this machine"
+)
 
 
 @dataclass(frozen=True)

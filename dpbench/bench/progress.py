@@ -54,7 +54,8 @@ class ProgressLines:
         is_due = share >= 1.0 or share - self._printed_share >= SHARE
         if now_s - self._printed_s >= (SHORTEST_S if is_due else MINUTE_S):
             lead = f"{100 * share:.0f} %" if work or share < 1.0 else "all steps done"
-            self.remark(f"{lead} after {now_s - self._started_s:.0f} s: {what}")
+            after = f"{lead} after {now_s - self._started_s:.0f} s"
+            self.remark(f"{after}: {what}" if what else after)
             self._printed_s, self._printed_share = now_s, share
 
     def remark(self, text: str) -> None:

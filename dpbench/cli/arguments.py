@@ -63,7 +63,7 @@ _PARSER_ERRORS = {
     r"argument (.+): not allowed with argument (.+)": r"\1: found with \2; allowed: one of the two",
     r"argument (.+): ignored explicit argument (.+)": r"\1: found \2; allowed: no value",
     r"the following arguments are required: (.+)": r"\1: missing",
-    r"unrecognized arguments: (.+)": r"found unknown arguments: \1",
+    r"unrecognized arguments: (.+)": r"unknown argument: \1",
 }
 """Messages of argparse as patterns, with those that are printed in their place."""
 
@@ -197,7 +197,11 @@ def _add_list_options(listing: options.Command) -> None:
         help=", ".join(_LISTED),
     )
     listing.add_argument(
-        "name", metavar="NAME", nargs="?", default="", help="show one solver, with its options"
+        "name",
+        metavar="NAME",
+        nargs="?",
+        default="",
+        help="with KIND solvers: show this solver and its options",
     )
 
 
@@ -315,7 +319,7 @@ COMMANDS: dict[str, CommandHelp] = {
         "  NAME_loss_*.toml      other losses\n"
         "  NAME_intact.toml      no loss, in the largest sea that the intact ship holds\n"
         "                        off the bow (if larger)\n"
-        "  NAME_weak_side.toml   weather from the direction with the lowest wind limit\n"
+        "  NAME_weak_side.toml   weather from the direction of the least wind held\n"
         "  NAME_capability.svg   capability plot\n"
         "Give the sector or barred zone of an azimuth thruster as the directions in which it "
         "pushes the ship, clockwise from ahead; its race (wash) goes the opposite way. For "
@@ -345,10 +349,10 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "capability": CommandHelp(
         _SHIP,
-        "Compute the strongest wind in which thrusters hold the ship",
+        "Compute the largest wind in which thrusters hold the ship",
         options.add_capability_options,
         ("capability osv --figure osv.svg", "capability my_ship.toml --solver daqp"),
-        text="Compute the strongest wind, from each of 36 directions, in which the thrusters can "
+        text="Compute the largest wind, from each of 36 directions, in which the thrusters "
         "hold the ship (DNV-ST-0111, level 1), intact and after the loss of each failure group. "
         "With --solver, judge the answers of solvers to the QPs at that limit.",
     ),
@@ -357,8 +361,8 @@ COMMANDS: dict[str, CommandHelp] = {
         "Count instructions and memory of solvers' C code",
         options.add_embedded_options,
         ("embedded paper-30-5 --target m7 --target a53", "embedded rough-60-10 --solver daqp"),
-        "0 done; 1 a solver could not be counted, or the counts of two tools differ; "
-        f"{_BAD_INPUT}, or no solver could be counted",
+        "0 done; 1 a solver's instructions could not be counted, its largest horizon is unknown, "
+        f"or the counts of two tools differ; {_BAD_INPUT}, or no solver could be counted",
         "Compile the C code of solvers for an embedded core, run it on an emulated core along a "
         "sequence of QPs, and count instructions, memory and errors of each step (needs "
         "pip install 'dpbench[embedded]').",

@@ -169,7 +169,9 @@ def _count_refused_and_rows(planned: Sequence[PlannedCell]) -> str:
     rows = sum(1 + len(one.alias_settings) for one in planned)
     verb = "is" if refused == 1 else "are"
     text = (
-        f", of which {refused} {verb} refused (reasons: dpbench run --dry-run)" if refused else ""
+        f", of which {refused} {verb} refused (reasons: dpbench run SUITE --dry-run)"
+        if refused
+        else ""
     )
     return text + (f"; {rows} rows in runs.parquet" if rows > len(planned) else "")
 

@@ -13,13 +13,13 @@ from dpbench.report.formats import MISSING, plural
 
 VESSELS_ARE = """
 largest acceleration: by the largest force in an axis when the thrusters may
-also push in the other axes. `dpbench check` shows the value of the
-axis alone."""
+also push in the other axes. `dpbench check` shows the acceleration with the
+force of one axis alone."""
 
 SEQUENCES_ARE = """
 Each sequence has QPs of the reference loop of the scenario in its name, at the
 horizons N_p-N_c. Every optimum is certified. n: variables; m: rows; K: QPs;
-active: share of active limits; samples: stored samples of the loop."""
+active: share of active rows, over all QPs; samples: stored samples of the loop."""
 
 SUITES_ARE = """
 cells: solver configurations, each in one scenario or replay. Rounds are
@@ -37,7 +37,7 @@ def list_table(kind: str, name: str = "") -> RenderableType:
     """
     if name:
         if kind != "solvers":
-            raise InputError("NAME", "", repr(name), "nothing; only one solver can be described")
+            raise InputError("NAME", "", repr(name), "only with KIND solvers")
         return make_unstyled_text(_describe_solver(name, with_options=True) + f"\n{SOLVERS_ARE}")
     makers = {"vessels": _list_vessels, "scenarios": _list_scenarios, "suites": _list_suites}
     return (makers | {"sequences": _list_sequences, "solvers": _list_solvers})[kind]()

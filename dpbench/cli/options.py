@@ -370,7 +370,10 @@ def add_embedded_options(embedded: Command) -> None:
     _flag(solver, "--float", "compile in single precision", dest="single")
     core = embedded.add_argument_group("core")
     repeated(core, "--target", "CORE", "core: m7 (default), a53, riscv or x86")
-    fit = "find the largest control horizon of a scenario (default: paper) that fits in N kB"
+    fit = (
+        "find the largest control horizon that fits in N kB; give a scenario as SEQUENCE "
+        "(default: paper)"
+    )
     repeated(core, "--fit", "N", fit)
     opinion = "compare with the counts of valgrind (x86) or QEMU (a53, m7), if installed"
     _flag(core, "--second-opinion", opinion)
@@ -435,7 +438,7 @@ def add_tune_options(tune: Command) -> None:
         output,
         "--out",
         "DIR",
-        "folder to write to (default: results/tune-SCENARIO, with the first)",
+        "folder to write to (default: results/tune-SCENARIO of the first one)",
     )
 
 

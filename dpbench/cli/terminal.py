@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import re
 import sys
 import textwrap
 import webbrowser
 from collections.abc import Iterable
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -94,7 +96,10 @@ def make_small_table(*columns: str) -> Table:
 
 
 def make_report_table(table: ReportTable, screen: Console) -> RenderableType:
-    """Return a report's table for the terminal; text in paragraphs if it is too wide."""
+    """Return a report's table for the terminal; text in paragraphs if it is too wide.
+
+    Thousands are not separated where this makes the table fit.
+    """
     shown = Table(
         title=table.title,
         title_justify="left",
@@ -105,7 +110,12 @@ def make_report_table(table: ReportTable, screen: Console) -> RenderableType:
     )
     widths = _fit_columns(table, screen.width)
     if widths is None:
-        return _format_rows_as_text(table)
+        rows = tuple(tuple(cell.replace("\u202f", "") for cell in row) for row in table.rows)
+        narrow = replace(table, rows=rows)
+        widths = _fit_columns(narrow, screen.width)
+        if widths is None:
+            return _format_rows_as_text(table)
+        table = narrow
     for i, (head, width) in enumerate(zip(table.heads, widths, strict=True)):
         side: Literal["left", "right"] = "left" if i < table.text_columns else "right"
         shown.add_column(escape(head), justify=side, width=width)
@@ -122,7 +132,7 @@ def _fit_columns(table: ReportTable, width: int) -> list[int] | None:
     columns = list(zip(table.heads, *table.rows, strict=True))
     widest = [max(map(cell_len, column)) for column in columns]
     least = [
-        max(cell_len(word) for text in column for word in (text.split() or [""]))
+        max(cell_len(word) for text in column for word in re.split("[ \n]", text))
         for column in columns
     ]
     spare = width - len(_BETWEEN) * (len(columns) - 1) - sum(least)

@@ -219,7 +219,7 @@ POLICIES: Mapping[Policy, str] = {
 NOT_OFFERED = "not offered"
 REFUSED_BY_QPSOLVERS: Mapping[Policy, str] = {
     "reuse": "qpsolvers sets the library up again at every solve, so nothing can be reused",
-    "warm": "it ignores a starting point passed by qpsolvers, so it cannot differ from fresh",
+    "warm": "the solver ignores a start passed by qpsolvers, so warm cannot differ from fresh",
 }
 
 # Faults several libraries share. A NaN compares false with everything.

@@ -234,7 +234,9 @@ def test_a_dry_run_reads_the_last_folder_and_writes_nothing(
     assert refusal.startswith("1 refused (quadprog): policy warm: ")
     assert cells == "83 cells to run and 1 refused; 1 089 steps to record"
     assert "s on this machine" in cost and "Tables: " in cost
-    assert rates.startswith("estimated from rates of another machine") and "for a p99" in remark
+    assert (
+        rates.startswith("estimated from step times of another machine") and "for a p99" in remark
+    )
     assert others[0].startswith("not included: waits")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tiny.toml"]
     assert main(["run", "tiny.toml", "--quiet", "--solver", "daqp", "--out", "mine"]) == 0

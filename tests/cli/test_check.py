@@ -71,7 +71,7 @@ def test_check_takes_every_suite(suite: str, say: Say) -> None:
     about, _, rest = text.partition(": a suite of ")
     assert about.endswith(f"{suite}.toml") and int(rest.split(" cells")[0]) > 0
     counts = (
-        r" cells(, of which \d+ (is|are) refused \(reasons: dpbench run --dry-run\))?"
+        r" cells(, of which \d+ (is|are) refused \(reasons: dpbench run SUITE --dry-run\))?"
         r"(; \d+ rows in runs.parquet)?"
     )
     expected = (

@@ -84,14 +84,14 @@ def test_the_numbers_of_the_papers_ship(monkeypatch: pytest.MonkeyPatch) -> None
         "1 m/s sideways needs 272 kN (limit 417 kN). The ship holds a current of 1.5 m/s abeam."
     )
     assert sideways in " ".join(text.split())
-    assert "tuning paper 30/5     recovers 1.62 m sideways in calm water, not 1.69 m" in text
+    assert "tuning paper 30/5     recovers from 1.62 m abeam in calm water, not 1.69 m" in text
 
 
 @pytest.mark.parametrize(
     ("offset_m", "said"),
     [
-        (0.0, "does not recover 0.25 m sideways in calm water"),
-        (100.0, "recovers 64 m sideways in calm water (largest tried)"),
+        (0.0, "does not recover from 0.25 m abeam in calm water"),
+        (100.0, "recovers from at least 64 m abeam in calm water"),
     ],
 )
 def test_a_tuning_that_holds_nothing_or_everything(

@@ -354,7 +354,7 @@ def test_of_many_failure_groups_three_are_lost_and_the_others_named(
     assert len(lost) == 3
     (said,) = re.findall(
         r"not simulated: the loss of (\S+|\S+ \S+) and (\S+|\S+ \S+) \(simulated: the 3 losses "
-        r"with the lowest wind limits\)",
+        r"with the least wind held\)",
         " ".join(capsys.readouterr().out.split()),
     )
     assert lost | set(said) == {"a", "b", "bow/1", "bow 1", "bow-1"}

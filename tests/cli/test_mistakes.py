@@ -13,6 +13,7 @@ from tests.cli.conftest import Say
 
 VESSEL = find_problem_path("vessels", "supply_mss").read_text(encoding="utf-8")
 SCENARIO = find_problem_path("scenarios", "rough").read_text(encoding="utf-8")
+THRUSTERS = find_problem_path("vessels", "ratownik").read_text(encoding="utf-8")
 HEAD = 'title = "x"\nsolvers = ["daqp"]\n'
 
 
@@ -37,9 +38,19 @@ def changed(text: str, key: str, line: str) -> str:
         ),
         (SCENARIO, ["x.toml: found a scenario", "a suite", "--scenario"]),
         (VESSEL, ["x.toml: found a vessel", "a suite"]),
+        (THRUSTERS, ["x.toml: found a vessel", "a suite"]),
         (HEAD + "[[replay]]\nscenario = ", ["x.toml: found invalid TOML", "end of document"]),
     ],
-    ids=["nothing to run", "unknown scenario", "no file", "settings", "scenario", "vessel", "cut"],
+    ids=[
+        "nothing to run",
+        "unknown scenario",
+        "no file",
+        "settings",
+        "scenario",
+        "vessel",
+        "thrusters",
+        "cut",
+    ],
 )
 def test_a_suite_that_cannot_be_run(
     text: str, parts: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refuse: Say
@@ -194,7 +205,7 @@ def test_an_unknown_word_is_named_as_it_was_typed(
         (["run", "smoke", "--wait", "3", "--no-wait"], "--no-wait: found with --wait; allowed: "),
         (["run", "smoke", "--quiet=1"], "--quiet: found '1'; allowed: no value "),
         (["check"], "FILE: missing "),
-        (["list", "vessels", "--all"], "found unknown arguments: --all (see dpbench list "),
+        (["list", "vessels", "--all"], "unknown argument: --all (see dpbench list "),
     ],
     ids=lambda given: given[0] if isinstance(given, list) else "",
 )

@@ -259,3 +259,13 @@ def test_json_has_every_line_of_one_keyword(capsys: pytest.CaptureFixture[str]) 
     how = Namespace(json=True, quiet=False, open=False, strict=False)
     assert print_ending(Path("report.html"), rows, how) == 0
     assert json.loads(capsys.readouterr().out)["options"] == "\n".join(text for _, text in rows)
+
+
+def test_no_number_of_a_table_is_broken(capsys: pytest.CaptureFixture[str]) -> None:
+    """Thousands are separated where the table then fits, at 80 columns."""
+    screen = Console(width=WIDTH)
+    for numbers, printed in ((5, "11\u202f692\u202f634"), (6, "11692634")):
+        heads = ("solver", *(f"n{i}" for i in range(numbers)))
+        cells = ("osqp", *["11\u202f692\u202f634"] * numbers)
+        screen.print(make_report_table(Table(heads, (cells,)), screen))
+        assert capsys.readouterr().out.count(printed) == numbers

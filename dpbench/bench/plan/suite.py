@@ -386,7 +386,12 @@ def name_file_in_errors(
         raise type(error)(where, error.key, error.found, error.allowed) from None
 
 
-_OTHER_FILES = {"limits": "a vessel", "environment": "a scenario", "controller": "a scenario"}
+_OTHER_FILES = {
+    "limits": "a vessel",
+    "thrusters": "a vessel",
+    "environment": "a scenario",
+    "controller": "a scenario",
+}
 """Tables that a suite does not have, with the file that does."""
 
 

@@ -150,9 +150,10 @@ def format_wind_table(
     ]
     shape = "circles" if capability.sides is None else f"{capability.sides}-sided polygons"
     about = (
-        f"{vessel.id}: DP capability level 1 of DNV-ST-0111, azimuths as {shape}. Largest wind "
-        "held [m/s] and DP capability number, by the direction from which wind, waves and current "
-        "come (90° is starboard); + marks the largest wind of the standard's table."
+        f"{vessel.id}: DP capability level 1 of DNV-ST-0111, thrust ranges of azimuths as {shape}. "
+        "Largest wind held [m/s] and DP capability number, by the direction from which wind, "
+        "waves and current come (90° is starboard); + marks the largest wind of the "
+        "standard's table."
     )
     assumed = list_assumptions_on_vessel(vessel)
     notes = [*_explain_planned(planned, vessel), *caution_on_rudders(vessel)]

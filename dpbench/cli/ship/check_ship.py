@@ -330,7 +330,7 @@ def _try_offsets(tuned: Sequence[Scenario], progress: Progress | None, *, quick:
         def holds(trial: Scenario, offset_m: float, sides: Sequence[float]) -> bool:
             nonlocal trials
             trials += 1
-            progress.advance(1, f"sideways by {offset_m:g} m")
+            progress.advance(1, f"offset of {offset_m:g} m sideways")
             return can_recover_from_offset(trial, offset_m, sides)
 
         bracket = find_bracket_in_still_water(scenario, holds)
@@ -346,8 +346,8 @@ def _describe_bracket(bracket: Bracket, scale: float) -> str:
     """Return in words the largest sideways offset recovered and the smallest that is not [m]."""
     holds = f"{float(format_rounded_down(scale * bracket.holds_m)):g}"
     if bracket.fails_m is None:
-        return f"recovers {holds} m sideways in calm water (largest tried)"
+        return f"recovers from at least {holds} m abeam in calm water"
     fails = f"{float(format_rounded_up(scale * bracket.fails_m)):g}"
     if bracket.holds_m == 0.0:
-        return f"does not recover {fails} m sideways in calm water"
-    return f"recovers {holds} m sideways in calm water, not {fails} m"
+        return f"does not recover from {fails} m abeam in calm water"
+    return f"recovers from {holds} m abeam in calm water, not {fails} m"

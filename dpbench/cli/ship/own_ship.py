@@ -326,7 +326,9 @@ def _read_thrust(
             raise InputError(WHERE, f"--{option}", f"{value:g}", f"{allowed} for this displacement")
     ahead = numbers["thrust"]
     if ahead is None:
-        raise InputError(WHERE, "--thrust", "nothing", QUANTITIES["thrust"].allowed)
+        raise InputError(
+            WHERE, "--thrust", "nothing", f"{QUANTITIES['thrust'].allowed}; or --thrusters"
+        )
     sway, yaw = (
         None if force is None else 1000.0 * force
         for force in (numbers["sway-thrust"], numbers["yaw-moment"])

@@ -513,7 +513,7 @@ def describe_losses(
 def describe_losses_left_out(held: HeldSea, simulated: Sequence[str]) -> str:
     """Return a text on the groups whose loss is not simulated, and why; "" where every one is."""
     others = [group for group in held.losses if group not in simulated]
-    why = f"simulated: the {MOST_LOSSES} losses with the lowest wind limits"
+    why = f"simulated: the {MOST_LOSSES} losses with the least wind held"
     return f"the loss of {join_with_and(others)} ({why})" if others else ""
 
 

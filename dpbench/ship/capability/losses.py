@@ -159,8 +159,8 @@ def caution_on_wash(thrusters: ThrusterSet) -> list[str]:
     )
     return [
         f"CAUTION: closed loops do not model the wash of one azimuth on another ({apart}); {plot}. "
-        "To bar the directions concerned in closed loop, set barred_deg in the vessel file, or the "
-        "columns barred_from_deg and barred_to_deg in the CSV file."
+        "For closed loops, set barred_deg in the vessel file, or the columns barred_from_deg and "
+        "barred_to_deg in the CSV file."
     ]
 
 
