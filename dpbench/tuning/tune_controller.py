@@ -9,6 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -28,12 +29,12 @@ from dpbench.files.regular_files import read_bytes, write_text_atomically
 from dpbench.report.charts.render import save_figure
 from dpbench.report.charts.study import draw_tuning_front
 from dpbench.report.formats import join_with_and, plural, significant
+from dpbench.report.words import render_document
 from dpbench.scenario.own_ship import DP_NUMBERS, make_environment_of_dp_number
 from dpbench.scenario.problem_files import read_toml_as_dict
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.scenario.variation import (
     copy_scenario_with_values,
-    format_as_toml,
     write_scenario_and_own_ship_files,
 )
 from dpbench.ship.environment import WeatherDraw
@@ -419,7 +420,7 @@ def _write_tuning(
     suite = folder / "tuned_suite.toml"
     ship = next((path.name for path in paths if path not in files), bases[0].files["vessel_name"])
     names = [file.name for file in files]
-    write_text_atomically(suite, format_as_toml(_make_suite(bases, names, ship)))
+    write_text_atomically(suite, _render_suite(bases, names, ship))
     paths[suite] = None
     table = tuning.table
     write_text_atomically(folder / "tune.csv", table.to_csv(index=False))
@@ -438,27 +439,30 @@ def _write_tuning(
     return ControllerTuning(**fields)
 
 
-def _make_suite(bases: Sequence[Scenario], names: Sequence[str], ship: str) -> dict[str, Any]:
-    """Return a suite of the tuned scenarios at `names`: closed loops and a replay of the first.
+def _render_suite(bases: Sequence[Scenario], names: Sequence[str], ship: str) -> str:
+    """Return a suite of the tuned scenarios at `names` with the settings of `dpbench init`.
 
-    For a ship with thrusters also its capability plot, and with commanded thrusters a consequence
-    analysis in the 100 steps before the loss, as in a suite of `dpbench init`.
+    Closed loops and a replay of the first. For a ship with thrusters also its capability plot, and
+    with commanded thrusters a consequence analysis in the 100 steps before the loss.
     """
     first, vessel = bases[0], bases[0].files["vessel"]
-    replays: list[dict[str, Any]] = [{"scenario": names[0]}]
+    is_steered = first.files["scenario"]["controller"].get("kind") in ("thrusters", "cascade")
     lossy = [(base, name) for base, name in zip(bases, names, strict=True) if _find_loss(base)]
-    if lossy and first.files["scenario"]["controller"].get("kind") in ("thrusters", "cascade"):
-        before = {"first": max(0, _find_loss(lossy[0][0]) - 100), "steps": 100}
-        replays.append({"scenario": lossy[0][1], "consequence": True} | before)
-    has_plot = vessel.get("thrusters") and vessel.get("capability")
-    ms = round(1000.0 * first.sample_s, 6)
-    return {
-        "title": f"{join_with_and([base.name for base in bases])}, tuned",
-        "requirements": {"p99_ms": round(0.01 * ms, 6), "deadline_ms": ms},
-        "closed_loop": [{"scenarios": list(names)}],
-        "replay": replays,
-        **({"capability": [{"vessel": ship}]} if has_plot else {}),
-    }
+    return render_document(
+        "own_suite.toml",
+        quoted=partial(json.dumps, ensure_ascii=False),
+        title=f"{join_with_and([base.name for base in bases])}, tuned",
+        weather=[] if is_steered else names,
+        steered=names if is_steered else [],
+        variables=None,
+        apart={},
+        first=0,
+        steps=first.steps,
+        lost_from=_find_loss(lossy[0][0]) if lossy and is_steered else 0,
+        analysed=lossy[0][1] if lossy else "",
+        vessel=ship if vessel.get("thrusters") and vessel.get("capability") else "",
+        step_s=first.sample_s,
+    )
 
 
 def _find_loss(scenario: Scenario) -> int:

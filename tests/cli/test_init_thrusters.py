@@ -277,7 +277,9 @@ def test_the_weak_side_is_simulated_in_a_scenario_of_its_own(
     assert "my_ship_weak_side.toml" in said
     assert [fault["lost"] for fault in faults] == ([["board A"]] if astern else [])
     tables = load_path_and_suite(FILES[3])[1].closed_loop
-    assert ["my_ship_weak_side.toml"] in [table.scenarios for table in tables]
+    in_suite = ["my_ship_weak_side.toml"] in [table.scenarios for table in tables]
+    assert in_suite == (limits[worst].number > 0)
+    assert in_suite != ("not in the suite: dpbench run smoke --scenario my_ship_weak" in said)
 
 
 def test_the_intact_ship_is_simulated_in_the_sea_of_her_capability_number(

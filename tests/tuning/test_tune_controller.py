@@ -119,7 +119,17 @@ def test_a_suite_runs_the_tuned_scenarios_as_a_suite_of_init(
     suite = tmp_path / "tuned_suite.toml"
     assert f"next:dpbenchrun{suite}--solverpaper_active_set" in said
     plan = tomllib.loads(suite.read_text())
-    assert plan["closed_loop"] == [{"scenarios": ["thrusters_loss_tuned.toml"]}]
+    (loop,) = plan["closed_loop"]
+    assert loop["scenarios"] == ["thrusters_loss_tuned.toml"]
+    ship = ["--length", "80", "--breadth", "18", "--draught", "6", "--displacement", "6000"]
+    assert main(["init", "own", *ship, "--thrust", "900", "--out", str(tmp_path)]) == 0
+    own = tomllib.loads((tmp_path / "own_suite.toml").read_text())
+    tables = {"title", "closed_loop", "replay", "capability"}
+    assert {key: plan[key] for key in plan.keys() - tables} == {
+        key: own[key] for key in own.keys() - tables
+    }
+    modes = ("routes", "policies", "settings")
+    assert all(loop[key] == own["closed_loop"][0][key] for key in modes)
     assert plan["replay"][1]["first"] == 200 and plan["replay"][1]["steps"] == 100
     assert plan["capability"] == [{"vessel": "ratownik"}]
     title = load_scenario(tmp_path / "thrusters_loss_tuned.toml").files["scenario"]["title"]

@@ -72,7 +72,6 @@ FORM_DIFFERS = 0.2
 """Relative difference of a ratio from the library vessel's that counts as another form."""
 CONTROL_HORIZON = 10
 """Control increments of each axis of force, or of each thruster's forces."""
-SOLVERS = ("daqp", "quadprog", "osqp", "piqp", "proxqp", "clarabel", "paper_active_set")
 
 
 @dataclass(frozen=True)
@@ -200,9 +199,10 @@ def _render_sea_files(
             )
         left_out = describe_losses_left_out(held, [*losses])
         weak = held.weak_side
-        apart[_name_weak_side_file(stem)] = (
-            "The weak side: weather from the direction from which the ship holds the least wind."
-        )
+        if weak.is_held:
+            apart[_name_weak_side_file(stem)] = (
+                "The weak side: weather from the direction of the least wind held."
+            )
         texts[_name_weak_side_file(stem)] = render_scenario_file(
             name, vessel, number, held, chosen=chosen, steered=True, lost=weak.lost, weak=weak
         )
@@ -607,15 +607,15 @@ def render_suite_file(
         left_out=left_out,
         apart=apart or {},
         comment=_wrap_as_comment,
-        toml_strings=partial(json.dumps, ensure_ascii=False),
-        variables=vessel.thrusters and CONTROL_HORIZON * vessel.thrusters.n_f,
+        quoted=partial(json.dumps, ensure_ascii=False),
+        variables=vessel.thrusters and steered and CONTROL_HORIZON * vessel.thrusters.n_f,
         variables_of_forces=CONTROL_HORIZON * len(vessel.tau_max),
-        name=name,
-        weather=weather,
-        number=number,
-        solvers=json.dumps(SOLVERS),
+        title=f"{name}: comparison of solvers in the sea of DP capability number {number}",
+        weather=[weather],
         steps=STEPS,
-        lost_from=lost_from,
+        lost_from=lost_from if steered else 0,
+        analysed=steered[0] if steered else "",
+        vessel=f"{name}.toml" if steered else "",
         first=lost_from - round(LOST_FROM * STEPS),
         step_s=choose_sample_s(vessel),
     )

@@ -266,6 +266,11 @@ class WeakSide:
     intact: tuple[float, WindLimit]
     has_half_turns: bool = False
 
+    @property
+    def is_held(self) -> bool:
+        """True if the ship holds at least DP capability number 1 from there."""
+        return self.limit.number > 0
+
     def find_number(self, number: int) -> int:
         """Return the largest DP capability number held from there, from 1 to `number`."""
         return max(1, min(number, self.limit.number))
@@ -279,7 +284,7 @@ class WeakSide:
         """Return a sentence on the choice of its sea, up to a DP capability number."""
         where = f"from {self.from_deg:g}° according to level 1"
         why = f"From {self.from_deg:g}°, the ship holds the least wind {self.when}"
-        if not self.limit.number:
+        if not self.is_held:
             return f"the smallest, as the thrusters hold none {where}. {why}"
         return f"the largest up to number {number} that the thrusters hold {where}. {why}"
 
@@ -290,8 +295,9 @@ class WeakSide:
         if self.lost is not None:
             wind = format_wind_held(self.limit.wind_mps)
             winds.append(f"{wind} from {self.from_deg:g}° {self.when}")
-        held = "" if self.limit.number else ", not held"
-        sea = f"DP capability number {self.find_number(number)}{held}"
+        sea = f"DP capability number {self.find_number(number)}"
+        if not self.is_held:
+            sea += f", not held and not in the suite: dpbench run smoke --scenario {file}"
         what = "direction of least wind held"
         if self.has_half_turns:
             what += " with the half turns of controllers; the capability plot has all directions"
