@@ -274,25 +274,18 @@ def _build_consequence_analysis(
     )
     source = runs[0].source
     margin = source.margin if isinstance(source, ConsequenceSource) else math.nan
-    left_s = _find_time_ship_left_s(records, runs)
+    left_s = _find_time_ship_left_s(records, runs, before_s=spans["to_s"].max())
     return ConsequenceAnalysis(name, tuple(groups), margin, spans, tuple(answers), runs[0], left_s)
 
 
-def _find_time_ship_left_s(records: Records, runs: Sequence[RunRecord]) -> float:
+def _find_time_ship_left_s(records: Records, runs: Sequence[RunRecord], before_s: float) -> float:
     """Return when the ship of an analysed loop leaves its station [s], NaN if it is held there.
 
-    The runs of an analysis know the loop to the last analysed step. Other runs of the scenario know
-    it longer; what the ship does after a fault says nothing of the analysed steps before it.
+    before_s : end of the analysed steps; what the ship does later says nothing of them.
     """
-    scenario = (runs[0].scenario_documents or {}).get("scenario", {})
-    fault_s = min((fault["at_s"] for fault in scenario.get("faults") or ()), default=math.inf)
-    longer = [
-        run.exact_left_s
-        for run in records.all_runs
-        if run.scenario == runs[0].scenario and not run.study and run.exact_left_s < fault_s
-    ]
-    known = [run.exact_left_s for run in runs if not math.isnan(run.exact_left_s)]
-    return min([*known, *longer], default=math.nan)
+    others = (run for run in records.all_runs if run.scenario == runs[0].scenario and not run.study)
+    left_s = [run.exact_left_s for run in (*runs, *others) if run.exact_left_s < before_s]
+    return min(left_s, default=math.nan)
 
 
 def _tabulate_loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:

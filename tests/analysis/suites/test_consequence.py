@@ -180,12 +180,12 @@ def test_it_says_that_no_alarm_was_due(records: Any) -> None:
 
 @pytest.mark.parametrize(
     ("left_s", "others_left_s", "at"),
-    [(1.5, 99.0, "1.50"), (np.nan, 80.0, "80.0"), (np.nan, 95.0, ""), (np.nan, np.nan, "")],
+    [(1.1, 99.0, "1.10"), (np.nan, 1.0, "1.00"), (np.nan, 80.0, ""), (np.nan, np.nan, "")],
 )
 def test_it_says_that_the_ship_of_the_loop_was_not_held(
     records: Any, left_s: float, others_left_s: float, at: str
 ) -> None:
-    """Within the analysed steps, or in a longer run before the loss of board A at 90 s."""
+    """By the end of the analysed steps, at 1.2 s; by the analysis or by another run."""
     records.loop("daqp", "thrusters_loss", steps=500, exact_left_s=others_left_s)
     of_board = {"quadprog": {"board A": [[TRUE] * 4]}}
     (analysis,) = build_consequence_analyses(view(records, of_board, exact_left_s=left_s))
