@@ -280,7 +280,7 @@ COMMANDS: dict[str, CommandHelp] = {
         options.add_iteration_bound_options,
         ("iteration-bound surge", "iteration-bound sway-yaw --box 0.016"),
         "0 proved; 1 not proved in time, or the C code of paper_active_set takes a different "
-        f"number of iterations than the proof; {_BAD_INPUT}",
+        f"number of iterations than the proof gives; {_BAD_INPUT}",
         "Prove a bound on the iterations that the solver paper_active_set takes from a cold start. "
         "The bound covers all QPs of a controller whose parameters (offset, speed, applied force) "
         "lie in a given box.",
@@ -296,8 +296,8 @@ COMMANDS: dict[str, CommandHelp] = {
         "Search for a solver's fastest accurate settings",
         options.add_tune_solver_options,
         ("tune-solver osqp", "tune-solver 'osqp[rho=1.6]' --range 'rho=[0.1,10]'"),
-        "0 settings found; 1 none is accurate on every training sequence, or the best fail in the "
-        f"test; {_BUSY}; 130 interrupted",
+        "0 settings found; 1 no settings are accurate on every training sequence, or the best "
+        f"fail in the test; {_BUSY}; 130 interrupted",
         "Search in N trials for the fastest settings of a solver that are accurate on the training "
         "sequences. Measure the best settings found (not a proven optimum) on test sequences of "
         "other loops. Ctrl-C writes the best settings so far; the same command continues the "

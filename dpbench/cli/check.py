@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dpbench.bench.progress import Progress
-from dpbench.errors import InputError, find_nearest_names
+from dpbench.errors import InputError, SituationError, find_nearest_names
 from dpbench.scenario import problem_files as problems
 from dpbench.scenario.tables.scenario_file import ScenarioFile
 from dpbench.scenario.tables.vessel_file import VesselFile
@@ -80,8 +80,11 @@ def _check_folder(folder: Path, progress: Progress | None) -> str:
     """Check a folder of submitted results or of qpsolvers' QPs; return its description."""
     from dpbench.report.documents.sent import SENDER, check_sent_folder
 
-    if any(os.path.isfile(folder / name) for name in (SENDER, "runs.parquet")):
+    if os.path.isfile(folder / SENDER):
         return check_sent_folder(folder)
+    if os.path.isfile(folder / "runs.parquet"):
+        remedy = "required: a folder written by `dpbench report --send`"
+        raise SituationError(str(folder / SENDER), f"no such file; {remedy}")
     return _check_sequence(folder, progress)
 
 
