@@ -46,7 +46,7 @@ MOST_EQUAL = 2
 
 def describe_own_settings(verdicts: Verdicts) -> list[str]:
     """Return lines on the verdict on each custom settings, and the best of each grid."""
-    own = list_best_verdict_of_own_settings(verdicts)
+    own = _leave_out_failing_grids(verdicts)
     lines = describe_verdicts_on_settings(verdicts, own)
     others = len(own) - MOST_OWN
     more = [f"{others} more settings: tables/verdicts.csv."] if others > 0 else []
@@ -55,9 +55,19 @@ def describe_own_settings(verdicts: Verdicts) -> list[str]:
 
 def describe_failing_settings_and_grids(verdicts: Verdicts) -> list[str]:
     """Return lines on the custom settings that fail, and why, and the best of each grid."""
-    own = list_best_verdict_of_own_settings(verdicts)
-    failing = [verdict for verdict in own if verdict.state == "fail"]
+    failing = [v for v in _leave_out_failing_grids(verdicts) if v.state == "fail"]
     return [*describe_verdicts_on_settings(verdicts, failing), *describe_best_of_grids(verdicts)]
+
+
+def _leave_out_failing_grids(verdicts: Verdicts) -> list[Verdict]:
+    """Return the best verdicts on custom settings, without grids of which every point fails."""
+    failing = [v for points in list_grids(verdicts) if _do_all_fail(points) for v in points]
+    return [v for v in list_best_verdict_of_own_settings(verdicts) if v not in failing]
+
+
+def _do_all_fail(points: Sequence[Verdict]) -> bool:
+    """Return whether every point of a grid fails."""
+    return all(verdict.state == "fail" for verdict in points)
 
 
 def describe_verdicts_on_settings(verdicts: Verdicts, own: Sequence[Verdict]) -> list[str]:
@@ -107,14 +117,18 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) ->
     if verdict.refusal:
         return f"{name}: {verdict.state}: {verdict.refusal}."
     time = f"; {describe_usual_time(verdict)}" if verdict.timed_on else ""
-    left = strip_markdown(describe_tolerances_left(verdict))
-    reasons = "; ".join(filter(None, (describe_kinds_of_reasons(verdict), left)))
-    why = f": {reasons}" if reasons else ""
+    why = f": {reasons}" if (reasons := _describe_reasons(verdict)) else ""
     return (
         f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
         f"{plural(verdict.failed_steps, 'failed step')}{time}{why}."
         f"{describe_scaled_p99(verdict)}{_describe_failing_modes(verdict, modes)}"
     )
+
+
+def _describe_reasons(verdict: Verdict) -> str:
+    """Return in words why custom settings do not pass, and the tolerances that they do not set."""
+    left = strip_markdown(describe_tolerances_left(verdict))
+    return "; ".join(filter(None, (describe_kinds_of_reasons(verdict), left)))
 
 
 def _describe_failing_modes(verdict: Verdict, modes: Sequence[Verdict]) -> str:
@@ -243,6 +257,10 @@ def _name_first_of(names: Sequence[str]) -> str:
 
 def _list_edges(best: Verdict, points: Sequence[Verdict], equals: Sequence[Verdict]) -> list[str]:
     """Return the options of which a wider grid may have a better value than the best has."""
+    alike = [*equals]
+    if best.state not in ACCURATE:
+        error = format_error(best.error_move)
+        alike = [v for v in points if (v.state, format_error(v.error_move)) == (best.state, error)]
     edges = []
     for option, value in format_options_by_name(best).items():
         numbers = (as_float(format_options_by_name(verdict)[option]) for verdict in points)
@@ -251,8 +269,8 @@ def _list_edges(best: Verdict, points: Sequence[Verdict], equals: Sequence[Verdi
         # No option takes a value below zero: a zero is the least that is allowed.
         ends = {min(tried), max(tried)} if len(tried) >= LEAST_POINTS else set()
         is_bound = at == min(tried, default=at) <= 0.0
-        # Another value that is as fast shows that the time does not fall towards this end.
-        is_flat = any(_list_differing_options(best, other) == {option} for other in equals)
+        # Another value that is as good shows that nothing is gained towards this end.
+        is_flat = any(_list_differing_options(best, other) == {option} for other in alike)
         if at in ends and not is_bound and not is_flat and _changes_result(option, best, points):
             edges.append(option)
     return edges
@@ -265,9 +283,11 @@ def _describe_best_of_grid(points: Sequence[Verdict], best: Verdict) -> str:
     edge = f", at the edge of the grid in {join_with_and(edges)}" if edges else ""
     errors = [verdict.error_move for verdict in points]
     least, largest = min(errors), max(errors)
-    if all(verdict.state == "fail" for verdict in points) and largest < SIMILAR * least:
-        similar = f"{format_error(least)} to {format_error(largest)}"
-        edge += f"; all fail, with similar errors ({similar})"
+    if _do_all_fail(points):
+        is_similar = largest < SIMILAR * least
+        similar = f", with similar errors ({format_error(least)} to {format_error(largest)})"
+        edge += ": widen it" * (bool(edges) and not is_similar)
+        edge += f"; all fail{similar * is_similar}; the best: {_describe_reasons(best)}"
     elif edges:
         edge += ": widen it"
     if equals:

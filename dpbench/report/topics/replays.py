@@ -187,7 +187,7 @@ MOST_PAIRS = 3
 def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     """Return the report's part on settings of one solver timed side by side; None without two.
 
-    Custom settings against the fastest solver come first, the best of each solver before others.
+    The best custom settings of each solver come first, against `default`, then the fastest solver.
     """
     found = compare_settings_of_solvers(records)
     own = {run.configuration.label for run in records.runs if run.options}
@@ -196,11 +196,9 @@ def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
         return None
     against = compare_own_settings_with_fastest(records, verdicts)
     ranks = {label: i for i, label in enumerate(dict.fromkeys(one.second for one in against))}
-    named.sort(key=lambda one: ranks.get(one.second, len(ranks)))
     found = [*against, *found]
-    pairs = group_by_key(
-        [*against, *named] if named else found, lambda one: (one.second, one.first)
-    )
+    ordered = sorted([*named, *against], key=lambda one: ranks.get(one.second, len(ranks)))
+    pairs = group_by_key(ordered if named else found, lambda one: (one.second, one.first))
     texts = [
         f"{second} against {first}: {describe_paired_times(sizes)}."
         for (second, first), sizes in [*pairs.items()][:MOST_PAIRS]
