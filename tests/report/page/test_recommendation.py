@@ -198,7 +198,7 @@ def test_a_grid_that_fails_everywhere_has_one_line(records: Any) -> None:
     line, initial = (text for about, text in report.summary_rows() if about == "options")
     assert line.startswith(
         "Best of 9 settings of osqp by largest error (0.22): eps_abs=1e-07,rho=16.0, at the edge "
-        "of the grid in rho: widen it; all fail; the best: the error of its first move reaches 0.22 "
+        "of the grid in rho: widen it; all fail; the best: the error of its first move reaches 0.22"
     )
     assert line.endswith(
         "; eps_rel is left at osqp's default 0.001, so a solve can end before it reaches eps_abs."
