@@ -88,7 +88,7 @@ def _quote_library(run: RunRecord) -> str:
 def describe_caching_sign(solver: str, sign: CachingSign | None) -> str:
     """Return in words what of a replay's times looks like cached answers; "" for none.
 
-    Cached answers are named as the cause only of a solver that may keep them.
+    Cached answers are named as the cause only of a solver that may keep them, else other load.
     """
     if sign is None:
         return ""
@@ -96,7 +96,7 @@ def describe_caching_sign(solver: str, sign: CachingSign | None) -> str:
     text = _CACHING[name].format(value=significant(value, 2), share=format_share(value))
     record = find_solver_record_or_none(solver)
     known = record is not None and record.extra != "plugin" and not record.keeps_answers
-    return text if known else f"{text}: {_CACHING['cause']}"
+    return f"{text}: {_CACHING['load' if known else 'cause']}"
 
 
 def describe_finding(finding: Finding) -> str:
