@@ -150,10 +150,17 @@ class QpsolversAdapter:
         return ClaimedStatus(Status.SOLVED) if answer.found else self.not_found
 
 
+SET_BY_DPBENCH = {
+    "verbose": "other options: dpbench runs solvers without output",
+    "warm_starting": "other options: the policy sets it, such as --policy warm",
+}
+"""Options that a user cannot set, with what is allowed instead, and why."""
+
+
 def list_public_settings_attributes(settings: Any) -> list[str]:
-    """Return the names of public, non-callable attributes of a settings object but `verbose`."""
+    """Return the public, non-callable attributes of a settings object that a user may set."""
     names = (name for name in dir(settings) if not name.startswith("_"))
-    return [n for n in names if n != "verbose" and not callable(getattr(settings, n))]
+    return [n for n in names if n not in SET_BY_DPBENCH and not callable(getattr(settings, n))]
 
 
 def list_keyword_parameters(module: str, name: str, *besides: str) -> dict[str, object]:

@@ -9,7 +9,12 @@ from numbers import Real
 from typing import Any
 
 from dpbench.errors import SettingsError, format_allowed_names
-from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_public_settings_attributes
+from dpbench.solvers.adapter import (
+    SET_BY_DPBENCH,
+    NativeAdapter,
+    QpsolversAdapter,
+    list_public_settings_attributes,
+)
 from dpbench.solvers.contract import (
     DEFAULT,
     HIGH,
@@ -184,6 +189,9 @@ def refuse_unknown_option_names(
     for name, value in settings.items():
         keys = [f"{name}.{member}" for member in value] if isinstance(value, Mapping) else [name]
         for key in keys:
+            if (allowed := SET_BY_DPBENCH.get(key)) and key not in known:
+                found = "an option that dpbench sets"
+                raise SettingsError(f"settings of {solver}", key, found, allowed)
             if key not in known:
                 allowed = (
                     format_allowed_names(key, known, listing=listing) if known else "no settings"

@@ -151,6 +151,36 @@ def test_the_call_of_the_library_gives_the_answer_of_the_workspace(policy, setti
     assert "scaled QP" in code and "adaptive_rho_interval=50" in code
 
 
+def test_zeros_at_the_end_of_a_shift_reproduce_a_warm_step(sequence):
+    """As the comment of the code states: x, y of A and of the bounds end with a block of zeros."""
+    qp, step = sequence.base, sequence.steps[1]
+    workspace = open_workspace("osqp", route="native", policy="warm", settings="high")
+    workspace.setup(qp.for_setup())
+    for vectors in (QPStep(qp.q, qp.l, qp.u), step):
+        workspace.update(vectors)
+        workspace.solve()
+    names = {
+        "P": csc_matrix(qp.P),
+        "q": qp.q,
+        "A": csc_matrix(np.vstack([qp.A, np.eye(qp.n)])),
+        "l": np.append(qp.l, qp.lb),
+        "u": np.append(qp.u, qp.ub),
+    }
+    code = format_library_call("osqp", "native", "warm", "high")
+    exec(compile(code, "call", "exec"), names)
+    names["m"].update(q=qp.q)
+    first = names["m"].solve(raise_error=False)
+    by_block = [first.x, first.y[: qp.m], first.y[qp.m :]]
+    blocks = qp.block, qp.m * qp.block // qp.n, qp.block
+    x, rows, bounds = (np.append(v[b:], np.zeros(b)) for v, b in zip(by_block, blocks, strict=True))
+    names["m"].update(q=step.q, l=np.append(step.l, qp.lb), u=np.append(step.u, qp.ub))
+    names["m"].warm_start(x=x, y=np.append(rows, bounds))
+    second = names["m"].solve(raise_error=False)
+    answer = workspace.read()
+    assert second.info.iter == answer.iterations
+    assert second.x.tolist() == answer.z.tolist()
+
+
 def test_there_is_no_call_of_a_library_that_no_adapter_writes():
     assert format_library_call("daqp", "native", "warm", "default") == ""
     assert format_library_call("osqp", "qpsolvers", "warm", "default") == ""
@@ -191,6 +221,15 @@ def test_the_refusal_names_the_nearest_keys(solver, key, near):
     words = f"{key}: found an unknown option; allowed: .*{near}.*`dpbench list solvers {solver}`"
     with pytest.raises(SettingsError, match=words):
         open_workspace(solver, settings=settings)
+
+
+@pytest.mark.parametrize("route", ["native", "qpsolvers"])
+@pytest.mark.parametrize(
+    ("key", "why"), [("verbose", "without output"), ("warm_starting", "policy")]
+)
+def test_an_option_that_dpbench_sets_is_refused(route, key, why):
+    with pytest.raises(SettingsError, match=f"{key}: found an option that dpbench sets; .*{why}"):
+        open_workspace("osqp", route=route, settings={key: False})
 
 
 @pytest.mark.parametrize("solver", ["clarabel", "highs", "osqp", "piqp", "pyqpmad", "qpalm"])
@@ -306,4 +345,4 @@ def test_the_options_of_a_solver_are_listed(capsys):
     # https://osqp.org/docs/interfaces/solver_settings.html
     assert {"rho,", "eps_abs,", "max_iter,", "check_termination,"} <= set(options.split())
     assert main(["list", "suites", "osqp"]) == 2
-    assert "found 'osqp'; allowed: nothing" in capsys.readouterr().err
+    assert "found 'osqp'; allowed: only with KIND solvers" in capsys.readouterr().err

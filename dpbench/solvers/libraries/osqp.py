@@ -133,7 +133,7 @@ def format_osqp_call(policy: Policy, options: Options) -> str:
         make_settings_of_workspace(policy, options),
         make_default_settings_of_library(),
     )
-    names = ["verbose", *list_public_settings_attributes(settings)]
+    names = ["verbose", *list_public_settings_attributes(settings), "warm_starting"]
     given = {"verbose", "warm_starting", *options}
     own = [
         name for name in names if name in given or getattr(settings, name) != getattr(usual, name)
@@ -143,7 +143,8 @@ def format_osqp_call(policy: Policy, options: Options) -> str:
         "fresh": "# Each step: a new OSQP object.",
         "reuse": "# Each step: m.update(q=q, l=l, u=u), m.solve(raise_error=False)",
         "warm": "# Each step: m.update(q=q, l=l, u=u), m.warm_start(x=x, y=y) with the previous\n"
-        "# answer shifted by one control increment, m.solve(raise_error=False)",
+        "# answer shifted by one control increment, m.solve(raise_error=False). The last blocks\n"
+        "# of x, of y for the rows of A and of y for the bounds are then zero.",
     }[policy]
     cost = "q" if policy == "fresh" else "0 * q"
     return f"import osqp\nm = osqp.OSQP()\nm.setup(P, {cost}, A, l, u, {arguments})\n{step}"
