@@ -77,10 +77,10 @@ def describe_how_results_were_made(
         f"{machine.get('cpu_model', 'an unnamed CPU')}, {plural(machine.get('cores', 0), 'core')}, "
         f"{machine.get('memory_GiB', '?')} GiB of memory, {machine.get('kernel', '')}"
     )
+    ran = describe_commands(records.all_runs, suite.get("started_utc", "")).removeprefix("run ")
     software = ", ".join([machine.get("python", ""), *[f"NumPy {numpy}"] * bool(numpy)])
     return (
-        f"The suite `{suite.get('name', '')}` was run with {describe_version(suite)}, "
-        f"{describe_commands(runs, suite.get('started_utc', '')).removeprefix('run ')}. "
+        f"The suite `{suite.get('name', '')}` was run with {describe_version(suite)}, {ran}. "
         f"It has {plural(len(runs), 'run')} with {plural(steps, 'step')}{note}. "
         f"Solvers: {solvers}. {f'Baseline law: {laws}. ' if laws else ''}"
         f"Machine: {computer}; {software}."

@@ -1,5 +1,6 @@
 """Each ship result is stated with its realisations, sensors, estimator, lag, delay and mismatch."""
 
+import json
 import math
 from typing import Any
 
@@ -120,3 +121,17 @@ def test_the_report_has_the_conditions_of_its_ships(records: MadeRecords) -> Non
     records.loop("daqp", "paper")
     (ship,) = find_ship_results(records.view())
     assert describe_conditions_of_ships([ship]) == f"Conditions of this result: {IDEAL}."
+
+
+@pytest.mark.parametrize(
+    ("scenario", "limited", "is_named"),
+    [("thrusters", False, True), ("thrusters", True, False), ("weather", False, False)],
+)
+def test_commanded_azimuths_turn_freely_unless_the_controller_limits_it(
+    scenario: str, limited: bool, is_named: bool
+) -> None:
+    files: dict[str, Any] = json.loads(json.dumps(load_scenario(scenario).files))
+    if limited:
+        files["scenario"]["controller"]["thrusters"]["azimuth_turning"] = True
+    run: Any = _Run(files)
+    assert ("unlimited turning of azimuths" in list_conditions(run)) == is_named

@@ -23,6 +23,7 @@ from dpbench.analysis.suites.capability import (
     build_consequence_analyses,
 )
 from dpbench.analysis.times.machine import select_timed_replays
+from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.analysis.verdict.thruster_verdicts import copy_with_thruster_times
 from dpbench.analysis.verdict.verdict import (
@@ -258,7 +259,7 @@ def _fill_statement(
         compared=[
             f"{solver} {versions[solver]} {v.state}, p99 {format_time(v.p99_ns)}"
             + format_p99_interval(v.p99_interval)
-            + (f" ({Recommendation.why(v)})" if v.state == "inconclusive" else "")
+            + (f" ({Recommendation.why(v)})" if _needs_reason(v, data.requirements) else "")
             for v in list_best_verdict_of_each_solver(data.verdicts)
             for solver in [v.configuration.solver]
         ],
@@ -307,6 +308,12 @@ def _fill_statement(
         hashes=hash_files(folder, HASHED) | _hash_documents(known),
         suite=defaultdict(str, results.suite),
     )
+
+
+def _needs_reason(verdict: Verdict, requirements: Requirements) -> bool:
+    """Return whether a verdict does not follow from its p99, as late with a p99 in the limit."""
+    is_late_in_limit = verdict.state == "late" and verdict.p99_ns <= requirements.p99_ns
+    return verdict.state == "inconclusive" or is_late_in_limit
 
 
 def _list_once(texts: Iterable[str]) -> list[str]:

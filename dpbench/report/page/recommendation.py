@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite, isnan
+from math import inf, isfinite, isnan
 from typing import Any
 
 from dpbench.analysis.times.paired_times import (
@@ -43,7 +43,7 @@ from dpbench.report.formats import (
 )
 from dpbench.report.page.data import PageData
 from dpbench.report.ship.capability_text import describe_consequence_solver, describe_unanswered_qps
-from dpbench.report.ship.ship_text import ShipSummary, summarise_ships
+from dpbench.report.ship.ship_text import ShipSummary, list_losses, summarise_ships
 from dpbench.report.verdict.findings_text import describe_findings, name_experiment
 from dpbench.report.verdict.verdict_text import (
     NOBODY,
@@ -474,7 +474,9 @@ def _name_slow_step(step: SlowStep) -> str:
 def _describe_work(step: SlowStep) -> str:
     """Return the iterations of a slow step, where known, and its active limits as text."""
     iterations = "" if isnan(step.iterations) else f"{plural(step.iterations, 'iteration')}, "
-    return f"{iterations}{plural(step.n_active, 'active limit')}"
+    lost_k = min((at_s for at_s, _ in list_losses(step.run)), default=inf) / step.run.sample_s
+    lost = ", with those of lost thrusters" * (step.n_active > 0 and step.k >= lost_k)
+    return f"{iterations}{plural(step.n_active, 'active limit')}{lost}"
 
 
 def _make_badges(data: PageData, first: Configuration | None) -> list[Badge]:

@@ -1,7 +1,8 @@
 """Text on the conditions of each ship result: realisations, sensors, lag, mismatch."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.verdict.ship_results import ShipResult
@@ -59,10 +60,20 @@ def _list_realisations(ships: Sequence[ShipResult]) -> list[str]:
 
 
 def list_conditions(run: RunRecord) -> tuple[str, ...]:
-    """Return sensors, estimator, lag, delay and mismatch of a run's scenario as texts."""
+    """Return sensors, estimator, lag, delay, turning and mismatch of a run's scenario as texts."""
     documents = run.scenario_documents or {}
-    known = read_conditions(documents.get("scenario") or {}, documents.get("vessel"))
-    return *_list_sensors(known), *_list_differences(known)
+    scenario, vessel = documents.get("scenario") or {}, documents.get("vessel") or {}
+    known = read_conditions(scenario, vessel)
+    turning = ["unlimited turning of azimuths"] * _turns_azimuths_freely(scenario, vessel)
+    return *_list_sensors(known), *turning, *_list_differences(known)
+
+
+def _turns_azimuths_freely(scenario: Mapping[str, Any], vessel: Mapping[str, Any]) -> bool:
+    """Return whether a scenario's controller commands azimuths without a limit on their turning."""
+    controller = scenario.get("controller") or {}
+    has_azimuth = any(one.get("kind") == "azimuth" for one in vessel.get("thrusters") or ())
+    is_limited = (controller.get("thrusters") or {}).get("azimuth_turning", False)
+    return controller.get("kind") == "thrusters" and has_azimuth and not is_limited
 
 
 def _list_sensors(known: Conditions) -> Iterator[str]:

@@ -329,7 +329,7 @@ def format_p99_interval(interval: Interval) -> str:
     if not interval.low > 0.0:
         return ""
     if not math.isfinite(interval.high):
-        return f" (95 %: above {format_time(interval.low)})"
+        return f" (95 %: above {format_time(interval.low)}, no upper end: too few steps)"
     return f" (95 %: {format_time(interval.low)} to {format_time(interval.high)})"
 
 

@@ -164,6 +164,22 @@ def test_it_says_why_a_compared_solver_is_inconclusive(records: Any, tmp_path: P
     assert re.search(r"quadprog 1\.0 inconclusive, p99 [^;]+ \(no closed loop was run\)\.", text)
 
 
+def test_it_says_what_is_late_of_a_compared_solver_with_a_p99_in_the_limit(
+    records: Any, tmp_path: Path
+) -> None:
+    """One step takes 400 ms, beyond the deadline of 300 ms; a p99 of 20 ms needs no reason."""
+    out = _good(records, tmp_path)
+    for solver, slow in (("quadprog", {"slow": {5: 2e4}}), ("osqp", {"median_us": 2e4})):
+        records.loop(solver)
+        records.replay(solver, spread=1e-3, **slow)
+    results = records.results()
+    svg = make_statement_svg(out, results, Report.from_results(results).data)
+    text = " ".join("".join(element.itertext()) for element in _texts(svg))
+    step = r"quadprog 1\.0 late, p99 2\d\.?\d* µs [^;]*\(its longest step takes 4\d\d ms"
+    assert re.search(step, text)
+    assert re.search(r"osqp 1\.0 late, p99 20[^;]* ms (\(95 %[^;)]*\))?[;.]", text)
+
+
 def test_it_lists_what_is_assumed_of_ship_and_thrusters() -> None:
     """List of the source of a vessel, then the keys that the hull of level 1 leaves out."""
     osv = load_vessel("osv")
