@@ -1,11 +1,14 @@
 """Output of `dpbench check` for a ship: short, aligned, and equal to that of the loop itself."""
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from dpbench.bench.design import (
     can_recover_from_offset,
@@ -192,3 +195,35 @@ def test_what_the_paper_holds_is_what_the_loop_holds() -> None:
     assert one_side == both
     assert both.fails_m is not None and 1.5 < both.holds_m < both.fails_m < 1.8
     assert both == find_bracket_of_recovery(lambda offset_m: offset_m <= both.holds_m)
+
+
+def test_forces_in_half_turns_are_those_of_a_linear_program() -> None:
+    """The largest force astern without sway force and yaw moment, of azimuths in half turns.
+
+    Each thruster shares its thrust among the directions that it may take, half a degree apart.
+    """
+    vessel = load_vessel("osv")
+    assert vessel.thrusters is not None
+    starts_deg = {"stern port": -60.0, "stern starboard": -120.0}
+    every, columns, owners = [], [], []
+    for i, one in enumerate(vessel.thrusters.thrusters):
+        angles, changed = np.radians([90.0, 270.0]), one
+        if (start_deg := starts_deg.get(one.name)) is not None:
+            half = np.radians([start_deg, start_deg + 180.0])
+            angles = np.linspace(*half, 361)
+            wide = half if start_deg == -60.0 else half - math.radians(120.0)
+            sector = float(wide[0]), float(wide[0] + math.radians(300.0))
+            planned = float(half[0]), float(half[1])
+            changed = replace(one, sector_rad=sector, controller_sector_rad=planned)
+        every.append(changed)
+        force = one.thrust_N * np.array([np.cos(angles), np.sin(angles)])
+        columns.append(np.vstack([force, one.x_m * force[1] - one.y_m * force[0]]))
+        owners += [i] * len(angles)
+    surge, sway, yaw = np.hstack(columns)
+    shares = np.equal.outer(np.arange(len(every)), owners).astype(float)
+    found = linprog(surge, shares, np.ones(len(every)), np.array([sway, yaw]), np.zeros(2))
+    ship = replace(vessel, thrusters=ThrusterSet(tuple(every)))
+    lines = check_ship.format_limits_by_axis(ship)
+    (line,) = (line for line in lines if line.startswith("alone, in half turns"))
+    assert float(line.split()[4]) == pytest.approx(found.fun / 1e3, rel=2e-3)
+    assert f"largest force alone   {line.split()[4]}" not in "\n".join(lines)

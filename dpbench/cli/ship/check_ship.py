@@ -101,7 +101,8 @@ def _join_lines(first: str, others: Sequence[str]) -> str:
 def format_limits_by_axis(vessel: Vessel) -> list[str]:
     """Return lines of a table: a ship's force limits, rise times and accelerations by axis.
 
-    Of a ship with thrusters the largest force in an axis is that without any in the others.
+    Of a ship with thrusters the largest force in an axis is that without any in the others, also
+    with the half turns that controllers plan with.
     """
     kilo, per = ("k", 1e3) if vessel.tau_max[0] >= 1e3 else ("", 1.0)
     unit = f"{kilo}N"
@@ -110,6 +111,10 @@ def format_limits_by_axis(vessel: Vessel) -> list[str]:
     forces = [("largest force alone", *_format_forces(pure, unit, per))]
     if (np.abs(vessel.tau_max - pure.tau_max) > _SAME * vessel.tau_max).any():
         forces.append(("with other axes", *_format_forces(vessel, unit, per)))
+    if vessel.thrusters is not None and vessel.thrusters.has_half_turns:
+        planned = vessel.thrusters.copy_with_convex_sectors()
+        halves = _limit_to_pure_forces(vessel, ThrusterReach(planned))
+        forces.append(("alone, in half turns", *_format_forces(halves, unit, per)))
     rise = vessel.tau_max / vessel.rate_max
     acceleration = pure.accelerations_at_force_limits()[1] * _KILO
     speeds = (
