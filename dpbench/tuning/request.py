@@ -25,14 +25,13 @@ from dpbench.bench.workers.child import has_compiled_kernels
 from dpbench.errors import InputError, PolicyError, ResultsError, require_integer_at_least
 from dpbench.report.formats import join_with_and
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_public_settings_attributes
-from dpbench.solvers.contract import DEFAULT, HIGH, POLICIES, Options, Policy, Route
+from dpbench.solvers.contract import DEFAULT, POLICIES, Options, Policy, Route
 from dpbench.solvers.own_settings import (
     expand_option_grid,
     parse_options_of_choice,
     split_into_solver_and_options_text,
 )
 from dpbench.solvers.settings import (
-    has_distinct_tolerance_presets,
     has_preset_or_tolerance,
     list_tolerance_options,
     resolve_settings_to_options,
@@ -96,8 +95,12 @@ class SearchRequest:
     @property
     def presets(self) -> list[str]:
         """Presets of the solver that the best settings are measured beside."""
-        has_levels = has_distinct_tolerance_presets(self.solver.name)
-        return [DEFAULT, HIGH] if has_levels else [DEFAULT]
+        return [DEFAULT, *find_trial_presets(self.solver.name)]
+
+    @property
+    def settings_count(self) -> int:
+        """Number of settings that the search tries: those it draws, the user's and presets."""
+        return self.trials + len(self.first_trials)
 
     def find_iteration_limit(self, options: Options) -> tuple[str, float] | None:
         """Return name and value of the solver's limit of iterations, or None if it is unknown.
@@ -301,8 +304,9 @@ class SearchForecast:
     @property
     def summary(self) -> str:
         """One line on the number of settings and batches, and the expected time."""
+        request = self.request
         return (
-            f"{self.request.trials} settings of {self.request.solver.name} in {self._batches}, "
+            f"{request.settings_count} settings of {request.solver.name} in {self._batches}, "
             f"then the measurement of the best: about {format_duration(self.time_s)}"
         )
 
@@ -320,14 +324,15 @@ class SearchForecast:
             ", ".join(problem.name for problem in problems)
             for problems in (request.training, request.test)
         )
-        more, start = len(request.first_trials), "" if request.start is None else "yours and "
-        given = [f"the first batch has {more} more settings: {start}the presets"]
+        yours = int(request.start is not None)
+        first = ["yours"] * yours + ["the presets"] * (len(request.first_trials) > yours)
         names = ", ".join([*request.presets, *request.name_settings({})])
         compiled = f", including {format_duration(self.compile_s)} to compile kernels, once"
         rates = "finished batches" if self.measured else STATED_RATES.origin.partition(";")[0]
         return [
-            f"{request.trials} settings of {request.solver.name} on {training}: {self._batches}",
-            *(given if more else []),
+            f"{request.settings_count} settings of {request.solver.name} on {training}: "
+            f"{self._batches}",
+            *([f"the first batch includes {join_with_and(first)}"] if first else []),
             f"then {names} are measured on these and on {test}",
             f"about {format_duration(self.time_s)} on this machine"
             f"{compiled if self.compile_s else ''}, estimated from {rates}",

@@ -22,6 +22,7 @@ from dpbench.analysis.verdict.requirements import (
     Requirements,
     is_right_on_every_step,
 )
+from dpbench.analysis.verdict.verdict import ALIKE
 from dpbench.bench.plan.run_request import NO_P99
 from dpbench.bench.progress import Progress, Silent
 from dpbench.files.regular_files import write_text_atomically
@@ -35,7 +36,7 @@ from dpbench.report.formats import (
     strip_markdown,
 )
 from dpbench.report.verdict.findings_text import describe_finding
-from dpbench.solvers.contract import Options, Policy, Route
+from dpbench.solvers.contract import DEFAULT, Options, Policy, Route
 from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.solvers.settings import find_options_of_preset, format_library_call
 from dpbench.tuning.campaigns import (
@@ -53,6 +54,7 @@ from dpbench.tuning.campaigns import (
 from dpbench.tuning.request import (
     BEST,
     TRIALS,
+    YOURS,
     SearchRequest,
     forecast_search,
     list_edges,
@@ -80,22 +82,34 @@ class TunedRole:
     measured: MeasuredRuns = field(default_factory=lambda: MeasuredRuns(()))
 
     def summarise_best_settings(self, requirements: Requirements) -> str:
-        """Return as text if the best settings are accurate, late, and their time beside presets."""
+        """Return as text if the best settings are accurate, late, and their time beside others.
+
+        The others are `default`, the fastest accurate preset and the user's own settings.
+        """
         best = self.runs[BEST]
         wrong = sum(not is_right_on_every_step(run, requirements) for run in best)
         if wrong:
             return f"inaccurate on {wrong} of {len(best)}"
         late = [finding for run in best if (finding := self.measured.find_late(run))]
         parts = [_describe_accuracy(late, len(best))]
-        for name, runs in self.runs.items():
-            if name != BEST:
-                preset = score_runs(runs, runs, requirements, self.measured)
-                faults = [f"inaccurate on {preset.wrong} of {len(runs)}"] * bool(preset.wrong)
-                faults += [f"late on {len(preset.late)} of {len(runs)}"] * bool(preset.late)
-                known = f", which is {join_with_and(faults)}" if faults else ""
-                ratio = significant(score_runs(best, runs, requirements).ratio)
-                parts.append(f"{ratio} times the step time of {name}{known}")
+        others = {name: runs for name, runs in self.runs.items() if name != BEST}
+        ratios = {n: score_runs(best, runs, requirements).ratio for n, runs in others.items()}
+        faults = {n: self._describe_faults(runs, requirements) for n, runs in others.items()}
+        usable = [name for name in others if name != YOURS and not faults[name]]
+        fastest = max(usable, key=lambda name: ratios[name], default="")
+        for name in (name for name in others if name in {DEFAULT, fastest, YOURS}):
+            known = f", which is {faults[name]}" if faults[name] else ""
+            known += ", the fastest accurate preset" * (name == fastest)
+            known += ": no gain" * (name == fastest and ratios[name] > 1.0 - ALIKE)
+            parts.append(f"{significant(ratios[name])} times the step time of {name}{known}")
         return "; ".join(parts)
+
+    def _describe_faults(self, runs: Sequence[RunRecord], requirements: Requirements) -> str:
+        """Return in words on how many sequences settings are inaccurate or late; "" for none."""
+        score = score_runs(runs, runs, requirements, self.measured)
+        faults = [f"inaccurate on {score.wrong} of {len(runs)}"] * bool(score.wrong)
+        faults += [f"late on {len(score.late)} of {len(runs)}"] * bool(score.late)
+        return join_with_and(faults)
 
     def passes(self, requirements: Requirements) -> bool:
         """Return whether the best settings are accurate and in time on all sequences."""
@@ -513,5 +527,6 @@ def _measure_roles(
             format_options_as_toml(known[name]): found[name] for name in known if name in found
         }
         own = {name: alike[format_options_as_toml(options)] for name, options in named.items()}
-        roles.append(TunedRole(title, {name: found[name] for name in presets} | own, measured))
+        others = {name: found[name] for name in presets if name in found}
+        roles.append(TunedRole(title, others | own, measured))
     return tuple(roles)

@@ -4,6 +4,7 @@ import re
 import shlex
 import tomllib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from dpbench.bench.progress import Progress, Silent
 from dpbench.bench.record.schema import convert_to_run_columns
 from dpbench.cli.main import main
 from dpbench.errors import InputError, SettingsError
-from dpbench.solvers.contract import Options
+from dpbench.solvers.contract import LEVELS, Options
 from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.solvers.settings import find_options_of_preset, format_library_call
 from dpbench.tuning import tune
@@ -174,6 +175,32 @@ def test_settings_in_time_are_found_before_faster_ones_that_are_late(
     assert all(summary.startswith("accurate; ") for summary in summaries)
 
 
+def test_the_best_is_compared_with_the_fastest_accurate_preset(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each setting is faster than those before it: high is the fastest preset, or else mid."""
+    monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=0))
+    monkeypatch.setattr(tune, "find_step_of_largest_error", lambda *_: 0)
+    found = tune_solver("osqp", training=["calm"], test=["move"], steps=75, trials=8, out=tmp_path)
+    role, limits = found.roles[0], found.solver.requirements
+    times = {name: runs[0].algo_p50_ns for name, runs in role.runs.items()}
+    assert list(times) == [*LEVELS, "best"]
+
+    def summarise(**changed: Any) -> list[str]:
+        summary = replace(role, runs={**role.runs, **changed}).summarise_best_settings(limits)
+        return summary.split("; ")[1:]
+
+    gain = f"{times['best'] / times['high']:.3f} times the step time of high"
+    assert summarise()[1:] == [f"{gain}, the fastest accurate preset"]
+    wrong = [replace(run, error_move_max=0.5) for run in role.runs["high"]]
+    gain = f"{times['high'] / times['mid']:.3f} times the step time of mid"
+    assert summarise(high=wrong, best=role.runs["high"])[1:] == [
+        f"{gain}, the fastest accurate preset"
+    ]
+    equal = "1.00 times the step time of high, the fastest accurate preset: no gain"
+    assert summarise(best=role.runs["high"])[1:] == [equal]
+
+
 def test_failed_steps_have_a_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -247,7 +274,7 @@ def test_the_expected_time_is_shown_before_the_first_batch(
             "osqp", training=["calm"], test=["move"], steps=75, out=tmp_path, progress=progress
         )
     first = progress.remarks[0]
-    assert re.match(r"48 settings of osqp in 6 batches, then the .* best: about \d+ (s|min)", first)
+    assert re.match(r"51 settings of osqp in 6 batches, then the .* best: about \d+ (s|min)", first)
 
 
 @pytest.mark.parametrize(("eps_rel", "advised"), [(1.22e-6, False), (1e-8, True)])
@@ -286,7 +313,7 @@ def test_the_presets_are_in_the_first_batch_and_the_call_mode_is_in_the_file(
     assert campaigns.presets == [
         ["default", "low", "mid", "high"],
         ["default"],
-        ["default", "high"],
+        ["default", "low", "mid", "high"],
     ]
     assert found.trials == 8 + 3
     suite = (
@@ -373,10 +400,11 @@ def test_a_dry_run_forecasts_and_writes_nothing(
     monkeypatch.chdir(tmp_path)
     words = "--train calm-30-5 --test move-30-5 --trials 11 --dry-run --wait 5"
     assert main(["tune-solver", "osqp[rho=1.6]", *words.split()]) == 0
-    first, given, then, time, waits, *_ = capsys.readouterr().out.splitlines()
-    assert first == "11 settings of osqp on calm-30-5[:300:4]: 2 batches"
-    assert given == "the first batch has 4 more settings: yours and the presets"
-    measured = "default, high, yours, best are measured on these and on move-30-5[:300:4]"
+    unwrapped = capsys.readouterr().out.replace("\n  ", " ")
+    first, given, then, time, waits, *_ = unwrapped.splitlines()
+    assert first == "15 settings of osqp on calm-30-5[:300:4]: 2 batches"
+    assert given == "the first batch includes yours and the presets"
+    measured = "default, low, mid, high, yours, best are measured on these and on move-30-5[:300:4]"
     assert then == f"then {measured}"
     assert time.startswith("about ") and waits.startswith("not included: waits")
     assert list(tmp_path.iterdir()) == []
@@ -433,7 +461,7 @@ def test_settings_are_found_measured_and_written(
     errors = steps[steps["sequence"] == named[1]].groupby("k")["error_move"].max()
     assert errors[int(named[0])] == errors.max() > errors.median()
     assert set(runs["sequence"]) == {"calm-60-10[:300:8]", "move-60-10[:300:8]"}
-    assert set(runs["settings"]) == {"default", "high", "best"} and len(runs) == 6
+    assert set(runs["settings"]) == {"default", "low", "mid", "high", "best"} and len(runs) == 10
     searched = [load_results(folder).runs for folder in sorted(Path("out").glob("batch-??"))]
     assert {name for batch in searched for name in batch["sequence"]} == {"calm-60-10[:300:8]"}
     wrong = {name for batch in searched for name in batch["settings"][batch["failed_steps"] > 0]}
@@ -465,7 +493,7 @@ def test_own_settings_are_measured_beside_the_best(
     assert all("max_iter=3000" in name for name in first if name != "default")
     final = load_results(tmp_path / "final").runs
     # Without faster settings, yours are the best.
-    assert set(final["settings"]) | {"best"} == {"default", "high", "yours", "best"}
+    assert set(final["settings"]) | {"best"} == {*LEVELS, "yours", "best"}
     tables = [row for row in said.out.splitlines() if "│ yours" in row]
     assert [row.split("│")[1].strip() for row in tables] == [
         "calm-60-10[:300:8]",
