@@ -44,6 +44,7 @@ if TYPE_CHECKING:
         QPStep as QPStep,
         QuadraticProgram as QuadraticProgram,
         Refresh as Refresh,
+        Units as Units,
     )
     from dpbench.qp.referee.optimum import Optimum as Optimum
     from dpbench.qp.referee.referee import certify as certify
@@ -73,7 +74,7 @@ _NAMES = {
     "notebook.results": "Results load_results",
     "notebook.runs": "Run replay run_closed_loop",
     "notebook.stored_runs": "add_runs",
-    "qp.program": "QPSequence QPStep QuadraticProgram Refresh",
+    "qp.program": "QPSequence QPStep QuadraticProgram Refresh Units",
     "qp.referee.optimum": "Optimum",
     "qp.referee.referee": "certify",
     "qp.residuals": "Residuals residuals",

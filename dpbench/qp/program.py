@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dpbench.arrays import Floats, Matrix, Vector
-from dpbench.errors import InputError, ShapeError
+from dpbench.errors import InputError, ShapeError, require_type
 
 if TYPE_CHECKING:
     from dpbench.qp.solution import Solution
@@ -107,8 +107,9 @@ class QuadraticProgram:
     A : (m, n) rows; m may be 0. No rows by default.
     l, u : (m,) row limits, ±inf allowed. By default there is no limit.
     lb, ub : (n,) bounds, ±inf allowed. By default there is no bound.
-    block : variables per move, by which a warm start is shifted; every move has equally many rows.
-        0 = a start is not shifted.
+    block : variables per move, n by default (0). Errors of the first move are judged on the first
+        `block` variables, and a warm start is shifted by as many (0: not shifted). Every move has
+        equally many rows.
     moves : number of variables at the start of a block that are moves of an actuator; the others
         are slacks, which no error of a move or of a plan counts. 0 = all.
     stages : (states, inputs) of each stage of an optimal control problem whose variables are in
@@ -346,15 +347,29 @@ class Units:
 
     z_own = z * z_scaled and (A z)_own = row * (A z)_scaled; the objective is equal in both, so
     y_scaled = row * y_own and y_box_scaled = z * y_box_own.
+
+    Examples
+    --------
+    >>> Units(z=np.array([250.0, 250.0]), row=np.ones(1)).z
+    array([250., 250.])
     """
 
     z: Vector
     row: Vector
 
 
+def require_units(where: str, units: object, n: int, m: int) -> None:
+    """Raise TypeError for what is no `Units`, ShapeError for units of other sizes than n and m."""
+    require_type(f"{where}: units", units, Units, "Units(z=<n numbers>, row=<m numbers>), or None")
+    require_shapes_and_make_contiguous(units, {"z": (n,), "row": (m,)})
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class QPSequence:
     """Sequence of QPs recorded along one run, with constant or varying matrices.
+
+    Errors are judged in units of z. Scale z so that 1 is its largest change in one step, or the
+    scale that matters: with U = diag(u), give U P U, U q, A U, lb/u and ub/u.
 
     Parameters
     ----------
@@ -363,7 +378,8 @@ class QPSequence:
     q, l, u : (K, n), (K, m), (K, m) vectors of each step.
     P, A, lb, ub : (K, …) matrices and bounds of each step; None where they are constant, then they
         are in `base`. `problem(k)` returns the complete QP in both cases.
-    units : what 1 of a scaled variable and of a scaled row is in SI; None where nothing is known.
+    units : `Units` with what 1 of a variable and of a row is in SI; None where nothing is known.
+        Files keep them (`unit_z`, `unit_row`); neither they nor judging scale the arrays by them.
     scaled : the same sequence in scaled units, in which answers are judged; None when this is it.
     meta : origin: scenario, sample time [s], first step, horizons, versions.
     sparse_equivalent : makes the sparse form with the states kept; None where there is none.
@@ -402,6 +418,8 @@ class QPSequence:
         require_shapes_and_make_contiguous(self, given)
         if self.P is not None:
             object.__setattr__(self, "P", require_or_make_symmetric(self.P, "QPSequence"))
+        if self.units is not None:
+            require_units("QPSequence", self.units, n, m)
 
     def __len__(self) -> int:
         return int(self.q.shape[0])
@@ -449,9 +467,7 @@ def convert_sequence_to_units(scaled: QPSequence, units: Units) -> QPSequence:
     with U = diag(units.z) (n,) and W = diag(units.row) (m,); ShapeError for units of another size.
     """
     base = scaled.base
-    for name, factors, size in (("z", units.z, base.n), ("row", units.row, base.m)):
-        if factors.shape != (size,):
-            raise ShapeError.from_shapes("Units", name, factors.shape, f"shape {(size,)}")
+    require_units("convert_sequence_to_units", units, base.n, base.m)
     z, row = units.z, units.row
     factor: dict[str, Any] = {"l": row, "u": row, "lb": z, "ub": z, "q": 1.0 / z}
     factor |= {"P": 1.0 / np.outer(z, z), "A": np.outer(row, 1.0 / z)}

@@ -67,6 +67,7 @@ from dpbench.qp.program import (
     Units,
     convert_sequence_to_units,
     require_or_make_symmetric,
+    require_units,
 )
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Kind, Optimum
 from dpbench.scenario.problem_files import list_shipped_problem_names, resolve_sequence_path
@@ -123,7 +124,9 @@ def save_sequence(
         allowed = "a name that ends in .npz; for other formats, use `export_sequence()`"
         raise InputError("save_sequence", "path", repr(path.name), allowed)
     scaled = sequence.scaled or sequence
-    units = units or sequence.units
+    units = sequence.units if units is None else units
+    if units is not None:
+        require_units("save_sequence", units, scaled.base.n, scaled.base.m)
     documents = scaled.documents if documents is None else documents
     if optima is None:
         # Reading a file takes no referee, whose kernels take longer to load than the file.

@@ -304,6 +304,18 @@ def test_a_sequence_without_si_units_is_refused(tmp_path: Path) -> None:
         convert_sequence_to_units(sequence, Units(np.ones(3), np.ones(3)))
 
 
+def test_units_that_are_none_are_refused(tight: QPSequence, tmp_path: Path) -> None:
+    factors: Any = np.ones(tight.base.n)
+    for refuse in (
+        lambda: replace(tight, units=factors),
+        lambda: save_sequence(tmp_path / "a.npz", tight, units=factors),
+    ):
+        with pytest.raises(TypeError, match=r"units: found array\(.*allowed: Units\(z=.*, or None"):
+            refuse()
+    with pytest.raises(ShapeError, match=r"Units: row: found shape \(3,\)"):
+        replace(tight, units=Units(factors, np.ones(3)))
+
+
 def test_no_other_format_is_written_under_a_foreign_suffix(tmp_path: Path) -> None:
     sequence, path = load_sequence("paper-30-5"), tmp_path / "x.mat"
     with pytest.raises(InputError, match=r"path: found 'x\.mat'; allowed: .*export_sequence"):
