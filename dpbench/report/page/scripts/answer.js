@@ -9,6 +9,7 @@ const listed = (rows, say = (row) => `\`${row.solver}\``) => (rows.length && (ro
 // make it late on this machine already.
 function paceOf(c, margin) {
   const late = C().late[c], verdict = C().verdict[c];
+  if (verdict === "fail") return "fails, so it has no speed margin";
   const limited = `× ${roundedDown(margin)}, set by its ${C().limited_by[c]}`;
   if (late) return `is late on this machine (${late})${margin < 1 ? `. Its speed margin is ${limited}` : ""}`;
   if (margin < 1) return `is late on this machine (speed margin ${limited})`;
@@ -60,6 +61,6 @@ SECTIONS.push({
   id: "slow", after: ["slow", "c"], draw: drawSlow,
   listen: () => {
     on("slow", "input", (value) => select({ slow: notch(Number(value)) }));
-    on("slow-said", "change", (value) => select({ slow: atMost(value) }));
+    on("slow-said", "input", (value) => value && select({ slow: atMost(value) }));
   },
 });
