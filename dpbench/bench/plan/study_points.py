@@ -94,7 +94,7 @@ class DesignOfPointsTable(FileModel):
 
 
 class StudyTable(RunsTable):
-    """A study of a suite: closed loops of one scenario with many parameter values and seas.
+    """A study of a suite: closed loops of one scenario with many parameter values and realisations.
 
     A key is named with dots: environment.wind.speed_mps, start.east_m, vessel (a ship by name),
     vessel.length_m. Solvers, routes, policies and settings are as in a closed loop.
@@ -117,7 +117,7 @@ class StudyTable(RunsTable):
     design: DesignOfPointsTable | None = None
     """Points drawn from ranges."""
     replicates: ReplicatesTable = ReplicatesTable()
-    """The same points again in other seas; once by default."""
+    """Realisations of the same points; one each by default."""
 
     @model_validator(mode="after")
     def _refuse_repeated_or_unequal_keys(self) -> "StudyTable":

@@ -128,7 +128,7 @@ class ClosedLoopTable(ScenarioRunsTable):
     slowdowns: Annotated[list[Slowdown], Field(min_length=1)] = [0.0]
     """Slowdown factors of the ship's computer, 1 to 1e9; 0: the ship waits for every solution."""
     deadline_s: NotNegative = 0.0
-    """Longest time that a step may take on that computer [s]; 0: the whole sample."""
+    """Longest time that a step may take on that computer [s]; 0: the sample time."""
     steps: Count = 0
     """Number of steps from the first on; 0: all."""
 
@@ -181,7 +181,7 @@ class RandomTable(RunsTable):
     """Families of random problems: plain (every active limit has a multiplier), degenerate (more
     active limits than variables, duplicate rows), weakly_active (limits active with a zero
     multiplier, or missed by 1.5e-8), equal (some rows with l = u), free (some rows without a limit,
-    or with one), infinite_bounds (half of the bounds infinite, rows with one limit), no_rows
+    or with only one), infinite_bounds (half of the bounds infinite, rows with one limit), no_rows
     (bounds alone), semidefinite (P rank deficient, unique optimum), ill_conditioned (condition
     number of P 1e8), infeasible_steps (every third step infeasible)."""
     sizes: Annotated[list[Size], Field(min_length=1)]
@@ -206,7 +206,7 @@ class RandomTable(RunsTable):
 
 
 class RecordedTable(RunsTable):
-    """Recorded QPs of a suite: a stored sequence by name, a `.npz` file, or a folder.
+    """Recorded QPs of a suite: a stored sequence by name, a file, or a folder.
 
     A relative path starts at the suite's folder. Such QPs have no units but their own.
     """

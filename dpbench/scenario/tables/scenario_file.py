@@ -88,7 +88,8 @@ class FmuTable(FileModel):
     file: str
     """The FMU; a relative path starts at the folder of this file."""
     step_s: keys.Seconds | None = None
-    """Communication step of the FMU [s], a whole fraction of the sample; by default the sample."""
+    """Communication step of the FMU [s]: the sample time divided by a whole number; by default the
+    sample time."""
     inputs: FmuInputsTable
     """Names of its inputs."""
     outputs: FmuOutputsTable

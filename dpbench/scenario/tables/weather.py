@@ -61,7 +61,7 @@ class SquallTable(FileModel):
 
 
 class WindTable(FileModel):
-    """Table of a scenario file: mean wind 10 m above the water, and the gusts along it."""
+    """Mean wind 10 m above the water, and the gusts along it."""
 
     speed_mps: keys.NotNegative
     """Mean speed 10 m above the water [m/s]."""
