@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from math import isnan
 
+from dpbench.analysis.records.loop_ratios import LOOP_SIGNS
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.times.machine import sum_disturbances
 from dpbench.analysis.verdict.requirements import PERHAPS_BY_MACHINE, Finding
@@ -88,7 +89,8 @@ def _quote_library(run: RunRecord) -> str:
 def describe_caching_sign(solver: str, sign: CachingSign | None) -> str:
     """Return in words what of a replay's times looks like cached answers; "" for none.
 
-    Cached answers are named as the cause only of a solver that may keep them, else other load.
+    Cached answers are named as the cause only of a solver that may keep them; else other load is
+    named as the cause of slow closed loops.
     """
     if sign is None:
         return ""
@@ -96,7 +98,9 @@ def describe_caching_sign(solver: str, sign: CachingSign | None) -> str:
     text = _CACHING[name].format(value=significant(value, 2), share=format_share(value))
     record = find_solver_record_or_none(solver)
     known = record is not None and record.extra != "plugin" and not record.keeps_answers
-    return f"{text}: {_CACHING['load' if known else 'cause']}"
+    if not known:
+        return f"{text}: {_CACHING['cause']}"
+    return f"{text}: {_CACHING['load']}" if name in LOOP_SIGNS else text
 
 
 def describe_finding(finding: Finding) -> str:

@@ -19,7 +19,11 @@ from dpbench.analysis.verdict.time_findings import compute_speed_margins
 from dpbench.analysis.verdict.verdict import judge_solvers, sort_fastest_first
 from dpbench.bench.record.cell import Configuration
 from dpbench.report.page.recommendation import Recommendation
-from dpbench.report.verdict.findings_text import describe_finding, describe_findings
+from dpbench.report.verdict.findings_text import (
+    describe_caching_sign,
+    describe_finding,
+    describe_findings,
+)
 from dpbench.report.verdict.verdict_text import (
     describe_answer,
     describe_main_reason,
@@ -586,6 +590,16 @@ def test_a_tie_counts_the_steps_that_are_slower(records: Any) -> None:
     assert found.finding_text == "tied" and found.ratio.value > 1.8
     said = "no significant difference, slower in 999 of 1\u202f000 steps"
     assert describe_paired_times([found]).endswith(said)
+
+
+def test_load_is_the_likely_cause_of_a_slow_loop_of_a_solver_without_a_cache() -> None:
+    said = describe_caching_sign("daqp", ("loop tail", 30.0))
+    assert said == (
+        "the p90 of the closed loop's steps is 30 times that of the replay: the likely cause is "
+        "other load on the machine; repeat the run on an idle machine"
+    )
+    assert "load" not in describe_caching_sign("daqp", ("slow first visits", 0.06))
+    assert "cached answers" in describe_caching_sign("my_function", ("loop tail", 30.0))
 
 
 def test_two_names_of_one_run_are_called_so(records: Any) -> None:
