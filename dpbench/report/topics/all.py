@@ -59,7 +59,7 @@ def build_topics(
         build_capability_topic(records, capability),
         build_formulations_topic(records, requirements),
         build_loops_topic(records, requirements) if loops else None,
-        build_race_topic(records) if replays else None,
+        build_race_topic(records, requirements) if replays else None,
         build_settings_topic(records, verdicts),
         build_routes_topic(records) if replays else None,
         build_levels_topic(records, requirements) if replays else None,

@@ -146,20 +146,24 @@ def _describe_right_levels(records: Records, requirements: Requirements) -> str:
     """Return a text on the tolerance levels with which each solver is right on every step."""
     good = find_right_levels_by_solver(records, requirements)
     by_default = [name for name, levels in good.items() if "default" in levels]
-    others = [
-        f"{name} at {join_with_and(levels)}"
-        for name, levels in good.items()
-        if levels and "default" not in levels
-    ]
+    tried = {run.solver for run in records.runs if run.settings == "default"}
+    others: dict[bool, list[str]] = {True: [], False: []}
+    for name, levels in good.items():
+        if levels and "default" not in levels:
+            others[name in tried].append(f"{name} at {join_with_and(levels)}")
     never = [name for name, levels in good.items() if not levels]
     unverified = _list_unverified_of_accurate(records, good)
     right = "First moves accurate on every step" if unverified else "Accurate on every step"
     if all(run.has_no_optimum for run in records.runs):
         right = "No step has a feasible point. Reported correctly on every step"
-    parts = [f"{right} with default settings: {join_with_and(by_default) or 'no solver'}"]
-    parts += [f"with other settings only: {', '.join(others)}"] if others else []
-    parts += [f"with no settings that were run: {join_with_and(never)}"] if never else []
-    text = "; ".join(parts) + "."
+    groups = {
+        "default settings": [join_with_and(by_default) or "no solver"] if tried else [],
+        "other settings only": others[True],
+        "their own settings (default not run)": others[False],
+        "no settings that were run": [join_with_and(never)] if never else [],
+    }
+    parts = [f"with {which}: {', '.join(named)}" for which, named in groups.items() if named]
+    text = f"{right} {'; '.join(parts)}."
     return f"{text} Solutions not verified: {'; '.join(unverified)}." if unverified else text
 
 
@@ -232,7 +236,7 @@ def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     )
 
 
-def build_race_topic(records: Records) -> Topic | None:
+def build_race_topic(records: Records, requirements: Requirements) -> Topic | None:
     """Return the report's part that compares two solvers by step; None unless just two ran."""
     if len(records.solvers) != 2:
         return None
@@ -259,6 +263,7 @@ def build_race_topic(records: Records) -> Topic | None:
     times = [f"{solver} {time}" for time in ("p50", "p99") for solver in (first, second)]
     head = ("sequence", "call mode", *times, "ratio (95 %)")
     leads = {
+        "Not accurate on every step: ": _list_inaccurate(replays, requirements),
         f"Step time of `{first}` over that of `{second}`: ": decided,
         "Without a ratio, as not interleaved: ": apart,
         "Not decided, as the machine was disturbed: ": disturbed,
@@ -267,6 +272,19 @@ def build_race_topic(records: Records) -> Topic | None:
     note = "Geometric mean of the paired ratios of all common steps."
     title = f"{first} against {second}"
     return Topic("race", title, (lead, note), (), (Table(head, tuple(rows)),))
+
+
+def _list_inaccurate(
+    replays: Sequence[tuple[TimedReplay, TimedReplay]], requirements: Requirements
+) -> list[str]:
+    """Return texts on the replays of two solvers that are not accurate on every step."""
+    return [
+        f"`{run.solver}` in `{run.sequence}` (largest error of the first move "
+        f"{format_error(run.error_move_max)})"
+        for pair in replays
+        for run, _ in pair
+        if run.caching_sign is None and not is_right_on_every_step(run, requirements)
+    ]
 
 
 def _compare_race(records: Records, first: TimedReplay, second: TimedReplay) -> tuple[str, str]:

@@ -72,7 +72,7 @@ def test_every_place_names_separate_commands_in_place_of_a_ratio(records: Any) -
     assert text in said["next"] and said["commands"].startswith(f"The solvers were {SEPARATE} on")
     written = make_report_markdown(report)
     assert text in written and "times as long" not in written
-    race = build_race_topic(records.view())
+    race = build_race_topic(records.view(), Requirements())
     assert race is not None
     assert race.tables[0].rows[0][-1] == SEPARATE and "without a ratio" in race.lines[0].lower()
 
@@ -96,9 +96,20 @@ def test_two_solvers_on_a_disturbed_machine_are_ranked_beyond_its_spread_alone(
     """The slower rounds take 1.155 times as long as the fastest, see `test_solver_tables`."""
     records.replay("osqp", median_us=20.0, spread=0.1, **state)
     records.replay("daqp", median_us=median_us, spread=0.1)
-    race = build_race_topic(records.view())
+    race = build_race_topic(records.view(), Requirements())
     assert race is not None and race.lines[0].startswith(lead)
     assert race.tables[0].rows[0][-1].endswith(end)
+
+
+def test_a_race_names_the_inaccurate_solver_before_the_ratio(records: Any) -> None:
+    records.replay("osqp", median_us=20.0, error=0.25)
+    records.replay("daqp", median_us=10.0)
+    race = build_race_topic(records.view(), Requirements())
+    assert race is not None
+    assert race.lines[0].startswith(
+        "Not accurate on every step: `osqp` in `paper` (largest error of the first move 0.25). "
+        "Step time of `osqp` over that of `daqp`: "
+    )
 
 
 def test_settings_within_a_disturbed_folder_have_the_finding_beside_the_interval(

@@ -146,3 +146,21 @@ def test_accurate_first_moves_without_verified_solutions_are_named(records: Any)
         "First moves accurate on every step with default settings: daqp and osqp. "
         "Solutions not verified: osqp at default in 49 of 600 steps."
     )
+
+
+def test_solvers_without_a_run_at_default_are_not_named_as_failing_there(records: Any) -> None:
+    records.replay("daqp", settings="high")
+    records.replay("osqp", settings="high", error=0.5)
+    records.replay("osqp", settings="polished")
+    topic = build_levels_topic(records.view(), REQUIREMENTS)
+    assert topic.lines[0] == (
+        "Accurate on every step with their own settings (default not run): daqp at high, "
+        "osqp at polished."
+    )
+    records.replay("scs", error=0.5)
+    records.replay("scs", settings="high")
+    topic = build_levels_topic(records.view(), REQUIREMENTS)
+    assert topic.lines[0] == (
+        "Accurate on every step with default settings: no solver; with other settings only: scs "
+        "at high; with their own settings (default not run): daqp at high, osqp at polished."
+    )
