@@ -141,13 +141,8 @@ def _list_solvers() -> RenderableType:
 
 def _describe_solver(name: str, *, with_options: bool = False) -> str:
     """Return a text on a solver: version, method, form, policies, tolerance levels and options."""
-    from dpbench.solvers.settings import describe_option_presets, list_option_names
-    from dpbench.solvers.table import (
-        find_solver_availability,
-        find_solver_record,
-        get_native_adapter,
-        get_qpsolvers_adapter,
-    )
+    from dpbench.solvers.settings import describe_option_presets, list_options_by_route
+    from dpbench.solvers.table import find_solver_availability, find_solver_record
 
     # Importing all libraries takes longer than all the rest.
     row, library = find_solver_record(name), find_solver_availability(name, imported=False)
@@ -158,10 +153,8 @@ def _describe_solver(name: str, *, with_options: bool = False) -> str:
         f"form {row.form}; {policies}",
         *describe_option_presets(name).splitlines(),
     ]
-    for route in row.routes if with_options and library.ok else ():
-        adapter = get_native_adapter(name) if route == "native" else get_qpsolvers_adapter(name)
-        options = list_option_names(adapter)
-        about.append(f"options, {route}: {', '.join(options or []) or 'none known'}")
+    for route, options in list_options_by_route(name).items() if with_options else ():
+        about.append(f"options, {route}: {', '.join(options) or 'none known'}")
     return format_heading_and_paragraphs(f"{name} {version}".rstrip(), about)
 
 

@@ -98,6 +98,7 @@ def _print_warning(
 
 
 _FUNCTIONS = {
+    re.compile(r'`list_solvers\(\)\.options\("(.+?)"\)`'): r"`dpbench list solvers \1`",
     re.compile(r"`list_(\w+)\(\)`"): r"`dpbench list \1`",
     re.compile(r"`run_campaign\(\)`"): "`dpbench run`",
     re.compile(r'`run_campaign\((\w+), scenarios=\["(.+?)"\]\)`'): (

@@ -2,6 +2,7 @@
 
 from dpbench.display import make_html_table
 from dpbench.scenario.problem_files import SEQUENCES, list_shipped_problem_names
+from dpbench.solvers.settings import list_options_by_route
 from dpbench.solvers.table import (
     find_solver_availability,
     find_solver_record,
@@ -13,6 +14,17 @@ _HEADS = ("solver", "version", "kind", "licence", "call modes")
 
 class SolverNames(list[str]):
     """Names of solvers, shown as a table: version, kind of method, licence and call modes."""
+
+    @staticmethod
+    def options(name: str) -> dict[str, list[str]]:
+        """Return the names of a solver's options by route; {} if it is not installed.
+
+        Examples
+        --------
+        >>> "rho" in list_solvers().options("osqp")["native"]
+        True
+        """
+        return list_options_by_route(name)
 
     def __repr__(self) -> str:
         rows = [_HEADS, *map(_describe_solver, self)]

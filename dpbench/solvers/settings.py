@@ -26,7 +26,12 @@ from dpbench.solvers.contract import (
     Range,
     Settings,
 )
-from dpbench.solvers.table import find_solver_record, get_native_adapter
+from dpbench.solvers.table import (
+    find_solver_availability,
+    find_solver_record,
+    get_native_adapter,
+    get_qpsolvers_adapter,
+)
 
 _NOUNS = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
 """Types of options, as allowed values in errors."""
@@ -69,6 +74,19 @@ def list_option_names(adapter: NativeAdapter | QpsolversAdapter) -> list[str] | 
     if adapter.make_settings is not None:
         return sorted(list_public_settings_attributes(adapter.make_settings()))
     return None
+
+
+def list_options_by_route(solver: str) -> dict[str, list[str]]:
+    """Return the option names of a solver by route; {} if its library is not installed."""
+    record = find_solver_record(solver)
+    if not find_solver_availability(solver, imported=False).ok:
+        return {}
+    options: dict[str, list[str]] = {}
+    for route in record.routes:
+        is_native = route == "native"
+        adapter = get_native_adapter(solver) if is_native else get_qpsolvers_adapter(solver)
+        options[route] = list_option_names(adapter) or []
+    return options
 
 
 def resolve_settings_with_fixed_options(settings: Settings, solver: str) -> Options:
@@ -185,7 +203,7 @@ def refuse_unknown_option_names(
     solver: str, settings: Mapping[str, object], known: Sequence[str]
 ) -> None:
     """Raise SettingsError for the first option name that the solver does not have."""
-    listing = f"dpbench list solvers {solver}"
+    listing = f'list_solvers().options("{solver}")'
     for name, value in settings.items():
         keys = [f"{name}.{member}" for member in value] if isinstance(value, Mapping) else [name]
         for key in keys:

@@ -1,5 +1,6 @@
 """The tolerance levels and the validation of a solver's own keys."""
 
+import re
 from contextlib import nullcontext
 from importlib import import_module
 
@@ -9,6 +10,7 @@ from scipy.sparse import csc_matrix
 
 from dpbench.cli.main import main
 from dpbench.errors import SettingsError
+from dpbench.notebook.names import list_solvers
 from dpbench.qp.program import QPStep
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
@@ -218,9 +220,11 @@ def test_an_unknown_key_is_refused(installed, key):
 def test_the_refusal_names_the_nearest_keys(solver, key, near):
     group, _, name = key.rpartition(".")
     settings = {group: {name: 1.0}} if group else {name: 1.0}
-    words = f"{key}: found an unknown option; allowed: .*{near}.*`dpbench list solvers {solver}`"
+    words = f"{key}: found an unknown option; allowed: .*{near}.*"
+    words += re.escape(f'`list_solvers().options("{solver}")`')
     with pytest.raises(SettingsError, match=words):
         open_workspace(solver, settings=settings)
+    assert all(near in " ".join(options) for options in list_solvers().options(solver).values())
 
 
 @pytest.mark.parametrize("route", ["native", "qpsolvers"])
