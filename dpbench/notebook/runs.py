@@ -261,18 +261,19 @@ class Run:
         return summarise_ships([ShipResult(run.scenario, run)])
 
     def _describe_control(self) -> dict[str, str]:
-        """Return a closed loop's position errors and number of fallbacks, as text by field name."""
+        """Return a closed loop's position errors, fallbacks and reference loop, by field name."""
         row = self.summary
         fallbacks = {"fallbacks": format_count(row["fallbacks"])} if self._is_closed_loop else {}
         if self.scenario is None:
             return fallbacks
         return {
-            "ship": " ".join(self._ship.lines),
             **fallbacks,
+            "position error, largest": f"{significant(row['r_max_m'])} m",
             "position error, rms": f"{significant(row['r_rms_m'])} m",
             "position error, second half": f"≤ {significant(row['r_tail_max_m'])} m",
             "settled into 0.1 m after": format_seconds(row["settle_0p1m_s"]),
-            "farthest from the exact loop": f"{significant(row['dev_position_max_m'])} m",
+            "farthest from the reference loop": f"{significant(row['dev_position_max_m'])} m",
+            "reference loop": " ".join(self._ship.lines),
         }
 
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import re
 import subprocess
 import sys
@@ -217,6 +218,9 @@ def test_html_is_plain_tables_with_the_numbers_of_the_run(loop: Run, replayed: R
         assert page.tags <= {"table", "caption", "tbody", "tr", "td"}
     cells = _Cells(loop._repr_html_()).cells
     assert cells[cells.index("failed steps") + 1] == str(loop.summary["failed_steps"])
+    largest = cells.index("position error, largest")
+    assert cells[largest + 1] == f"{math.hypot(1.2, 1.3):.3g} m"  # at the start
+    assert largest < cells.index("reference loop")
     assert "fallbacks" not in _Cells(replayed._repr_html_()).cells
 
 
