@@ -73,21 +73,15 @@ class ShipResult:
 
     @property
     def farther_loop(self) -> RunRecord | None:
-        """Accurate closed loop whose ship goes farthest off its station, much farther than here.
+        """Closed loop whose ship goes farthest off its station, much farther than here.
 
-        A loop with an inaccurate or failed step, or with a fallback, is not counted.
+        An accurate one where there is any.
         """
-        run, most_error = self.run, Requirements().error_move
+        run = self.run
         reach_m = np.nanmax([run.exact_offset_max_m, run.exact_transfer_offset_max_m, 0.0])
         limit_m = max(FARTHER * reach_m, run.station_radius_m)
-        far = [
-            loop
-            for loop in self.loops
-            if loop.r_max_m > limit_m
-            and loop.error_move_max <= most_error
-            and not (loop.failed_steps > 0 or loop.fallbacks > 0)
-        ]
-        return max(far, key=lambda loop: loop.r_max_m, default=None)
+        far = [loop for loop in self.loops if loop.r_max_m > limit_m]
+        return max(far, key=lambda loop: (is_accurate_loop(loop), loop.r_max_m), default=None)
 
     @property
     def has_transfer(self) -> bool:
@@ -142,6 +136,18 @@ class ShipResult:
         return is_near and run.exact_heading_end_deg <= HEADING_DEG
 
 
+def is_accurate_loop(loop: RunRecord) -> bool:
+    """Return whether a closed loop has no inaccurate or failed step, and no fallback."""
+    is_failed = loop.failed_steps > 0 or loop.fallbacks > 0
+    return loop.error_move_max <= Requirements().error_move and not is_failed
+
+
+def _is_loop_of_solver(run: RunRecord) -> bool:
+    """Return whether a run is a closed loop of a solver of scaled QPs without a slowdown."""
+    is_solver = not run.is_baseline_law and run.units == "scaled"
+    return run.mode == "closed_loop" and is_solver and not run.slowdown > 0.0
+
+
 def _is_sent_to_another_position(run: RunRecord) -> bool:
     """Return whether a run's scenario starts beyond the limits of the station at its setpoint."""
     scenario = (run.scenario_documents or {}).get("scenario", {})
@@ -174,7 +180,7 @@ def find_ship_results(records: Records) -> list[ShipResult]:
         ShipResult(
             _name_scenario_of_ship(run, several=len(tunings[run.study, run.scenario]) > 1),
             run,
-            tuple(one for one in own if one.mode == "closed_loop"),
+            tuple(filter(_is_loop_of_solver, own)),
         )
         for run, own in longest.items()
     ]

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
-from dpbench.analysis.verdict.ship_results import ShipResult
+from dpbench.analysis.verdict.ship_results import ShipResult, is_accurate_loop
 from dpbench.bench.run.exact_loop import HEADING_DEG
 from dpbench.report.formats import format_share, join_with_and, plural, significant
 from dpbench.report.ship.conditions_text import describe_conditions_of_ships
@@ -173,9 +173,11 @@ def _describe_departure(ship: ShipResult) -> str:
 
 
 def _format_farther_loop(ship: ShipResult) -> str:
-    """Return how far the ship of an accurate solver goes where that is much farther; or ""."""
-    loop = ship.farther_loop
-    return f" (with `{loop.solver}` up to {significant(loop.r_max_m)} m)" if loop else ""
+    """Return how far the ship of a solver goes where that is much farther; "" elsewhere."""
+    if (loop := ship.farther_loop) is None:
+        return ""
+    fails = "" if is_accurate_loop(loop) else ", which is inaccurate or fails there,"
+    return f" (with `{loop.solver}`{fails} up to {significant(loop.r_max_m)} m)"
 
 
 def describe_ship(ship: ShipResult) -> str:
@@ -411,7 +413,7 @@ def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
             f"The margin is small: the ship reaches {up_to}{share} of "
             f"the limits of its station in {_name_ships(near)}."
         )
-    if far := [ship for ship in kept if ship.farther_loop]:
+    if far := [s for s in kept if (loop := s.farther_loop) and is_accurate_loop(loop)]:
         parts = [f"{_locate_ship(ship)}{_format_farther_loop(ship)}" for ship in far[:MOST_NAMED]]
         parts += [f"{len(far) - MOST_NAMED} more"] if far[MOST_NAMED:] else []
         sentences.append(
