@@ -91,12 +91,6 @@ def _describe_counted_runs(runs: Sequence[RunRecord], records: Records) -> str:
     """Return a clause on the runs that a count includes and excludes; "" for nothing to name."""
     refused = sum(run.outcome == "refused" for run in runs)
     twice = len(runs) - len({run.measurement_key for run in runs})
-    verb = "is" if twice == 1 else "are"
-    equal = (
-        f"{plural(twice, 'run')} that {verb} listed twice, because two settings names stand for "
-        "the same settings"
-    )
-    included = [plural(refused, "refused run")] * bool(refused) + [equal] * bool(twice)
     apart = {
         "of consequence analyses": len(records.consequence),
         "at the edge of capability plots": len(records.at_edge),
@@ -104,10 +98,12 @@ def _describe_counted_runs(runs: Sequence[RunRecord], records: Records) -> str:
     excluded = [f"{plural(count, 'run')} {what}" for what, count in apart.items() if count]
     if calibration := len(records.calibration):
         excluded.append(plural(calibration, "calibration run"))
-    notes = [f". These include {', and '.join(included)}"] * bool(included)
-    notes += [f". {'They' if notes else 'These'} exclude {join_with_and(excluded)}"] * bool(
-        excluded
-    )
+    notes = [f". The total includes {plural(refused, 'refused run')}"] * bool(refused)
+    if twice:
+        verb = "counts" if twice == 1 else "count"
+        why = "because two settings names select the same settings"
+        notes.append(f". {plural(twice, 'run')} {verb} twice, {why}")
+    notes += [f". The total excludes {join_with_and(excluded)}"] * bool(excluded)
     return "".join(notes)
 
 

@@ -40,10 +40,10 @@ def name_core_and_precision(target: str, *, single: bool) -> str:
 
 NOTE = (
     "Median, p99 and maximum: instructions per step. Iterations and active limits are those of the "
-    "worst step. Code includes constants; static includes the heap. Error: largest error of "
-    "the first move, in maximum increments. On this machine: the same steps through the native "
-    "interface at default settings, with a warm start where supported; solvers whose C code runs "
-    "at other settings have no rank."
+    "step with the maximum. Code includes constants; static includes the heap. Error: largest "
+    "error of the first move, in maximum increments. On this machine: the same steps through the "
+    "native interface at default settings, with a warm start where supported; solvers whose C code "
+    "runs at other settings have no rank."
 )
 """Meaning of the columns of the table of counts."""
 
@@ -128,7 +128,8 @@ def list_embedded_cost_sentences(
     share = format_sample_share(worst_ns / requirements.deadline_ns)
     of_deadline = f", {share} of the {describe_deadline(requirements)}"
     return [
-        f"On {core}, `{solver}` executes at most {format_count(one.worst)} instructions per step "
+        f"Compiled for {core} and run in an emulator, `{solver}` executes at most "
+        f"{format_count(one.worst)} instructions per step "
         f"({describe_range_of_steps(sequence.sequence)}). They take {format_time(worst_ns)} at "
         f"an assumed {CYCLES:g} cycle per instruction and {CLOCK_MHZ:g} MHz"
         f"{of_deadline * requirements.judges_step_times}.",
@@ -175,12 +176,13 @@ def describe_cheapest_solver(sequence: CountedSequence, requirements: Requiremen
     if not right:
         return f"No counted solver stays within the required error in {where}."
     first, *others = right
-    following = ""
+    following = of_ranked = ""
     if others:
+        of_ranked = f"Of the {len(right)} accurate solvers, "
         p99, worst = format_count(others[0].p99), format_count(others[0].worst)
         following = f", followed by `{others[0].solver}` ({p99} and {worst})"
     return (
-        f"`{first.solver}` executes the fewest instructions in {where} (p99 "
+        f"{of_ranked}`{first.solver}` executes the fewest instructions in {where} (p99 "
         f"{format_count(first.p99)} per step, maximum {format_count(first.worst)}){following}."
     )
 

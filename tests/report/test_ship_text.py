@@ -530,13 +530,13 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     )
     assert text.endswith(
         "In `turn`, the ship is up to 17.0 m from the new setpoint during the approach and on "
-        "station from 73.8 s."
+        "station from 73.8 s after the start."
     )
     farther = {"exact_transfer_offset_max_m": 25.0, "exact_transfer_s": 40.2}
     records.loop("daqp", "move", **TURN | farther)
     assert (
         "In `turn` and `move`, the ship is up to 25.0 m from the new setpoint during the approach "
-        "and on station from 73.8 s at the latest."
+        "and on station from 73.8 s after the start at the latest."
     ) in _summary(records).text
 
 
@@ -556,7 +556,7 @@ def test_the_line_of_a_ship_after_a_transfer_states_both_offsets(records: Any) -
     (ship,) = find_ship_results(records.view())
     assert describe_ship(ship).startswith(
         "`turn`: up to 17.0 m from the new setpoint during the approach and on station from "
-        "73.8 s; largest offset after it 0.831 m at 104 s, last 0.0400 m; "
+        "73.8 s after the start; largest offset after it 0.831 m at 104 s, last 0.0400 m; "
     )
 
 

@@ -190,13 +190,14 @@ class RunMatrix:
         """Return how much slower a computer may be for a configuration; None if not timed."""
         return compute_speed_margins(self.records, self.requirements).get(configuration)
 
-    def count_infeasible_steps(self, configuration: Configuration) -> tuple[int, bool]:
-        """Return a configuration's number of infeasible QPs, and whether all were reported."""
+    def count_infeasible_steps(self, configuration: Configuration) -> tuple[int, list[str], bool]:
+        """Return how many QPs of a configuration are infeasible, where, and if it reports all."""
         judged = self._list_judged_runs(configuration)
         known = [run for _, run in judged if run.infeasible_steps > 0]
         # A replay counts a step in each of its rounds.
         steps = sum(round(run.infeasible_steps / max(1.0, run.rounds)) for run in known)
-        return steps, all(run.true_share == 1.0 for run in known)
+        names = list(dict.fromkeys(run.scenario or run.sequence for run in known))
+        return steps, names, all(run.true_share == 1.0 for run in known)
 
     def _list_judged_runs(self, configuration: Configuration) -> list[tuple[Experiment, RunRecord]]:
         """Return a configuration's runs that enter verdicts, with their scenario or replay."""

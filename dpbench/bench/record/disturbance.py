@@ -144,7 +144,7 @@ class Disturbance:
                 f"{100 * self.steal_share:.1f} % of the time stolen by the host"
             )
         if self.switches_per_s > MAX_SWITCHES_PER_S:
-            lines[f"{MAX_SWITCHES_PER_S:g} context switches per second"] = (
+            lines[f"{MAX_SWITCHES_PER_S:g} involuntary context switches per second"] = (
                 f"{self.switches_per_s:.0f} involuntary context switches per second"
             )
         if self.throttled > 0:

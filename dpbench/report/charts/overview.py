@@ -133,10 +133,11 @@ _LEGEND = {
 _LEGEND_COLUMNS = alt.ExprRef("narrow ? 1 : 3")
 """Three legends are side by side on a phone."""
 _FIGURES = (
-    "verdict:N",
-    style.tooltip("off:N", style.ERROR),
+    style.tooltip("verdict:N", "overall verdict"),
+    style.tooltip("off:N", f"{style.ERROR}, in all replays"),
     style.tooltip("p50_us:Q", "p50 [µs]"),
     style.tooltip("p99_us:Q", "p99 [µs]"),
+    style.tooltip("timed_on:N", "times in the replay of"),
 )
 
 
@@ -274,7 +275,7 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
     return style.set_style(
         alt.layer(*parts, width=560, height=alt.Step(style.ROW_STEP["wide"])),
         "Step times and deadline" if isfinite(deadline_ms) else "Step times",
-        "Step times of each solver (median, p99 and largest) against the deadline.",
+        "Step times of each solver (p50, limiting p99 and longest step) against the deadline.",
     )
 
 
@@ -302,7 +303,7 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
         style.tooltip("now:N", "verdict at this slowdown"),
         *(style.tooltip(f"{name}:Q", f"{title} [ms]", 3) for name, title in times),
         style.tooltip("replayed:N", "p99 of the replay, as measured [ms]"),
-        style.tooltip("single:N", "p99 of single timings in the replay [ms]"),
+        style.tooltip("single:N", "p99 of single timings in the replay, as measured [ms]"),
         style.tooltip("timing:N", "largest single timing [ms]"),
         style.tooltip("allowed:N", ALLOWED),
     ]

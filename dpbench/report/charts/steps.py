@@ -145,5 +145,6 @@ def draw_step_pairs(first: str, second: str) -> Any:
     return style.set_style(
         alt.layer(dots, ends, width=330, height=330),
         "Two configurations, step by step [µs]",
-        "Step times of two configurations against each other; below the line the second is faster.",
+        "Step times of two configurations against each other; below the line, the "
+        "one on the vertical axis is faster.",
     )

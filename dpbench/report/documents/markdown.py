@@ -71,7 +71,8 @@ MARGINS = ("limiting p99", "speed margin")
 """Columns that are left out where lateness is not judged."""
 CALL_MODES = (
     "Call modes: fresh sets up the solver at every step, reuse keeps its workspace, and warm also "
-    "starts from its last solution."
+    "starts from its last solution. Settings are `default` unless named. Route `native` is the "
+    "solver's own interface, `qpsolvers` the Python package."
 )
 SINGLE_TIMINGS = "The p99 of single timings includes interference from other work."
 FEW_STEPS = "A p99 of step times needs at least 1 000 steps; a dash marks a shorter replay."
@@ -244,11 +245,14 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
     scaled = (
         " after each is scaled up to the iterations of the closed loop in its scenario"
     ) * is_scaled
+    step = ", scaled up in the same way" * any(
+        m.hardest.run.untimed_iterations_max > 1 for m in margins
+    )
     return (
         f"The limiting p99 is the largest p99 of all replays and windows{scaled}. If there is no "
         "p99, the longest step is used. Speed margin: factor by which the computer may be slower, "
         f"the smaller of {requirements.p99_ms:g} ms divided by the limiting p99 and "
-        f"{requirements.deadline_ms:g} ms divided by the longest step, rounded down."
+        f"{requirements.deadline_ms:g} ms divided by the longest step{step}; rounded down."
     )
 
 

@@ -316,7 +316,7 @@ LABELS = {
     "iterations_max": "most iterations",
     "r_rms_m": "radial error, RMS [m]",
     "r_max_m": "radial error, largest [m]",
-    "settle_s": "settling time [s]",
+    "settle_s": "settling time (1 m, 1°) [s]",
     "dev_position_max_m": "deviation, largest [m]",
     "closed_loop_cost": "closed-loop cost",
     "exact_cost": "cost of reference loop",
@@ -358,7 +358,8 @@ def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
     A window of hardest steps leads to its closed loop, if the page has that.
     """
     runs = runs.iloc[:MOST_ROWS]
-    runs = runs.assign(scaled_p99_ns=_compute_scaled_p99_ns(data, runs))
+    slowdown = runs["slowdown"].replace(0.0, np.nan)  # 0 stands for this machine
+    runs = runs.assign(scaled_p99_ns=_compute_scaled_p99_ns(data, runs), slowdown=slowdown)
     by_id = {run.run_id: key for key, run in data.runs.items()}
     keys = [by_id.get(str(run_id)) for run_id in runs["run_id"]]
     of_windows = {

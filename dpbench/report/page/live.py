@@ -68,8 +68,9 @@ def _explain_step_times(data: PageData) -> str:
         "Step time of each solver in the replays and windows of hardest steps. Marker: p50 in the "
         f"replay of {replay}{which}; bar: up to the limiting p99; line: up to the longest step; "
         "dashed line: up to the largest single timing, closed loops included. Grey bar: call "
-        "overhead, measured with a reference call that only copies its data; it ends at the p50 "
-        "if that is smaller. Below 5 µs, differences may be due to the bindings, not the methods."
+        "overhead, measured with a reference call that only copies its data; it is cut "
+        "at the p50 if the overhead exceeds the p50. Below 5 µs, differences may be due to "
+        "the bindings, not the methods."
         f"{more}"
     )
 
@@ -95,8 +96,9 @@ MATRIX = (
 )
 FURTHER = (
     "Borderline: a time is above or below its limit by less than the rounds differ from "
-    "each other. Inconclusive: no violation is shown, but a run was not made or could not "
-    "be measured, or a step may be late. The verdict on a closed loop includes the timing of its "
+    "each other. Inconclusive: no violation is shown, but a run is missing or could not be "
+    "measured, a step may be late, or steps that were not timed may exceed a time limit. The "
+    "verdict on a closed loop includes the timing of its "
     "window of hardest steps."
 )
 
@@ -219,26 +221,27 @@ def _explain_accuracy(data: PageData) -> str:
         return ""
     usual, *others = points["timed_on"].value_counts().index
     exceptions = [
-        f"; for {join_with_and(_mark_names(points['solver'][points['timed_on'] == names]))}, it is "
-        f"{_name_timed_replays(names)}{_explain_other_replays(points, names, usual)}"
+        f" {_explain_other_replays(points, names, usual)}{_name_timed_replays(names)}."
         for names in others
     ]
     replays = len(data.records.sequences)
     where = f" in {'both' if replays == 2 else f'all {replays}'} replays" if replays > 1 else ""
     return (
         f"Largest error of each solver{where} against its step time, in the call mode of the "
-        f"first figure. The step time is {_name_timed_replays(usual)}{''.join(exceptions)}. Fill: "
+        f"first figure. The step time is {_name_timed_replays(usual)}.{''.join(exceptions)} Fill: "
         "overall verdict. Dashed line: largest error allowed."
     )
 
 
 def _explain_other_replays(points: pd.DataFrame, names: str, usual: str) -> str:
-    """Return why solvers are timed on other replays than usual, if these give them no p99."""
+    """Return up to its verb a sentence on solvers timed on other replays than usual, and why."""
+    solvers = join_with_and(_mark_names(points["solver"][points["timed_on"] == names]))
+    time = f"For {solvers}, the step time is "
     has_p99 = points["p99_us"].notna()
     if has_p99[points["timed_on"] == names].any() or not has_p99[points["timed_on"] == usual].all():
-        return ""
+        return time
     replays = join_with_and([describe_range_of_steps(name) for name in usual.split("; ")])
-    return f", as it completed too few steps of {replays} for a p99"
+    return f"{solvers} completed too few steps of {replays} for a p99; the step time is "
 
 
 def _mark_names(names: Iterable[str]) -> list[str]:

@@ -256,10 +256,15 @@ def _describe_unverified_steps(data: PageData, c: Configuration) -> str:
 
 def _describe_infeasible_steps(data: PageData, c: Configuration) -> str:
     """Return how many QPs have no solution, and if the solver reported it; "" for none."""
-    steps, is_reported = data.count_infeasible_steps(c)
+    steps, names, is_reported = data.count_infeasible_steps(c)
     reported = ", which the solver reported correctly" if is_reported else ""
     has = "has" if steps == 1 else "have"
-    return f" {plural(steps, 'step')} {has} no feasible solution{reported}." if steps else ""
+    where = join_with_and([f"`{name}`" for name in names])
+    return (
+        f" {plural(steps, 'step')} of {where} {has} no feasible solution{reported}."
+        if steps
+        else ""
+    )
 
 
 def _explain_no_choice(data: PageData, found: SolverChoice) -> str:
@@ -381,7 +386,7 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
     return [
         f"{opening[0].upper()}{opening[1:]} may be up to "
         f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this machine"
-        f"{also}. At that slowdown, {_describe_margin_limit(margin, requirements, time)}.",
+        f"{also}. {_describe_margin_limit(margin, requirements, time)}",
         *_list_limiting_steps(data, margin, time),
         *_yield_longest_timing(data, chosen.configuration),
         *_yield_untimed_loops_sentences(data),
@@ -389,21 +394,25 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
 
 
 def _describe_margin_limit(margin: SpeedMargin, requirements: Requirements, time: str) -> str:
-    """Return in words which time of a solver first reaches its limit on a slower computer."""
+    """Return a sentence on the time of a solver that first reaches its limit as it slows down."""
+    here = "on this machine"
     if margin.deadline < margin.p99_limit:
         longest, deadline = format_time(margin.longest_ns), f"{requirements.deadline_ms:g} ms"
         if margin.hardest.run.untimed_iterations_max > 1.0:
-            scaled = f"that of `{margin.hardest.run.scenario}` scaled up to the iterations of its"
-            return (
-                f"the longest step reaches the deadline of {deadline}: {longest} here, {scaled} "
-                "closed loop"
-            )
-        return f"the longest step of {longest} reaches the deadline of {deadline}"
+            here += _name_scaling(margin.hardest.run.scenario)
+        return (
+            f"The longest step takes {longest} {here}; at that slowdown, it reaches the "
+            f"deadline of {deadline}."
+        )
     bound, limit = format_time(margin.limiting_p99_ns), f"{requirements.p99_ms:g} ms"
     if margin.p99.run.untimed_iterations > 1.0:
-        scaled = f"the p99 of `{margin.p99.run.scenario}` scaled up to the iterations of its"
-        return f"the {time} reaches the limit of {limit}: {bound} here, {scaled} closed loop"
-    return f"the {time} of {bound} reaches the limit of {limit}"
+        here += _name_scaling(margin.p99.run.scenario)
+    return f"The {time} is {bound} {here}; at that slowdown, it reaches the p99 limit of {limit}."
+
+
+def _name_scaling(scenario: str) -> str:
+    """Return in brackets the scenario to whose closed loop a time is scaled up."""
+    return f" (`{scenario}`, scaled up to the iterations of the closed loop)"
 
 
 def _list_limiting_steps(data: PageData, margin: SpeedMargin, time: str) -> list[str]:
@@ -416,7 +425,7 @@ def _list_limiting_steps(data: PageData, margin: SpeedMargin, time: str) -> list
     )
     first, second = f"The {time} is {p99}", ""
     if margin.p99.run.untimed_iterations > 1.0:
-        first = f"Before scaling, the p99 is {p99}"
+        first = f"Before scaling, the {time} is {p99}"
         second = (
             f". Scaled up to the iterations of the closed loop, the {time} is "
             f"{format_time(margin.limiting_p99_ns)}"

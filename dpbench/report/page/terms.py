@@ -9,7 +9,7 @@ from markupsafe import Markup, escape
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.run_matrix import Experiment
-from dpbench.report.formats import format_share
+from dpbench.report.formats import format_share, plural
 from dpbench.report.page.data import PageData
 from dpbench.report.words import term_meanings, topics
 
@@ -161,7 +161,7 @@ def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -
     if scenario.true_ship.drag is not None:
         parts.append(DRAG_MISMATCH)
     if experiment.mode == "replay":
-        parts.append(_describe_replay(data, run))
+        parts.append(_describe_replay(data, run, scenario.steps))
     if experiment.units == "si":
         parts.append(
             "Here in SI units (N, N·m), unscaled; these runs do not count towards the overall "
@@ -174,12 +174,20 @@ def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -
     return " ".join(parts).replace("`", "")
 
 
-def _describe_replay(data: PageData, run: RunRecord) -> str:
+def _describe_replay(data: PageData, run: RunRecord, loop_steps: int) -> str:
     """Return as text which steps of a loop are replayed, and the share with active limits."""
-    first = run.first_step
-    window = f"steps {first} to {first + run.steps_planned - 1} of " if "[" in run.sequence else ""
+    first, window, loop = run.first_step, "", "reference loop"
+    loops = [one for one in data.records.runs if one.mode == "closed_loop"]
+    controlled = max((o.steps_planned for o in loops if o.scenario == run.scenario), default=0)
+    if "[" in run.sequence:
+        window = f"steps {first} to {first + run.steps_planned - 1} of "
+    if 0 < controlled <= first:
+        loop = (
+            f"reference loop of {plural(loop_steps, 'step')}, beyond the closed loops (steps 0 to "
+            f"{controlled - 1})"
+        )
     kept = data.thinned_runs.get(run.run_id)
     if kept is None:
-        return f"Replay of {window}its reference loop."
+        return f"Replay of {window}its {loop}."
     share = format_share(float(np.mean(kept.steps.n_active > 0)))
-    return f"Replay of {window}its reference loop; limits are active in {share} of the steps."
+    return f"Replay of {window}its {loop}; limits are active in {share} of the steps."

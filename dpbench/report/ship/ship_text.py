@@ -211,7 +211,7 @@ def _describe_arrival(moved: Sequence[ShipResult]) -> str:
     latest = " at the latest" if len(moved) > 1 else ""
     return (
         f"up to {significant(off_m)} m from the new setpoint during the approach and on station "
-        f"from {significant(last_s)} s{latest}"
+        f"from {significant(last_s)} s after the start{latest}"
     )
 
 

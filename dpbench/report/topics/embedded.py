@@ -16,13 +16,13 @@ from dpbench.report.embedded_text import (
     yield_uncounted_loops_sentences,
     yield_uncounted_sentences,
 )
-from dpbench.report.formats import MISSING, Table, format_count, format_error, format_time
+from dpbench.report.formats import MISSING, Table, format_count, format_error, format_time, plural
 from dpbench.report.page.section import Topic
 
 WORST = "The maximum holds for these steps only."
 TABLE = "Instructions per step, memory and error"
 LABELS = {
-    "k": "worst step, k",
+    "k": "step k of the maximum",
     "worst": "maximum",
     "active": "active limits",
     "code": "code [bytes]",
@@ -46,7 +46,12 @@ def build_embedded_topic(results: EmbeddedResults, requirements: Requirements) -
     ]
     lines += yield_uncounted_loops_sentences(results)
     lines += yield_uncounted_sentences(results.not_counted)
-    note = f"{NOTE} Compiled by {', '.join(compilers)} with -O2. {WORST} {CAVEAT}"
+    fewest = min((group.steps for group in results.sequences), default=0)
+    rough = (
+        f"Over {fewest} steps, a p99 is a rough estimate, as at most "
+        f"{plural(fewest // 100, 'step')} can exceed it. "
+    ) * (0 < fewest < 1000)
+    note = f"{NOTE} {rough}Compiled by {', '.join(compilers)} with -O2. {WORST} {CAVEAT}"
     looks: dict[str, Any] = {"text_columns": 3, "folded": True, "labels": LABELS}
     tables = (Table.from_rows(rows, TABLE, note=note, **looks),) if rows else ()
     return Topic("embedded", TITLE, tuple(lines), tables=tables)

@@ -134,10 +134,10 @@ def _make_stability_table(records: Records, designs: Designs) -> Table:
         "Stability of the controller",
         "A controller is stable if all eigenvalues λ of its closed loop without active limits have "
         "|λ| < 1. A name such as `paper 30/5` gives the tuning, the "
-        "prediction horizon and the control horizon. "
-        f"{_name_scenarios_of_controllers(designs)} Each range goes from the largest initial sway "
-        "offset from which the ship returned to the smallest from which it did not; ≥ precedes the "
-        "largest offset tested. The weather of the last column is that of scenario "
+        "prediction horizon and the control horizon (both in steps). "
+        f"{_name_scenarios_of_controllers(designs)} Each range gives the largest initial sway "
+        "offset from which the ship returned and the smallest from which it did not; ≥ precedes "
+        "the largest offset tested. The weather of the last column is that of scenario "
         f"`{WEATHER}`{absent}: moderate, and building up over the first minute.",
         folded=True,
         labels={

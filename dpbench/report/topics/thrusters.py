@@ -89,9 +89,10 @@ def _describe_thruster_load(
     names = join_with_and([f"`{name}`" for name in sorted(best)])
     all_runs = " of all these scenarios" * (len(best) > 1)
     return (
-        f"Of all closed loops of `{hardest.scenario}`, the one nearest to the reference loop has "
-        "at least one thruster at the limit of its thrust, as applied and not as planned, in "
-        f"{100.0 * hardest.at_limit_thrusters:.0f} % of the {plural(hardest.steps_done, 'step')}. "
+        f"In the closed loop of `{hardest.scenario}` with `{hardest.solver}`, the one nearest to "
+        "the reference loop, the applied (not the planned) thrust of at least one thruster is at "
+        f"its limit in {100.0 * hardest.at_limit_thrusters:.0f} % of the "
+        f"{plural(hardest.steps_done, 'step')}. "
         f"{whole} of the {plural(len(configurations), 'configuration')} run in {names} "
         f"{'is' if whole == 1 else 'are'} accurate on every step{all_runs}."
     )

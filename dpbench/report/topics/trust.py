@@ -114,7 +114,7 @@ def _describe_machine_load(records: Records, timed: Sequence[RunRecord]) -> str:
     return (
         f"Over all replays{windows}, the machine was quiet: "
         f"{_describe_disturbed_rounds(disturbance)}.{_describe_worse_replays(records, timed)} "
-        f"Closed loops are not included.{_describe_hidden(records.machine)}"
+        f"These counts do not include closed loops.{_describe_hidden(records.machine)}"
     )
 
 

@@ -297,7 +297,8 @@ def describe_usual_time(verdict: Verdict) -> str:
         steps = f"the {plural(searched, 'step')} of `{verdict.p99_run.scenario}`"
         if searched < LEAST_STRETCH:
             return f"{name} is {time}, over {steps}"
-        found = "from the hardest of them, without an interval"
+        window = plural(verdict.p99_run.steps_planned, "step")
+        found = f"from a window of {window}; there is no confidence interval"
         return f"{name} is {time}, estimated for {steps} {found}"
     interval = describe_p99_interval(verdict)
     return f"largest p99 step time is {time}{interval}, in {name_experiment(verdict.p99_run)}"
@@ -426,11 +427,7 @@ def _describe_spread(compared: PairedComparison) -> str:
 def describe_short_times(records: Records, compared: Sequence[Verdict]) -> str:
     """Return a caution on compared times below those by which the timing was checked; or ""."""
     shortest_ns = find_shortest_wait_ns(records.calibration)
-    short = [
-        f"of {verdict.configuration.marked_label}, {format_time(verdict.p50_ns)},"
-        for verdict in compared
-        if verdict.p50_ns < shortest_ns
-    ]
+    short = [verdict for verdict in compared if verdict.p50_ns < shortest_ns]
     if not short:
         return ""
     differences = (
@@ -438,8 +435,11 @@ def describe_short_times(records: Records, compared: Sequence[Verdict]) -> str:
         if len(short) == len(compared) > 1
         else ""
     )
+    names = join_with_and([verdict.configuration.marked_label for verdict in short])
+    times = join_with_and([format_time(verdict.p50_ns) for verdict in short])
+    what, are = ("The p50", "is") if len(short) == 1 else ("The p50 values", "are")
     return (
-        f"The p50 {join_with_and(short)} {'is' if len(short) == 1 else 'are'} below "
+        f"{what} of {names}, {times}, {are} below "
         f"{shortest_ns / 1e3:g} µs, the shortest time for which the timing was checked."
         f"{differences}"
     )

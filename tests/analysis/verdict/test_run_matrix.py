@@ -255,13 +255,13 @@ def test_infeasible_steps_count_once(records: Any, reported: float, all_reported
     records.sea("daqp", 0, 1, {"hs_m": 1.0}, infeasible_steps=7, true_share=0.5)
     records.loop("scs", infeasible_steps=7, true_share=0.5)
     matrix = _matrix(records, kept=1)
-    assert matrix.count_infeasible_steps(matrix.configurations[0]) == (10, all_reported)
+    assert matrix.count_infeasible_steps(matrix.configurations[0]) == (10, ["paper"], all_reported)
 
 
 def test_one_step_without_a_solution_counts(records: Any) -> None:
     records.loop("daqp", infeasible_steps=1, rounds=0, true_share=0.5)
     matrix = _matrix(records)
-    assert matrix.count_infeasible_steps(matrix.configurations[0]) == (1, False)
+    assert matrix.count_infeasible_steps(matrix.configurations[0]) == (1, ["paper"], False)
 
 
 def test_the_index_of_a_configuration(records: Any) -> None:

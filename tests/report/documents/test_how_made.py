@@ -64,8 +64,8 @@ def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> N
     made = _paragraph(make_report_markdown(Report.from_results(records.results())))
     assert "3 runs with" in made
     assert (
-        "These include 1 run that is listed twice, because two settings names stand for the same "
-        "settings. They exclude 1 run of consequence analyses. Solvers: "
+        "1 run counts twice, because two settings names select the same settings. The total "
+        "excludes 1 run of consequence analyses. Solvers: "
     ) in made
 
 

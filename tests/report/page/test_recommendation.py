@@ -130,8 +130,8 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
     [
         (
             450,
-            "largest p99 step time is {}, estimated for the 450 steps of `paper` from the hardest "
-            "of them, without an interval",
+            "largest p99 step time is {}, estimated for the 450 steps of `paper` from a "
+            "window of 15 steps; there is no confidence interval",
         ),
         (60, "longest step time is {}, over the 60 steps of `paper`"),
     ],
@@ -694,13 +694,17 @@ def test_steps_without_a_solution_are_said(records: Any) -> None:
     records.loop("daqp", "thruster_loss_hard", infeasible_steps=40, units="si")
     records.replay("daqp")
     output = (
-        "maximum increment. 3 steps have no feasible solution, which the solver reported correctly."
+        "maximum increment. 3 steps of `thruster_loss_hard` have no feasible solution, which the "
+        "solver reported correctly."
     )
     assert output in _answer(records).accuracy
     records.replay("daqp", "thruster_loss_hard", infeasible_steps=6, rounds=3, true_share=0.99)
-    assert " 5 steps have no feasible solution." in _answer(records).accuracy
+    assert (
+        " 5 steps of `thruster_loss_hard` have no feasible solution." in _answer(records).accuracy
+    )
     records.loop("osqp")
-    assert _facts(records).count_infeasible_steps(_facts(records).configurations[-1]) == (0, True)
+    facts = _facts(records)
+    assert facts.count_infeasible_steps(facts.configurations[-1]) == (0, [], True)
 
 
 def test_without_a_feasible_step_nothing_is_recommended(records: Any) -> None:
@@ -741,7 +745,7 @@ def test_compared_times_below_checked_waits_are_named(records: Any) -> None:
     notes = [about for about, _ in _answer(records).notes]
     assert notes.index("checked") == notes.index("next") + 1
     assert dict(_answer(records).notes)["checked"] == (
-        "The p50 of `daqp` (qpsolvers fresh), 9.00 µs, and of `quadprog` (qpsolvers fresh), "
+        "The p50 values of `daqp` (qpsolvers fresh) and `quadprog` (qpsolvers fresh), 9.00 µs and "
         "12.0 µs, are below 20 µs, the shortest time for which the timing was checked. "
         "Differences between such times may be due to the bindings, not the methods."
     )

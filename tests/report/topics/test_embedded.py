@@ -75,7 +75,8 @@ def test_the_topic_names_the_disagreement(judged: MadeRecords) -> None:
     report = Report.from_results(judged.results(), counted=counts())
     (topic,) = (topic for topic in report.topics if topic.id == "embedded")
     assert topic.lines[0].startswith(
-        "`daqp` executes the fewest instructions in steps 0 to 199 of `paper` on"
+        "Of the 2 accurate solvers, `daqp` executes the fewest instructions in "
+        "steps 0 to 199 of `paper` on"
     )
     (line,) = (line for line in topic.lines if "rank solvers differently" in line)
     assert "`daqp` executes fewer instructions than `quadprog`" in line

@@ -91,9 +91,17 @@ def test_claims_on_a_law_follow_its_row(records: Any, columns: dict[str, Any], c
 @pytest.mark.parametrize(
     ("outside", "says"),
     [
-        (range(0), "within 1 m from the start; largest error then 0.700 m"),
-        (range(34), "enters the 1 m circle at 10.2 s and stays; largest error then 0.700 m"),
-        ([0, 3, 500], "enters the 1 m circle at 150 s and stays; largest error then 0.700 m"),
+        (range(0), "within 1 m from the start; largest radial error after that 0.700 m"),
+        (
+            range(34),
+            "enters the 1 m circle at 10.2 s and stays in it; largest radial error after that "
+            "0.700 m",
+        ),
+        (
+            [0, 3, 500],
+            "enters the 1 m circle at 150 s and stays in it; largest radial error after that "
+            "0.700 m",
+        ),
         ([0, WHOLE - 1], "outside 1 m at the end"),
     ],
 )

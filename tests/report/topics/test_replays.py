@@ -121,7 +121,7 @@ def test_what_the_machine_hides_is_said(records: Any) -> None:
     )
     assert (
         "quiet: 2 of 3 rounds were repeated because other work disturbed them, and none remained "
-        "disturbed (0 %, limit 5 %). Closed loops are not included." in quiet
+        "disturbed (0 %, limit 5 %). These counts do not include closed loops." in quiet
     )
     assert quiet.endswith("The machine reports neither its frequency governor nor throttling.")
 

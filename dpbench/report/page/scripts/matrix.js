@@ -19,7 +19,7 @@ function tiles() {
 function drawSelected() {
   const run = cell(state.c, state.p), link = document.createElement("a");
   link.href = "#one";
-  link.textContent = "All steps";
+  link.textContent = "Show its steps";
   link.addEventListener("click", (event) => { event.preventDefault(); go("one"); });
   $("matrix-said").replaceChildren(...coded(!run ? `${marked(state.c)} was not run in \`${facts.experiments[state.p].label}\`.`
     : `${verdictOf(run, marked(state.c))}${unverifiedOf(run) ? `, although ${unverifiedOf(run)}` : wrongOf(run) && `: ${wrongOf(run)}`}.`), " ", link);

@@ -109,7 +109,7 @@ function resultOf(run) {
       unverified ? "" : wrongOf(run) ? `; ${wrongOf(run)}` : all}.`,
     unverified && `${unverified[0].toUpperCase()}${unverified.slice(1)}.`,
     largestErrorOf(run),
-    run.off_m === null ? "" : `At the start of a step, the ship was up to ${figure(run.off_m)} m off the reference loop and ${figure(run.setpoint_m)} m off its setpoint.`,
+    run.off_m === null ? "" : `At the start of a step, the ship is up to ${figure(run.off_m)} m from its position in the reference loop and ${figure(run.setpoint_m)} m from its setpoint.`,
     run.infeasible > 0 ? `${grouped(run.infeasible)} of the steps have no feasible solution${run.all_true ? ", which the solver reported correctly" : ""}.` : "",
     run.why && run.verdict !== "pass" ? `${run.outcome === "finished" ? "Messages of the solver" : `Outcome \`${run.outcome}\``}: ${run.why}.` : "",
   ].filter(Boolean).join(" ");
@@ -121,8 +121,8 @@ async function drawOne() {
   drawChoice();
   $("one-title").textContent = label(state.c);
   $("one-call").textContent = C().call[state.c];
-  // That of the answer stands there.
-  $("one-call").parentElement.hidden = $("one-call").textContent === $("paste-1")?.textContent;
+  // That of the answer stands there; a refused call mode has none.
+  $("one-call").parentElement.hidden = run?.outcome === "refused" || $("one-call").textContent === $("paste-1")?.textContent;
   if (!run) {
     text.replaceChildren(...coded(notKept() ?? `Not run in \`${facts.experiments[state.p].label}\`${C().verdict[state.c] === "not run" ? `: ${C().why[state.c]}` : ""}.`));
     for (const id of ["hard", "figure-strips", "strips-said", "step", "ship"]) $(id).hidden = true;
@@ -142,7 +142,7 @@ async function drawOne() {
   $("figure-strips").hidden = $("strips-said").hidden = !drawn;
   $("strips-time").textContent = facts.experiments[state.p].mode === "replay"
     ? "Dot: fastest round that counts; grey line: up to the largest timing. A replay has no plant, so no ship is shown."
-    : "Dot: one step, timed once, while other runs used the machine. Compare times in replays only.";
+    : "Dot: one step, timed once, while other runs used the machine. Compare times in replays and windows only.";
   const thinned = drawn && facts.arrays[run.t][4] !== undefined;
   $("strips-kept").hidden = !thinned;
   if (thinned) $("strips-kept").replaceChildren(...coded(

@@ -109,10 +109,13 @@ function captionOf(rows, second) {
 // A caution on the p50 of two compared configurations below the shortest time that was checked, or "".
 function shortTimes(first, second) {
   const { shortest } = facts.paired, short = [first, second].filter((c) => C().p50[c] !== null && C().p50[c] < shortest);
-  return short.length === 0 ? "" : ` The p50 ${short.map((c) => `of ${marked(c)}, ${time(C().p50[c])},`).join(" and ")} ${
+  return short.length === 0 ? "" : ` The p50 ${short.length > 1 ? "values " : ""}of ${short.map(marked).join(" and ")}, ${short.map((c) => time(C().p50[c])).join(" and ")}, ${
     short.length > 1 ? "are" : "is"} below ${time(shortest)}, the shortest time for which the timing was checked.${
     short.length > 1 ? " Differences between such times may be due to the bindings, not the methods." : ""}`;
 }
+
+// A configuration, with its verdict where it fails or is late.
+const judged = (c) => `${marked(c)}${{ fail: ", which fails,", late: ", which is late," }[C().verdict[c]] ?? ""}`;
 
 // The packed times hold two digits of a ratio: 1 is written as 1.0.
 const twoDigits = (x) => (x >= 0.995 && x < 9.95 ? x.toFixed(1) : figure(x, 2));
@@ -136,7 +139,7 @@ async function drawTwo() {
     ? `${marked(state.c)} takes ${time(meanOf(rows, "a"))} per step and ${marked(second)} `
     + `${time(meanOf(rows, "b"))}, ${rows[0].separate}, so there is no ratio: geometric means over `
     + `${commonSteps(rows)}.`
-    : `${marked(slower)} takes ${twoDigits(ratio)} times as long as ${marked(faster)}; `
+    : `${judged(slower)} takes ${twoDigits(ratio)} times as long as ${judged(faster).replace(/,$/, "")}; `
     + `${interval}. ${reach === null ? "" : slowerIn(rows, ratio / reach, slower === second)}The ratio is the geometric mean over ${commonSteps(rows)}.`
     + `${reach === null ? "" : whyUnranked(rows, ratio / reach)}${shortTimes(state.c, second)}`;
   said.replaceChildren(...coded(text));
