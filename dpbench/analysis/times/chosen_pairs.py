@@ -1,7 +1,7 @@
 """Step time ratios of chosen configurations, whatever their verdicts."""
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import chain, combinations
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.times.paired_times import PairedComparison, compare_configurations
@@ -28,8 +28,11 @@ def compare_chosen(records: Records, choices: Sequence[str]) -> list[PairedCompa
     ------
     InputError : for fewer than two choices, or one that was not timed.
     """
-    expanded = [point for choice in choices for point in expand_choice_over_option_grid(choice)]
-    points = list(dict.fromkeys(expanded))
+    expanded = (
+        expand_choice_over_option_grid(choice) if _has_options(choice) else [choice]
+        for choice in choices
+    )
+    points = list(dict.fromkeys(chain.from_iterable(expanded)))
     if len(points) < 2:
         found = " and ".join(points) or "none"
         raise InputError("`choices`", "", found, "two or more, such as daqp and osqp")
@@ -42,7 +45,8 @@ def select_timed_configurations(records: Records, choice: str) -> list[Configura
     """Return the timed configurations of a choice, one for each call mode.
 
     choice : a solver (its `default` settings, or the first that were timed), solver and options as
-        `osqp[rho=1.6]`, solver and name of settings as `osqp high`, or a label of the report.
+        `osqp[rho=1.6]`, solver and name of settings as `osqp high`, with the call mode as
+        `osqp high (native warm)`, or a label of the report.
 
     Raises
     ------
@@ -53,15 +57,15 @@ def select_timed_configurations(records: Records, choice: str) -> list[Configura
         for run in records.select_runs(mode="replay", units="scaled")
         if records.get_step_times(run) is not None
     )
-    solver, brackets = split_into_solver_and_options_text(choice)
-    if brackets:
+    if _has_options(choice):
+        solver, _ = split_into_solver_and_options_text(choice)
         wanted = normalise_options(encode_options_as_json(parse_options_of_choice(choice)))
         alike = [c for c in known if c.solver == solver and normalise_options(c.options) == wanted]
     else:
         own = [c for c in known if c.solver == choice]
         usual = min((c.settings for c in own), key=sort_key_of_settings, default="")
         alike = [c for c in own if c.settings == usual]
-        alike += [c for c in known if choice in (c.label, f"{c.solver} {c.settings}")]
+        alike += [c for c in known if choice in _list_names(c)]
     if alike:
         return alike
     names = dict.fromkeys(
@@ -69,6 +73,18 @@ def select_timed_configurations(records: Records, choice: str) -> list[Configura
     )
     allowed = format_allowed_names(choice, [*names]) if names else "a solver that was timed"
     raise UnknownNameError("`choices`", "", repr(choice), allowed)
+
+
+def _has_options(choice: str) -> bool:
+    """Return whether a choice is a solver with options, not a name such as `osqp grid[rho=1]`."""
+    solver, bracket, _ = choice.partition("[")
+    return bool(bracket) and " " not in solver
+
+
+def _list_names(configuration: Configuration) -> tuple[str, ...]:
+    """Return the texts by which tables and terminal name a configuration."""
+    c, name = configuration, f"{configuration.solver} {configuration.settings}"
+    return c.label, name, f"{name} ({c.route} {c.policy})"
 
 
 def _pair_in_equal_call_modes(

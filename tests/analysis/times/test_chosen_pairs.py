@@ -46,6 +46,20 @@ def test_any_two_have_a_ratio_in_one_call_mode_where_they_share_one(
     assert [one.ratio.value for one in found] == pytest.approx(ratios)
 
 
+@pytest.mark.parametrize(
+    "name", ["osqp grid[rho=2]", "osqp grid[rho=2] (qpsolvers fresh)", "osqp (qpsolvers fresh, {})"]
+)
+def test_a_point_of_a_grid_of_a_suite_is_found_by_its_printed_names(
+    name: str, records: Any
+) -> None:
+    """Its settings have brackets of their own."""
+    grid = "grid[rho=2]"
+    records.replay("osqp", settings=grid, options='{"rho": 2}', **EXACT)
+    records.replay("osqp", **EXACT)
+    (found,) = select_timed_configurations(records.view(), name.format(grid))
+    assert found.settings == grid
+
+
 def test_a_solver_alone_is_its_default_settings_or_the_first_that_were_timed(records: Any) -> None:
     records.replay("osqp", settings="mid", **EXACT)
     records.replay("osqp", settings="low", **EXACT)
