@@ -83,7 +83,8 @@ def generate_controller(
         "main.c.",
         f"The QP has {data.qp.n} variables and {data.qp.m} rows. Constants take "
         f"{format_count(sizes['constants'])} bytes and working memory takes "
-        f"{format_count(sizes['memory'])} bytes.",
+        f"{format_count(sizes['memory'])} bytes"
+        + ("." if sources.copies else f", without the static memory of {solver}."),
     ]
     lines += [f"{cost.summary}." for cost in costs]
     if fmu is not None:
