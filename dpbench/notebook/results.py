@@ -232,10 +232,10 @@ class Results(result_folder.Results):
     ) -> str:
         """Return a table of the report as a LaTeX `tabular`, numbers to three digits.
 
-        The document needs the package `booktabs`. A ratio of one run to itself is an empty cell. A
-        last line, a comment, has a caption: contents, and rounds and steps of the replays. If all
-        rows have one `unit`, it is in the heads of the values. For step time ratios it defines the
-        ratio and its interval.
+        The document needs the package `booktabs`. A ratio of one run to itself is an empty cell. If
+        all rows have one `unit`, it is in the heads of the values. For a named table, the last
+        line is a comment with a caption: contents, and rounds and steps of the replays. For step
+        time ratios it defines the ratio and its interval.
 
         table : a name in `tables`, or a data frame, such as some rows of one. columns : some of its
         columns, by default all; of "verdicts" those that identify a configuration, its verdict,
