@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import pandas as pd
 
@@ -20,7 +21,7 @@ from dpbench.analysis.suites.capability import (
     select_configurations_in_all_analyses,
 )
 from dpbench.analysis.verdict.verdict import explain_deployment_blocker
-from dpbench.bench.capability.frontier import INTACT
+from dpbench.bench.capability.frontier import INTACT, CapabilityPlot, compute_capability
 from dpbench.report.formats import format_wind_held, join_with_and, plural, significant
 from dpbench.report.ship.ship_text import find_weather_direction
 from dpbench.ship.thrusters import ThrusterSet
@@ -38,6 +39,8 @@ def describe_capability(records: Records, plot: CapabilityResult) -> Iterator[st
     if plot.capability_numbers_text:
         rudders = " without rudders" if _has_rudder_caution(records, plot.vessel) else ""
         yield f"{plot.capability_numbers_text}{rudders}."
+        if planned := _compute_planned_numbers(records, plot.vessel):
+            yield f"With the half turns in which the controllers plan: {planned}."
     about = f"DNV-ST-0111, level 1; azimuths as polygons of {plot.sides} sides"
     yield f"{wording} ({about}{_explain_sectors(records, plot.vessel)})."
 
@@ -55,13 +58,21 @@ def _has_rudder_caution(records: Records, vessel: str) -> bool:
 
 
 def _explain_sectors(records: Records, vessel: str) -> str:
-    """Return text on the directions counted where controllers plan with less; "" elsewhere.
-
-    By the half turns of controllers a ship holds less wind: `dpbench init` prints that one.
-    """
+    """Return text on the directions counted where controllers plan with less; "" elsewhere."""
     if not any(one.has_half_turns for one in _list_thruster_sets(records, vessel)):
         return ""
-    return "; in all directions outside their barred zones, not only in controllers' half turns"
+    return "; in all directions outside their barred zones"
+
+
+def _compute_planned_numbers(records: Records, vessel: str) -> str:
+    """Return a ship's DP capability numbers with the half turns of its controllers; or ""."""
+    known = filter(None, map(records.build_scenario, records.scenarios))
+    ships = [scenario.vessel for scenario in known if scenario.vessel.id == vessel]
+    for ship in ships:
+        if ship.thrusters is not None and ship.thrusters.has_half_turns:
+            planned = replace(ship, thrusters=ship.thrusters.copy_with_convex_sectors())
+            return compute_capability(CapabilityPlot(planned)).notation
+    return ""
 
 
 def describe_worst_loss(records: Records, plot: CapabilityResult) -> str:

@@ -1,6 +1,8 @@
 """Claims of solvers on a batch: right, wrong or none, and their order."""
 
 import json
+import operator
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -13,9 +15,11 @@ from dpbench.analysis.suites.capability import (
     build_capability_results,
     count_answers_by_run,
 )
+from dpbench.bench.capability.frontier import CapabilityPlot, compute_capability
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_columns
 from dpbench.report.documents import statement
+from dpbench.report.ship import capability_text
 from dpbench.report.ship.capability_text import describe_capability, describe_worst_loss
 from dpbench.report.topics.capability import build_capability_topic
 from tests.result_folder import StepsInMemory
@@ -175,11 +179,16 @@ def test_a_plot_says_that_it_has_more_directions_than_controllers_plan_with(reco
     rows = [("intact", 20.0, 0.0, 7), ("board A", 9.0, 0.0, 4)]
     edges = pd.DataFrame(rows, columns=["case", "wind_mps", "from_deg", "number"])
     plot = CapabilityResult(plain.vessel.id, 8, edges, ())
-    said = "in all directions outside their barred zones, not only in controllers' half turns"
+    said = "in all directions outside their barred zones"
     assert said not in " ".join(describe_capability(view, plot)) + describe_worst_loss(view, plot)
     view._scenarios["thrusters"] = replace(plain, vessel=replace(plain.vessel, thrusters=barred))
     assert said in " ".join(describe_capability(view, plot))
     assert said in describe_worst_loss(view, plot)
+    # The half turns of one azimuth hold no more than all of its directions.
+    planned = capability_text._compute_planned_numbers(view, plain.vessel.id)
+    free = compute_capability(CapabilityPlot(view._scenarios["thrusters"].vessel)).notation
+    numbers = [[int(one) for one in re.findall(r"\d+", text)[1:]] for text in (planned, free)]
+    assert len(numbers[0]) == 4 and all(map(operator.le, *numbers))
 
 
 def test_the_topic_says_what_is_held_and_who_knows(records: Any) -> None:
