@@ -171,6 +171,11 @@ def test_choices_are_those_of_the_rows(records: Any) -> None:
     assert topic is not None and dict(topic.tables[1].rows) == found
     assert found["Q"].startswith("diag(1, 1, 100)")
     assert found["disturbance, amplitude"].startswith("100, 80, 3\u202f000")
+    assert {"simulated ship", "initial velocity"} <= found.keys()
+    scenario = records.scenario("paper")
+    assert (scenario.true_ship.M == scenario.vessel.M).all()
+    assert (scenario.true_ship.D == scenario.vessel.D).all()
+    assert scenario.actuators is None and not scenario.velocity.any()
 
 
 def test_a_claim_takes_the_whole_scenario(records: Any) -> None:
