@@ -220,6 +220,7 @@ NO_PROMISE = (
     "Solve time grows with the horizons and was not measured: run the scenario in a suite.",
 )
 """Limits of the result, printed after it."""
+UNCHANGED = "unchanged: no trial was better than the scenario's own controller"
 _MOST_BYTES = 2**26
 
 
@@ -229,6 +230,7 @@ class ControllerTuning:
 
     fresh, own_fresh : of the chosen controller and of the scenario's own.
     suite : runs the tuned scenarios; None before it is written.
+    shortened : the limit that `steps` sets on the result; "" where it shortens no scenario.
     """
 
     trials: Sequence[Trial[LoopScore]]
@@ -239,11 +241,17 @@ class ControllerTuning:
     seas: str
     paths: Sequence[Path]
     suite: Path | None = None
+    shortened: str = ""
 
     @property
     def trial_of_own_controller(self) -> Trial[LoopScore]:
         """The trial of the scenario's own controller."""
         return self.trials[0]
+
+    @property
+    def is_unchanged(self) -> bool:
+        """Return whether no trial was better than the scenario's own controller."""
+        return self.chosen.options == self.trial_of_own_controller.options
 
     @property
     def keeps_margin(self) -> bool:
@@ -262,16 +270,10 @@ class ControllerTuning:
     @property
     def lines(self) -> list[str]:
         """The result of a search for controller weights in words, with what it does not promise."""
-        limit = f"{100 * self.margin:.0f} % of the limits of 5 m and 5°"
-        if self.chosen.score.share > self.margin:
-            verdict = f"none of {len(self.trials)} controllers stays within {limit}; the nearest"
-        else:
-            verdict = (
-                f"controller of least wear with offsets within {limit} ({len(self.trials)} tried)"
-            )
         held = "within" if self.fresh.share <= self.margin else "NOT within"
         return [
-            f"{verdict}: {self.chosen.name}",
+            *([UNCHANGED] if self.is_unchanged else []),
+            f"{self._describe_choice()}: {self.chosen.name}",
             f"search ({self.seas}): {_describe_score(self.chosen.score)} (original controller: "
             f"{_describe_score(self.trial_of_own_controller.score)})",
             f"test in other realisations, {held} the margin: {_describe_score(self.fresh)} "
@@ -280,8 +282,32 @@ class ControllerTuning:
             *(f"wrote {path}" for path in self.paths),
             "Limits of this result:",
             *NO_PROMISE,
+            *([self.shortened] if self.shortened else []),
             *([f"next: dpbench run {self.suite} --solver {SOLVER}"] if self.suite else []),
         ]
+
+    def _describe_choice(self) -> str:
+        """Return why the controller was chosen."""
+        limit = f"{100 * self.margin:.0f} % of the limits of 5 m and 5°"
+        if self.chosen.score.share > self.margin:
+            return f"none of {len(self.trials)} controllers stays within {limit}; the nearest"
+        found = "own controller, with" if self.is_unchanged else "controller of least wear with"
+        return f"{found} offsets within {limit} ({len(self.trials)} tried)"
+
+
+def _describe_shortening(bases: Sequence[Scenario], steps: int) -> str:
+    """Return the limit that `steps` sets on the result; "" where it shortens no scenario."""
+    lengths = dict.fromkeys(
+        f"{significant(steps * base.sample_s)} of {significant(base.steps * base.sample_s)} s"
+        for base in bases
+        if 0 < steps < base.steps
+    )
+    if not lengths:
+        return ""
+    return (
+        f"`--steps` stopped loops before the end of the scenario ({join_with_and([*lengths])}): "
+        "what happens later was not tried."
+    )
 
 
 def _describe_score(score: LoopScore) -> str:
@@ -401,7 +427,10 @@ def tune_controller(
     seas_text = f"{weather}, {plural(realisations, 'realisation')} each"
     if len(bases) > 1:
         seas_text = f"{len(bases)} scenarios, {seas_text}"
-    tuning = ControllerTuning(found, chosen, fresh, own_fresh, margin, seas_text, ())
+    shortened = _describe_shortening(bases, steps)
+    tuning = ControllerTuning(
+        found, chosen, fresh, own_fresh, margin, seas_text, (), shortened=shortened
+    )
     return _write_tuning(tuning, bases, folder)
 
 
@@ -409,18 +438,21 @@ def _write_tuning(
     tuning: ControllerTuning, bases: Sequence[Scenario], folder: Path
 ) -> ControllerTuning:
     """Write tuned scenarios, table of trials and figure; return the result with their paths."""
-    comment = "\n".join(("Controller found by `dpbench tune`.", *tuning.lines))
+    head, mark = "Controller found by `dpbench tune`.", "tuned"
+    if tuning.is_unchanged:
+        head, mark = "`dpbench tune` kept the scenario's own controller.", UNCHANGED
+    comment = "\n".join((head, *tuning.lines))
     paths: dict[Path, None] = {}
     files: list[Path] = []
     for base in bases:
         changed = change_controller(base, tuning.chosen.options).files
-        changed["scenario"]["title"] += ", tuned"
+        changed["scenario"]["title"] += f", {mark}"
         files.append(folder / f"{base.name.replace('@', '_')}_tuned.toml")
         paths |= dict.fromkeys(write_scenario_and_own_ship_files(changed, files[-1], comment))
     suite = folder / "tuned_suite.toml"
     ship = next((path.name for path in paths if path not in files), bases[0].files["vessel_name"])
     names = [file.name for file in files]
-    write_text_atomically(suite, _render_suite(bases, names, ship))
+    write_text_atomically(suite, _render_suite(bases, names, ship, mark))
     paths[suite] = None
     table = tuning.table
     write_text_atomically(folder / "tune.csv", table.to_csv(index=False))
@@ -439,7 +471,7 @@ def _write_tuning(
     return ControllerTuning(**fields)
 
 
-def _render_suite(bases: Sequence[Scenario], names: Sequence[str], ship: str) -> str:
+def _render_suite(bases: Sequence[Scenario], names: Sequence[str], ship: str, mark: str) -> str:
     """Return a suite of the tuned scenarios at `names` with the settings of `dpbench init`.
 
     Closed loops and a replay of the first. For a ship with thrusters also its capability plot, and
@@ -451,7 +483,7 @@ def _render_suite(bases: Sequence[Scenario], names: Sequence[str], ship: str) ->
     return render_document(
         "own_suite.toml",
         quoted=partial(json.dumps, ensure_ascii=False),
-        title=f"{join_with_and([base.name for base in bases])}, tuned",
+        title=f"{join_with_and([base.name for base in bases])}, {mark}",
         weather=[] if is_steered else names,
         steered=names if is_steered else [],
         variables=None,

@@ -132,9 +132,26 @@ def test_a_suite_runs_the_tuned_scenarios_as_a_suite_of_init(
     assert all(loop[key] == own["closed_loop"][0][key] for key in modes)
     assert plan["replay"][1]["first"] == 200 and plan["replay"][1]["steps"] == 100
     assert plan["capability"] == [{"vessel": "ratownik"}]
-    title = load_scenario(tmp_path / "thrusters_loss_tuned.toml").files["scenario"]["title"]
-    assert title == f"{load_scenario('thrusters_loss').files['scenario']['title']}, tuned"
     assert main(["check", str(suite)]) == 0
+
+
+@pytest.mark.slow
+def test_a_controller_that_no_trial_beats_is_called_unchanged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the result, and in title and comment of the file; five steps are 1.5 s of 240 s."""
+    command = ["tune", "thrusters_loss", "--trials", "1", "--steps", "5", "--realisations", "1"]
+    assert main([*command, "--out", str(tmp_path)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    sentence = "unchanged: no trial was better than the scenario's own controller"
+    assert said.startswith(f"{sentence} own controller, with offsets within 70 %")
+    assert "before the end of the scenario (1.50 of 240 s)" in said
+    file = tmp_path / "thrusters_loss_tuned.toml"
+    kept, own = (load_scenario(at).files["scenario"] for at in (file, "thrusters_loss"))
+    assert kept == own | {"title": f"{own['title']}, {sentence}"}
+    text = file.read_text()
+    assert f"# {sentence}\n" in text and "found by `dpbench tune`" not in text
+    assert "(1.50 of 240 s)" in text
 
 
 @pytest.mark.parametrize(
