@@ -191,7 +191,8 @@ def _sort_winds(held: Mapping[str, WindLimit]) -> list[float]:
 def find_winds_of_worse_side(vessel: Vessel) -> tuple[float, dict[str, WindLimit]]:
     """Return the side of the bow [°] from which thrusters hold less wind, and that by failure case.
 
-    Starboard where both are alike.
+    The side with less after the worst loss; if equal, after the next, then intact. A loss after
+    which no sea is held counts too. Starboard where both are alike.
     """
     by_side = {side_deg: _find_winds_from(vessel, side_deg) for side_deg in SIDES_DEG}
     worse_deg = min(by_side, key=lambda side_deg: _sort_winds(by_side[side_deg]))
@@ -282,7 +283,7 @@ class WeakSide:
 
     def explain_sea(self, number: int) -> str:
         """Return a sentence on the choice of its sea, up to a DP capability number."""
-        where = f"from {self.from_deg:g}° according to level 1"
+        where = f"from {self.from_deg:g}° {_name_method(self.has_half_turns)}"
         why = f"From {self.from_deg:g}°, the ship holds the least wind {self.when}"
         if not self.is_held:
             return f"the smallest, as the thrusters hold none {where}. {why}"
@@ -329,6 +330,11 @@ class HeldSea:
     weak_side: WeakSide
 
     @property
+    def method(self) -> str:
+        """Method that gives these winds, as text."""
+        return _name_method(self.has_half_turns)
+
+    @property
     def intact_number(self) -> int:
         """Largest DP capability number whose wind the intact ship holds off the bow, at least 1."""
         winds = scaling.DP_NUMBERS.items()
@@ -338,9 +344,7 @@ class HeldSea:
         """Return text on the choice of a DP capability number, of the ship or the intact ship."""
         if number == self.number:
             return self.reason
-        return (
-            f"the largest that the intact ship holds from {self.from_deg:g}° according to level 1"
-        )
+        return f"the largest that the intact ship holds from {self.from_deg:g}° {self.method}"
 
     def describe_intact_sea(self, file: str) -> str:
         """Return a sentence on the scenario of a file with the intact ship in its largest sea."""
@@ -348,12 +352,19 @@ class HeldSea:
         return (
             f"intact ship, without a loss: DP capability number {self.intact_number}, "
             f"wind {wind_mps:g} m/s from {self.from_deg:g}°, the largest that it holds from there "
-            f"according to level 1 ({file})"
+            f"{self.method} ({file})"
         )
 
     def list_groups_not_held(self, number: int) -> list[str]:
         """Return the groups without which a DP capability number is not held, the worst first."""
         return [group for group, held_number in self.losses.items() if held_number < number]
+
+
+def _name_method(has_half_turns: bool) -> str:
+    """Return how a wind held is computed, as text: with half turns of azimuths or without."""
+    return "according to level 1" + (
+        " with the half turns of controllers" if has_half_turns else ""
+    )
 
 
 def find_held_sea(vessel: Vessel) -> HeldSea:
@@ -370,10 +381,9 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
     losses = sorted((case for case in held if case != INTACT), key=lambda c: held[c].wind_mps)
     worst, intact = losses[0], held[INTACT]
     lost = next((case for case in losses if held[case].number), None)
-    most, largest = (
-        max(scaling.DP_NUMBERS),
-        "the largest at which the ship holds station according to level 1",
-    )
+    halves = vessel.thrusters.has_half_turns
+    method, most = _name_method(halves), max(scaling.DP_NUMBERS)
+    largest = f"the largest at which the ship holds station {method}"
     if lost is not None:
         number, reason = held[lost].number, f"{largest}, intact and after the loss of "
         if lost == worst:
@@ -383,13 +393,15 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
     elif intact.number:
         number, reason = intact.number, f"{largest} intact; it holds none after the loss of {worst}"
     else:
-        number, reason = 1, "the smallest, as the ship holds station in none according to level 1"
+        number, reason = 1, f"the smallest, as the ship holds station in none {method}"
     numbers = {case: held[case].number for case in losses}
     number, intact_mps = min(number, most), intact.wind_mps
-    halves = vessel.thrusters.has_half_turns
     remedies = {
         case: _find_remedy(
-            vessel.thrusters, case, _find_winds_without_zones(vessel, from_deg)[case]
+            vessel.thrusters,
+            case,
+            _find_winds_without_zones(vessel, from_deg)[case],
+            capability.held[case][FROM_DEG.index(from_deg)].wind_mps,
         )
         for case in losses
         if not numbers[case]
@@ -434,10 +446,11 @@ def _find_winds_without_zones(vessel: Vessel, from_deg: float) -> dict[str, floa
     return {case: limit.wind_mps for case, limit in _find_winds_from(free, from_deg).items()}
 
 
-def _find_remedy(thrusters: ThrusterSet, lost: str, free_mps: float) -> str:
+def _find_remedy(thrusters: ThrusterSet, lost: str, free_mps: float, plot_mps: float) -> str:
     """Return what would hold a sea without a group, as text.
 
-    free_mps : largest wind held without it if azimuths had no barred zone.
+    free_mps : largest wind held without it if azimuths had no barred zone; plot_mps : that of the
+        capability plot, with all directions that azimuths then have.
     """
     failed = thrusters.indices_by_failure_group[lost]
     left = [t for i, t in enumerate(thrusters.thrusters) if i not in failed]
@@ -460,6 +473,13 @@ def _find_remedy(thrusters: ThrusterSet, lost: str, free_mps: float) -> str:
         return (
             "the thrusters left at bow and stern are too weak even without barred zones; add "
             f"{others}"
+        )
+    limited = [t.name for t in left if t.sector_rad != t.convex_sector_rad]
+    if limited and plot_mps >= scaling.DP_NUMBERS[1][0]:
+        return (
+            f"the cause is the half turn of {join_with_and(limited)} (controller_sector_deg); in "
+            f"the capability plot, with all directions, {format_wind_held(plot_mps)} is held. To "
+            f"hold a sea with the half turn, add {others}"
         )
     wind = format_wind_held(free_mps)
     return f"without barred zones {wind} would be held; narrow the zones, or add {others}"
@@ -494,13 +514,16 @@ def describe_losses(
     """
     lines = []
     if held.from_deg != scaling.FROM_DEG:
-        lines.append(f"wind from {held.from_deg:g}°: the thrusters hold less from port.")
+        lines.append(
+            f"wind from {held.from_deg:g}°: the thrusters hold less from port after the worst loss "
+            "(if equal, after the next)."
+        )
     wind_mps = scaling.DP_NUMBERS[number][0]
     if wind_mps > held.intact_mps:
         lines.append(
             f"CAUTION: the wind of {wind_mps:g} m/s is beyond the "
             f"{format_wind_held(held.intact_mps)} that the thrusters hold from "
-            f"{held.from_deg:g}° according to level 1."
+            f"{held.from_deg:g}° {held.method}."
         )
     # In the sea that is held, not where each loss is simulated whatever it leaves.
     held_after = choose_loss(held, number) if held.lost != next(iter(held.losses)) else None
@@ -529,10 +552,7 @@ def _describe_losses_not_held(held: HeldSea, number: int) -> list[str]:
     if not weak:
         return []
     without = _name_groups_lost_one_by_one(weak)
-    halves = " and with the half turns of controllers" if held.has_half_turns else ""
-    lines = [
-        f"CAUTION: according to level 1{halves}, the thrusters do not hold this sea {without}."
-    ]
+    lines = [f"CAUTION: {held.method}, the thrusters do not hold this sea {without}."]
     for group in weak:
         if smaller := held.losses[group]:
             held_sea = f"DP capability number {smaller}"
