@@ -37,7 +37,7 @@ def copy(made: Path, tmp_path: Path) -> Path:
         ("rounds", 0, "rounds[1]: found 0; allowed: 1 or more, as it finished"),
         ("steps_done", -1, "steps_done[0]: found -1; allowed: 0 or more"),
         ("replay_s", 0.0, "replay_s[0]: found 0.0"),
-        ("N_p", None, "N_p[0]: missing; required: a horizon"),
+        ("N_p", None, "N_p[0]: missing; required: a number, as N_c is one"),
         ("study", "seas", "study_point[0]: missing"),
         ("schema", 1, "schema: found 1; allowed: "),
     ],
