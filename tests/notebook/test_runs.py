@@ -444,4 +444,4 @@ def test_a_scenario_in_place_of_a_sequence_and_a_step_in_place_of_a_qp_are_named
         replay("paper", "daqp")
     step = QPStep(np.ones(1), np.zeros(0), np.zeros(0))
     with pytest.raises(AttributeError, match="QPStep has no 'm'; a QuadraticProgram has"):
-        open_workspace("daqp").setup(step)  # type: ignore[arg-type] # the mistake to name
+        open_workspace("daqp").setup(step)  # type: ignore[arg-type]  # the wrong type is the test

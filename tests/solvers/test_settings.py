@@ -123,6 +123,17 @@ def test_the_levels_are_described_in_words(installed):
         assert "no tolerance to set" in lines[3]
 
 
+def _name_arguments_of_osqp(qp):
+    """Return the names that the code of a library call uses, with the bounds as rows of A."""
+    return {
+        "P": csc_matrix(qp.P),
+        "q": qp.q,
+        "A": csc_matrix(np.vstack([qp.A, np.eye(qp.n)])),
+        "l": np.append(qp.l, qp.lb),
+        "u": np.append(qp.u, qp.ub),
+    }
+
+
 @pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
 @pytest.mark.parametrize("settings", ["default", "high_polished", {"rho": 1.6, "eps_abs": 1e-5}])
 def test_the_call_of_the_library_gives_the_answer_of_the_workspace(policy, settings, sequence):
@@ -136,13 +147,7 @@ def test_the_call_of_the_library_gives_the_answer_of_the_workspace(policy, setti
         workspace.update(QPStep(qp.q, qp.l, qp.u))
         workspace.solve()
         answer = workspace.read()
-    names = {
-        "P": csc_matrix(qp.P),
-        "q": qp.q,
-        "A": csc_matrix(np.vstack([qp.A, np.eye(qp.n)])),
-        "l": np.append(qp.l, qp.lb),
-        "u": np.append(qp.u, qp.ub),
-    }
+    names = _name_arguments_of_osqp(qp)
     code = format_library_call("osqp", "native", policy, settings)
     exec(compile(code, "call", "exec"), names)
     if policy != "fresh":
@@ -161,13 +166,7 @@ def test_zeros_at_the_end_of_a_shift_reproduce_a_warm_step(sequence):
     for vectors in (QPStep(qp.q, qp.l, qp.u), step):
         workspace.update(vectors)
         workspace.solve()
-    names = {
-        "P": csc_matrix(qp.P),
-        "q": qp.q,
-        "A": csc_matrix(np.vstack([qp.A, np.eye(qp.n)])),
-        "l": np.append(qp.l, qp.lb),
-        "u": np.append(qp.u, qp.ub),
-    }
+    names = _name_arguments_of_osqp(qp)
     code = format_library_call("osqp", "native", "warm", "high")
     exec(compile(code, "call", "exec"), names)
     names["m"].update(q=qp.q)

@@ -307,11 +307,11 @@ class SuiteFile(FileModel):
     solvers: Annotated[list[str], Field(min_length=1)] = ["all"]
     """Solvers that run; all: every installed solver."""
     superseded: bool = True
-    """true: `all` includes solvers that another solver supersedes."""
+    """Include solvers that another solver supersedes in `all`."""
     baseline_law: bool = True
     """Closed loops with the clipped unconstrained law as a baseline."""
     calibration: bool = False
-    """true: replays also run calibration configurations, which solve nothing."""
+    """Also replay calibration configurations, which solve nothing."""
     cell_limit_s: Positive = 5.0
     """Run time, without waits for its core, after which a cell stops [s]."""
     cell_memory_gb: NotNegative = 0.0

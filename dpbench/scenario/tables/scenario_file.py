@@ -27,7 +27,7 @@ class EstimatorTable(FileModel):
     kind: Literal["measured", "kalman", "passive"] = "measured"
     """measured: the controller gets the measurement itself; kalman, passive: a filtered one."""
     wave_filter: bool = True
-    """true: the filter removes wave-frequency motion from the measurement."""
+    """Remove wave-frequency motion from the measurement."""
     peak_period_s: keys.Positive | None = None
     """Peak period of the waves for the filter [s]; by default that of the scenario's waves."""
 
@@ -180,7 +180,7 @@ class ThrusterControlTable(FileModel):
     thrust_weight_relative: keys.NotNegative
     """W in multiples of 1/T², with the largest thrust T of each thruster."""
     azimuth_turning: bool = False
-    """true: moves also respect the turning rate of azimuths; A then changes at every step."""
+    """Respect the turning rate of azimuths in every move; A then changes at every step."""
     move_weight_relative: keys.Positive
     """R in multiples of 1/Δf_max², with the maximum increment Δf_max of each thruster."""
     slack_weight_relative: keys.Positive | None = None
@@ -226,7 +226,7 @@ class ControllerTable(FileModel):
     model_heading_deg: keys.Degrees = 0.0
     """Heading at which the model is linearised [°]."""
     linearisation: Literal["fixed", "each_step"] = "fixed"
-    """fixed: the model is linearised once; each_step: at each measured heading, so P changes."""
+    """Linearisation of the model: once, or at each measured heading (each_step), so P changes."""
     amplitude: Literal["reachable", "hard", "soft"] = "reachable"
     """Amplitude limits. reachable: widened to what the rate limit can reach; hard: unchanged, so
     a QP may be infeasible; soft: slacks with an exact penalty."""
@@ -329,7 +329,7 @@ class ReferenceTable(PoseTable):
     filter: FilterTable | None = None
     """Filter of the setpoint; none by default."""
     preview: bool = False
-    """true: the controller sees the reference of the coming samples."""
+    """Give the controller the reference of the coming samples."""
 
     def build_reference_filter_if_any(self, scale: Froude) -> ReferenceFilter | None:
         """Return the reference filter in SI units; None where the reference is not filtered."""

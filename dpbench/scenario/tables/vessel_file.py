@@ -75,7 +75,7 @@ class ThrusterTable(FileModel):
     name: str
     """Name in tables, and in the faults of a scenario."""
     kind: Literal["azimuth", "tunnel", "main"]
-    """azimuth: turns; tunnel: pushes across the ship; main: pushes along it, without a rudder."""
+    """Type of thruster: turning azimuth, tunnel across the ship, main along it without a rudder."""
     x_m: keys.Number
     """Position ahead of the origin of the matrices [m]."""
     y_m: keys.Number = 0.0

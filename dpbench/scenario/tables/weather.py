@@ -116,7 +116,7 @@ class WavesTable(FileModel):
     gamma: Annotated[float, Field(ge=1, le=7)] = 3.3
     """Peakedness of the JONSWAP spectrum; 1 is Pierson-Moskowitz."""
     drift: bool = True
-    """true: the slow drift force acts on the ship."""
+    """Apply the slow drift force to the ship."""
     motion: MotionTable | None = None
     """First-order wave motion in the measurement; {}: with the defaults. Without this key: none."""
 
