@@ -40,10 +40,10 @@ def read_stored_text(name: str) -> str:
 def test_a_vessel_fits_a_terminal(
     name: str, offset_m: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At most 13 lines of 80 columns, the four columns of the table below each other."""
+    """At most 14 lines of 80 columns, the four columns of the table below each other."""
     up_to(monkeypatch, offset_m)
     lines = read_stored_text(name).splitlines()
-    assert len(lines) <= 13
+    assert len(lines) <= 14
     assert max(map(len, lines)) <= 80
     for line in lines[2:7]:
         assert all(line[at - 1] == " " and line[at] != " " for at in (22, 41, 60)), line
@@ -68,11 +68,11 @@ def test_quick_simulates_nothing_and_names_what_is_left_out(
 
 @pytest.mark.parametrize("name", list_shipped_problem_names("scenarios"))
 def test_a_scenario_fits_a_terminal(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fifteen lines at most, and up to six on mean loads by level 1."""
+    """Sixteen lines at most, and up to six on mean loads by level 1."""
     up_to(monkeypatch, 1.7)
     lines = check_ship.describe_checked_scenario(name, load_scenario(name)).splitlines()
     assert len(lines) <= (
-        21 if any(line.startswith("DNV-ST-0111, level 1") for line in lines) else 15
+        22 if any(line.startswith("DNV-ST-0111, level 1") for line in lines) else 16
     )
     assert max(map(len, lines)) <= 80
 
@@ -83,10 +83,8 @@ def test_the_numbers_of_the_papers_ship(monkeypatch: pytest.MonkeyPatch) -> None
     text = read_stored_text("supply_fs99")
     for said in ("-980 to 1240 kN", "±417 kN", "±18000 kN·m", "11.4 s", "106 s", "233 mm/s²"):
         assert said in text
-    sideways = (
-        "1 m/s sideways needs 272 kN (limit 417 kN). The ship holds a current of 1.5 m/s abeam."
-    )
-    assert sideways in " ".join(text.split())
+    assert re.search(r"\ndrag at 1 m/s, °/s +50\.2 kN +272 kN +", text)
+    assert "The ship holds a current of 1.5 m/s abeam." in " ".join(text.split())
     assert "tuning paper 30/5     recovers from 1.62 m abeam in calm water, not 1.69 m" in text
 
 
@@ -174,7 +172,8 @@ def test_thrusters_show_what_they_make_together(monkeypatch: pytest.MonkeyPatch)
     text = check_ship.describe_checked_vessel(find_problem_path("vessels", "osv"), ship)
     assert "\nlargest force alone   -200 to 400 kN     ±44.4 kN           ±800 kN·m\n" in text
     assert "\nwith other axes       -200 to 400 kN     ±200 kN            ±" in text
-    assert "1 m/s sideways needs 143 kN (limit 44.4 kN). The ship holds a current of 0.5" in text
+    assert re.search(r"\ndrag at 1 m/s, °/s +\S+ kN +143 kN +", text)
+    assert "The ship holds a current of 0.5" in text
 
 
 @pytest.mark.slow

@@ -37,6 +37,18 @@ SEPARATE = "timed in separate commands"
 """Reason for no ratio of times: load and speed of the machine may differ from one to the other."""
 
 
+class ThrusterUse(BaseModel, strict=True):
+    """Use of the thrusters that are left in a reference loop: `exact_thruster_use`.
+
+    window_s : start and end; thrust : mean and largest share of their thrust; thrusters : by name,
+    mean and largest share, share of steps at a limit of thrust or sector, and at the rate limit.
+    """
+
+    window_s: tuple[float, float]
+    thrust: tuple[float, float]
+    thrusters: dict[str, tuple[float, float, float, float]]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
     """One run of a solver configuration on one problem: a typed row of `runs.parquet`.
@@ -162,6 +174,7 @@ class RunRecord:
     exact_transfer_offset_max_m: float
     exact_transfer_s: float
     exact_active_share: float
+    exact_thruster_use: str
     dev_position_max_m: float
 
     files: ScenarioDocuments = field(default_factory=ScenarioDocuments, repr=False)
@@ -284,6 +297,16 @@ class RunRecord:
         """True if the controller commands thrusters instead of three forces."""
         scenario = (self.scenario_documents or {}).get("scenario")
         return scenario is not None and scenario["controller"].get("kind", "forces") != "forces"
+
+    @property
+    def thruster_use(self) -> ThrusterUse | None:
+        """Use of the thrusters in the run's reference loop; None without commanded thrusters."""
+        if not self.exact_thruster_use:
+            return None
+        try:
+            return ThrusterUse.model_validate_json(self.exact_thruster_use)
+        except ValidationError as error:
+            raise _make_description_error("exact_thruster_use", error) from error
 
     @property
     def is_baseline_law(self) -> bool:

@@ -151,7 +151,7 @@ OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
 class Finding:
     """Reason for a verdict on a configuration: fault, doubt, time near a limit, missing run.
 
-    runs : the runs it was found in, the worst first.
+    runs : the runs it was found in, first the worst in which the ship stays on station.
     value : an error, a time [ns], a share of timings, or steps, by kind.
     steps : the steps or timings of the figure; status : that of most failed steps.
     first : the first failed or inaccurate step of the worst run; −1 where it is not known.
@@ -175,9 +175,12 @@ class Finding:
 def make_finding_on_worst_runs(
     kind: Cause | Doubt | Near, runs: Sequence[RunRecord], figure: Callable[[RunRecord], float]
 ) -> list[Finding]:
-    """Return a list of one finding on several runs, the worst first; empty without a run."""
+    """Return a list of one finding on several runs, the worst first; empty without a run.
+
+    Runs whose ship stays on station come before those in which it is lost whatever the solver.
+    """
     if not runs:
         return []
-    worst = max(runs, key=figure)
+    worst = max(runs, key=lambda run: (math.isnan(run.exact_left_s), figure(run)))
     others = (run for run in runs if run is not worst)
     return [Finding(kind, (worst, *others), figure(worst))]

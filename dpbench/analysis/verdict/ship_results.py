@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord, group_by_key
+from dpbench.analysis.records.run_record import RunRecord, ThrusterUse, group_by_key
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.run.exact_loop import HEADING_DEG, RADIUS_M
 from dpbench.scenario.stability import find_unstable_radius
@@ -82,6 +82,11 @@ class ShipResult:
         limit_m = max(FARTHER * reach_m, run.station_radius_m)
         far = [loop for loop in self.loops if loop.r_max_m > limit_m]
         return max(far, key=lambda loop: (is_accurate_loop(loop), loop.r_max_m), default=None)
+
+    @property
+    def thruster_use(self) -> ThrusterUse | None:
+        """Use of the thrusters in the reference loop; None where none are commanded."""
+        return next(filter(None, (loop.thruster_use for loop in self.loops)), None)
 
     @property
     def has_transfer(self) -> bool:

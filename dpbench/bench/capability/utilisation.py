@@ -18,7 +18,7 @@ optimum lie between pieces (Shapley-Folkman): a few bounds are enough.
 
 import heapq
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import cache, partial
 from importlib import import_module
 from itertools import count
@@ -369,13 +369,13 @@ class ThrusterReach:
             for thruster in thrusters.thrusters
         )
 
-    def find_least_thrust_share(self, force: Vector) -> float:
+    def find_least_thrust_share(self, force: Vector, lost: Collection[int] = ()) -> float:
         """Return the least share of full thrust that makes a force (3,) [N, N, N·m]; inf if none.
 
-        The thrusters make it where the share is at most 1.
+        The thrusters that are not `lost` make it where the share is at most 1.
         """
         relax = partial(
-            self._utilisation.relax_to_convex_hulls, -force, self._shares, lost=frozenset()
+            self._utilisation.relax_to_convex_hulls, -force, self._shares, lost=frozenset(lost)
         )
         return find_least_use_and_pieces(relax, self._list_piece_choices)[0]
 

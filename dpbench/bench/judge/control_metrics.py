@@ -5,6 +5,7 @@ Those of thrusters are thrust, power, wear and limits. Power of a propeller grow
 how far its azimuth travels.
 """
 
+import json
 from collections.abc import Sequence
 
 import numpy as np
@@ -289,11 +290,8 @@ def _compute_limit_share_and_violations(
     """
     unit, G = control.rows.largest_row_changes_per_step(step_max), control.rows.G
     low, high = stack_lower_and_upper_limits(limits[: len(f)])
-    lost = np.array([in_force.lost for in_force in limits[: len(f)]])[:, control.rows.thruster]
     along = f @ G.T
-    near = AT_LIMIT * unit
-    # A thruster that was lost is at nothing, not at a limit.
-    at_limit = (((along >= high - near) | (along <= low + near)) & ~lost).any(axis=1)
+    at_limit = _mask_rows_at_limit(control, step_max, f, limits).any(axis=1)
     beyond = ((along > high) | (along < low)).any(axis=1)
     too_fast = control.exceeds_rate_limits(f, before, step_max)
     ramp_down = LimitRampDown(control.rows, step_max, unit, 1)
@@ -307,3 +305,58 @@ def _compute_limit_share_and_violations(
         outside = (change > most + 1e-9 * unit) | (change < least - 1e-9 * unit)
         violated += bool(outside.any())
     return float(at_limit.mean()), float(violated)
+
+
+def _mask_rows_at_limit(
+    control: ThrusterControl, step_max: Vector, f: Matrix, limits: Sequence[Limits]
+) -> Flags:
+    """Return at which rows (K, r) of the limits forces f (K, n_f) are, lost thrusters excepted."""
+    rows, along = control.rows, f @ control.rows.G.T
+    low, high = stack_lower_and_upper_limits(limits[: len(f)])
+    near = AT_LIMIT * rows.largest_row_changes_per_step(step_max)
+    # A thruster that was lost is at nothing, not at a limit.
+    lost = np.array([in_force.lost for in_force in limits[: len(f)]])[:, rows.thruster]
+    at_limit: Flags = ((along >= high - near) | (along <= low + near)) & ~lost
+    return at_limit
+
+
+def describe_thruster_use_as_json(
+    scenario: Scenario, f: Matrix, limits: Sequence[Limits], left_s: float
+) -> str:
+    """Return `exact_thruster_use` of the thruster forces f (K, n_f) [N]; "" without thrusters.
+
+    left_s : when the ship leaves its station [s], or NaN.
+    """
+    control = scenario.controller.commanded_thrusters
+    if control is None:
+        return ""
+    end = len(f) if np.isnan(left_s) else max(1, round(left_s / scenario.sample_s))
+    faults = scenario.files["scenario"].get("faults") or ()
+    lost_at = [round(fault["at_s"] / scenario.sample_s) for fault in faults if fault.get("lost")]
+    first = max((k for k in lost_at if k < end), default=0)
+    thrusters, most = control.thrusters, control.thrusters.largest_thrusts_N
+    step_max = thrusters.largest_force_changes_per_sample(scenario.sample_s)
+    before = np.array([control.get_force_before_step(f, k) for k in range(first, end)])
+    f, limits = f[first:end], limits[first:end]
+    share, left = thrusters.thruster_force_magnitudes(f) / most, ~limits[-1].lost
+    at_limit = _mask_rows_at_limit(control, step_max, f, limits)
+    at_rate = np.abs(f - before) >= (1.0 - AT_LIMIT) * step_max
+    # An idle azimuth is at the corner of its sector.
+    at_limit &= (share > PUSHING)[:, control.rows.thruster]
+    used = {
+        thrusters.thrusters[i].name: [
+            *_mean_and_largest(share[:, i]),
+            float(at_limit[:, control.rows.thruster == i].any(axis=1).mean()),
+            float(at_rate[:, control.rows.entry == i].any(axis=1).mean()),
+        ]
+        for i in np.flatnonzero(left).tolist()
+    }
+    total = share[:, left] @ most[left] / most[left].sum() if used else np.zeros(1)
+    window_s = [first * scenario.sample_s, end * scenario.sample_s]
+    use = {"window_s": window_s, "thrust": _mean_and_largest(total), "thrusters": used}
+    return json.dumps(use, ensure_ascii=False)
+
+
+def _mean_and_largest(values: Vector) -> list[float]:
+    """Return the mean and the largest of some values."""
+    return [float(values.mean()), float(values.max())]

@@ -19,6 +19,7 @@ from dpbench.bench.judge.control_metrics import (
     compute_joint_limit_metrics,
     compute_thruster_metrics,
     compute_used_thrust_and_power_shares,
+    describe_thruster_use_as_json,
 )
 from dpbench.bench.judge.rules import WARM_UP, mask_disturbed_rounds
 from dpbench.bench.record.cell import Cell
@@ -91,10 +92,14 @@ METRICS: dict[MetricGroup, Callable[[Scenario, QPBuilder, Columns, Matrix], dict
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedCell:
-    """Evaluated steps of one run as columns, and the metrics of the run."""
+    """Evaluated steps of one run as columns, and the metrics of the run.
+
+    thruster_use : the column `exact_thruster_use`.
+    """
 
     columns: Columns
     metrics: dict[str, float]
+    thruster_use: str = ""
 
 
 class StepEvaluator:
@@ -228,7 +233,7 @@ def evaluate_loop_log(
     }
     if not done:
         return EvaluatedCell(columns, {})
-    metrics = {"sample_s": scenario.sample_s, "first_sample": 0.0, "every_sample": 1.0}
+    metrics, use = {"sample_s": scenario.sample_s, "first_sample": 0.0, "every_sample": 1.0}, ""
     columns |= _evaluate_backup_columns(cell, scenario, log)
     if isinstance(scenario, Scenario):
         thrust = log.thrust[:done]
@@ -237,11 +242,14 @@ def evaluate_loop_log(
         )
         metrics |= _compute_ship_metrics(scenario, scaled, columns, thrust, exact)
         metrics |= compute_station_metrics(scenario, exact, cell.steps)
+        use = describe_thruster_use_as_json(
+            scenario, exact.thrust[: cell.steps], scaled.thruster_limits, metrics["exact_left_s"]
+        )
     else:
         metrics |= scenario.problem.horizons_by_name
     metrics["matrix_steps"] = float(matrix_steps)
     metrics |= dict(zip(COUNTERS, log.counters[0].tolist(), strict=True))
-    return EvaluatedCell(columns, metrics)
+    return EvaluatedCell(columns, metrics, use)
 
 
 def _make_ship_columns(scenario: Scenario, log: RawLog) -> Columns:

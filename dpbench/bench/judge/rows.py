@@ -237,6 +237,7 @@ def make_run_row(
         return row | evaluated.metrics
     row["steps_done"] = int(np.bincount(steps["repeat"][counts]).max())
     judged = rules.select_answered_steps(rules.select_step_rows(steps, counts), cell.slowdown)
+    row["exact_thruster_use"] = evaluated.thruster_use
     row |= evaluated.metrics | timing.compute_timing_percentiles(cell, evaluated, judged)
     if cell.solver not in CALIBRATION:
         row |= _accuracy_columns(judged, cell.source) | _worst_error_columns(

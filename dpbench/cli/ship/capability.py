@@ -117,16 +117,24 @@ def save_rose_figure(
     from dpbench.report.charts.capability import COLUMNS as DRAWN, draw_capability_rose
     from dpbench.report.charts.render import save_figure
 
-    curves = dict(capability.held)
-    if planned is not None:
-        curves |= {f"{case}, planned": held for case, held in planned.held.items()}
+    plots = {"": capability} | ({} if planned is None else {", half turns": planned})
     rows = [
-        (case, from_deg, at.wind_mps, at.number)
-        for case, held in curves.items()
+        (_name_curve(case) + ending, from_deg, at.wind_mps, at.number)
+        for ending, plot in plots.items()
+        for case, held in plot.held.items()
         for from_deg, at in zip(FROM_DEG, held, strict=True)
     ]
-    title = f"{vessel.title}: largest wind held"
-    save_figure(draw_capability_rose(pd.DataFrame(rows, columns=list(DRAWN)), title), path)
+    chart = draw_capability_rose(
+        pd.DataFrame(rows, columns=list(DRAWN)), f"{vessel.title}: largest wind held"
+    )
+    if planned is not None:
+        chart.title.subtitle.append("half turns: directions in which the controllers plan")
+    save_figure(chart, path)
+
+
+def _name_curve(case: str) -> str:
+    """Return a failure case as the legend of a chart names its curve."""
+    return case if case == INTACT else f"without {case}"
 
 
 def format_wind_table(

@@ -132,13 +132,14 @@ def format_limits_by_axis(vessel: Vessel) -> list[str]:
         ),
         ("acceleration alone", *_format_with_units(acceleration, ("mm/s²", "mm/s²", "mrad/s²"))),
         ("speed at full force", *drift),
+        *(_format_drag(vessel, speed, unit, per) for speed in (0.5, 1.0)),
     ]
     table = [f"{row[0]:<22}" + "".join(f"{cell:<19}" for cell in row[1:]) for row in rows]
     find_share = None if reach is None else reach.find_least_thrust_share
     current_mps = ships.find_largest_current_abeam_mps(vessel, find_share)
     lines = [line.rstrip() for line in table]
-    sideways = _describe_sideways_force(pure, current_mps, unit, per)
-    lines += textwrap.wrap(f"{sideways} {_describe_drag(vessel, unit, per)}", WIDTH)
+    held = _describe_current_held(pure, current_mps)
+    lines += textwrap.wrap(f"{held} {_describe_drag(vessel, unit, per)}", WIDTH)
     if vessel.thrusters is None:
         return lines
     on_thrusters = [
@@ -194,18 +195,20 @@ def _format_number(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 99.5 else significant(value)
 
 
-def _describe_sideways_force(vessel: Vessel, current_mps: float, unit: str, per: float) -> str:
-    """Return sentences on the force at 1 m/s sideways, the sway limit and the current held."""
-    needs = ships.compute_force_of_unit_current_abeam(vessel)[ships.SWAY] / per
-    has = min(-vessel.tau_min[ships.SWAY], vessel.tau_max[ships.SWAY]) / per
+def _format_drag(vessel: Vessel, speed: float, unit: str, per: float) -> tuple[str, ...]:
+    """Return a row: the force that keeps a speed [m/s, °/s] in each axis through calm water."""
+    velocities = np.diag([speed, speed, speed / _DEGREES[2]])
+    drag = np.array([vessel.force_to_keep_velocity(row)[i] for i, row in enumerate(velocities)])
+    return f"drag at {speed:g} m/s, °/s", *_format_with_units(drag / per, (unit, unit, f"{unit}·m"))
+
+
+def _describe_current_held(vessel: Vessel, current_mps: float) -> str:
+    """Return a sentence on the largest current abeam that the ship holds."""
     most = ships.compute_linear_damping_speeds(vessel)[ships.SWAY]
     largest = (
         format_rounded_down(current_mps, 2) if current_mps <= most else f"> {significant(most, 2)}"
     )
-    needed = (
-        f"1 m/s sideways needs {_format_number(needs)} {unit} (limit {_format_number(has)} {unit})"
-    )
-    return f"{needed}. The ship holds a current of {largest} m/s abeam."
+    return f"The ship holds a current of {largest} m/s abeam."
 
 
 def _describe_weather_load(scenario: Scenario) -> str:

@@ -129,7 +129,8 @@ class OwnThrusters:
             for half in _list_half_turns(thruster):
                 every[i] = replace(thruster, sector_rad=half, barred_protects="")
                 fitted = replace(self.thrusters, thrusters=tuple(every))
-                tried[half] = find_winds_of_worse_side(replace(vessel, thrusters=fitted))[1]
+                by_side = find_winds_by_side(replace(vessel, thrusters=fitted))
+                tried[half] = next(iter(by_side.values()))
             # Of equals `max` takes the first.
             best = max(tried, key=lambda half: _list_winds_as_compared(tried[half]))
             every[i] = replace(thruster, sector_rad=best, barred_protects="")
@@ -188,15 +189,38 @@ def _sort_winds(held: Mapping[str, WindLimit]) -> list[float]:
     return sorted(round(limit.wind_mps, 3) for limit in held.values())
 
 
-def find_winds_of_worse_side(vessel: Vessel) -> tuple[float, dict[str, WindLimit]]:
-    """Return the side of the bow [°] from which thrusters hold less wind, and that by failure case.
+def find_winds_by_side(vessel: Vessel) -> dict[float, dict[str, WindLimit]]:
+    """Return the winds held by failure case from both sides of the bow [°], the worse side first.
 
     The side with less after the worst loss; if equal, after the next, then intact. A loss after
     which no sea is held counts too. Starboard where both are alike.
     """
     by_side = {side_deg: _find_winds_from(vessel, side_deg) for side_deg in SIDES_DEG}
-    worse_deg = min(by_side, key=lambda side_deg: _sort_winds(by_side[side_deg]))
-    return worse_deg, by_side[worse_deg]
+    return dict(sorted(by_side.items(), key=lambda side: _sort_winds(side[1])))
+
+
+def _explain_side(by_side: Mapping[float, Mapping[str, WindLimit]]) -> str:
+    """Return a sentence on the side from which the sea comes, the first, and why."""
+    (from_deg, _), (other_deg, _) = by_side.items()
+    side, other = (
+        f"{'port' if deg > 180.0 else 'starboard'} ({deg:g}°)" for deg in (from_deg, other_deg)
+    )
+    orders = [
+        sorted(held, key=lambda case: round(held[case].wind_mps, 3)) for held in by_side.values()
+    ]
+    for cases in zip(*orders, strict=True):
+        winds = [held[case].wind_mps for case, held in zip(cases, by_side.values(), strict=True)]
+        if round(winds[0], 3) < round(winds[1], 3):
+            first, second = (
+                f"{format_wind_held(wind)} {'intact' if case == INTACT else f'without {case}'}"
+                for case, wind in zip(cases, winds, strict=True)
+            )
+            equal = "" if cases[0] == orders[0][0] else " Worse losses leave equal winds."
+            return (
+                f"weather from {side}: there the ship holds less, {first}, than from {other}, "
+                f"{second}.{equal}"
+            )
+    return f"weather from {side}: the ship holds as much wind from {other}."
 
 
 def _find_winds_from(vessel: Vessel, from_deg: float) -> dict[str, WindLimit]:
@@ -312,10 +336,10 @@ class HeldSea:
     lost : the worst group without which a sea is held; None where there is none, and the number is
         that of the whole ship. losses : number held without each group, by rising wind.
     intact_mps : largest wind [m/s] held without a loss. reason : why this sea, for the scenario.
-    from_deg : the side of the bow from which less is held. has_half_turns : whether controllers
-        plan with less than the sectors of the plot. remedies : what would help, as text, by group
-        after whose loss no sea is held. weak_side : the direction of least wind held, after the
-        loss of `lost` where there is one.
+    from_deg : the side of the bow from which less is held; side : a sentence on it.
+    has_half_turns : whether controllers plan with less than the sectors of the plot. remedies :
+        what would help, as text, by group after whose loss no sea is held. weak_side : the
+        direction of least wind held, after the loss of `lost` where there is one.
     """
 
     capability: Capability
@@ -325,6 +349,7 @@ class HeldSea:
     intact_mps: float
     reason: str
     from_deg: float
+    side: str
     has_half_turns: bool
     remedies: dict[str, str]
     weak_side: WeakSide
@@ -377,7 +402,8 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
         capability = compute_capability(CapabilityPlot(vessel), bar)
     assert vessel.thrusters is not None, "asked of ships with thrusters"
     planned = replace(vessel, thrusters=vessel.thrusters.copy_with_convex_sectors())
-    from_deg, held = find_winds_of_worse_side(planned)
+    by_side = find_winds_by_side(planned)
+    from_deg, held = next(iter(by_side.items()))
     losses = sorted((case for case in held if case != INTACT), key=lambda c: held[c].wind_mps)
     worst, intact = losses[0], held[INTACT]
     lost = next((case for case in losses if held[case].number), None)
@@ -417,6 +443,7 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
         intact_mps,
         reason,
         from_deg,
+        _explain_side(by_side),
         halves,
         remedies,
         weak_side,
@@ -512,12 +539,7 @@ def describe_losses(
 
     files : the scenario of each group that is lost in one.
     """
-    lines = []
-    if held.from_deg != scaling.FROM_DEG:
-        lines.append(
-            f"wind from {held.from_deg:g}°: the thrusters hold less from port after the worst loss "
-            "(if equal, after the next)."
-        )
+    lines = [held.side]
     wind_mps = scaling.DP_NUMBERS[number][0]
     if wind_mps > held.intact_mps:
         lines.append(

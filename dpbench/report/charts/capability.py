@@ -24,6 +24,8 @@ _RINGS = (3, 5, 6, 7, 8, 9, 10, 11)
 _SPOKES_DEG = range(0, 360, 30)
 _BETWEEN_DEG = np.arange(15.0, 360.0, 30.0)
 """Directions between two spokes, one of which has the names of the rings."""
+_SHORT_NAME = 18
+"""Letters of a curve's name of which three fit a line of the legend."""
 _CLEAR_MPS = 1.8
 """A line nearer than this to a ring touches its name."""
 
@@ -49,7 +51,10 @@ def draw_capability_rose(table: pd.DataFrame, title: str) -> Any:
     closed = pd.concat(rings)
     span = alt.Scale(domain=[-1.12 * _OUTER, 1.12 * _OUTER], nice=False)
     place = {"x": alt.X("x:Q", scale=span, axis=None), "y": alt.Y("y:Q", scale=span, axis=None)}
-    colour = style.colour("case", cases, style.PALETTE[: len(cases)], columns=3)
+    columns = 3 if max(map(len, cases)) <= _SHORT_NAME else 2
+    colour = style.colour(
+        "case", cases, style.PALETTE[: len(cases)], columns=columns, labelLimit=SIZE // columns
+    )
     lines = alt.Chart(closed).mark_line(strokeWidth=2, interpolate="linear")
     lines = lines.encode(**place, order=alt.Order("i:Q"), color=colour)
     points = _draw_points(closed, place)

@@ -33,7 +33,6 @@ from dpbench.analysis.verdict.verdict import (
 )
 from dpbench.bench.capability.edge_qps import load_capability_plots
 from dpbench.bench.plan.configurations import name_solvers_of_suite
-from dpbench.bench.record.cell import Configuration
 from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import Results, hash_files
 from dpbench.errors import InputError
@@ -61,7 +60,7 @@ from dpbench.report.ship.ship_text import (
     list_losses,
     summarise_ships,
 )
-from dpbench.report.ship.thrust_text import describe_thrust_after_loss
+from dpbench.report.ship.thrust_text import list_thruster_uses
 from dpbench.report.verdict.verdict_text import (
     describe_deployment,
     describe_hardest_wait,
@@ -252,7 +251,7 @@ def _fill_statement(
         cautions=_list_cautions(vessels.values()),
         held=_describe_held(records, plots, analyses),
         losses=find_open_losses(records, data.ships, plots, analyses),
-        thrust_used=_list_thrust_used(records, c),
+        thruster_uses=list(list_thruster_uses(ships)),
         consequence_solver=describe_consequence_solver(records, c.solver),
         caption=caption,
         unmet=describe_unmet(ships, known),
@@ -346,21 +345,6 @@ def _describe_held(
         for plot in plots
     ]
     return [*lines, *(f"Consequence analysis: {describe_losses_held(one)}" for one in analyses)]
-
-
-def _list_thrust_used(records: Records, c: Configuration) -> list[str]:
-    """Return a sentence on each loop of a configuration with a loss: the thrust used after it."""
-    loops = records.select_runs(
-        mode="closed_loop", solver=c.solver, route=c.route, policy=c.policy, settings=c.settings
-    )
-    used = {
-        run.scenario: describe_thrust_after_loss(records, run)
-        for run in loops
-        if run.units == "scaled" and not run.study
-    }
-    return [
-        f"After the loss in {name}, {c.solver} uses {text}." for name, text in used.items() if text
-    ]
 
 
 def _list_cautions(vessels: Iterable[Vessel]) -> list[str]:

@@ -9,6 +9,7 @@ from dpbench.analysis.verdict.ship_results import ShipResult, is_accurate_loop
 from dpbench.bench.run.exact_loop import HEADING_DEG
 from dpbench.report.formats import format_share, join_with_and, plural, significant
 from dpbench.report.ship.conditions_text import describe_conditions_of_ships
+from dpbench.report.ship.thrust_text import explain_departure
 from dpbench.scenario.conditions import read_conditions
 from dpbench.scenario.scenario import Scenario
 from dpbench.scenario.stability import describe_unstable_loop
@@ -74,7 +75,7 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
     if not known:
         return ShipSummary(state=NOT_RUN)
     lost = [ship for ship in known if ship.has_left_station]
-    warning = " ".join(_warn_of_lost(lost))
+    warning = " ".join(filter(None, _warn_of_lost(lost)))
     state = [_describe_kept(known), _name_unsettled(known), *_describe_rest(ships)]
     details = [
         *_describe_transfers(known),
@@ -99,6 +100,7 @@ def _warn_of_lost(lost: Sequence[ShipResult]) -> Iterator[str]:
         sensors = " with these sensors" * any(map(_has_noise_or_estimator, driven))
         opening = f"{BANNER}{sensors}{_name_failures(driven)}, whatever the solver"
         yield f"{opening}: {_describe_lost(driven)}."
+        yield from map(explain_departure, [one for one in driven if not one.run.study][:MOST_NAMED])
     if unstable:
         worst = max(unstable, key=lambda ship: ship.unstable_radius)
         horizon = worst.run.files["scenario"]["controller"]["prediction_horizon"]

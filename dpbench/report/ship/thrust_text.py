@@ -1,48 +1,93 @@
-"""Text on the thrust that a closed loop uses after a loss, as a share of what is left."""
+"""Text on the use of each thruster in the reference loop of a ship."""
 
-import numpy as np
+from collections.abc import Iterator, Sequence
 
-from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
-from dpbench.mpc.thruster_rows import RAMP_DOWN_SHARE
-from dpbench.report.ship.ship_text import list_losses
+from dpbench.analysis.records.run_record import ThrusterUse
+from dpbench.analysis.verdict.ship_results import ShipResult
+from dpbench.bench.capability.utilisation import ThrusterReach
+from dpbench.report.formats import Table, join_with_and
+from dpbench.scenario.scenario import build_scenario_from_documents
+from dpbench.ship.characteristics import compute_mean_weather_force
 
-TAIL_S = 60.0
-"""End of a run over which the used thrust is averaged [s]."""
+MOSTLY = 0.5
+"""Share of steps from which on a thruster is named as being at a limit."""
+AT_LIMIT = "at a limit of thrust or sector"
 
 
-def describe_thrust_after_loss(records: Records, run: RunRecord) -> str:
-    """Return words on the share of the remaining thrust that a closed loop uses after its losses.
+def describe_thrust_used(use: ThrusterUse) -> str:
+    """Return words on the share of the thrust left that a reference loop uses."""
+    mean, most = (f"{100.0 * share:.0f} %" for share in use.thrust)
+    return f"{most} of the remaining thrust at most, {mean} on average"
 
-    The sum of all forces over the largest ones of the thrusters that are left, from when the lost
-    ones give no force. "" for a run without commanded thrusters, losses or recorded steps.
-    """
-    end_s = run.steps_done * run.sample_s
-    losses = [(at_s, names) for at_s, names in list_losses(run) if at_s < end_s]
-    scenario = records.build_scenario(run.scenario)
-    control = None if scenario is None else scenario.controller.commanded_thrusters
-    if not losses or scenario is None or control is None or not run.has_steps:
+
+def explain_departure(ship: ShipResult) -> str:
+    """Return sentences on the thrusters' limits until a ship leaves; "" without thrusters."""
+    use = ship.thruster_use
+    if use is None:
         return ""
-    thrusters, most_N = control.thrusters, control.thrusters.largest_thrusts_N
-    lost = set[int]().union(
-        *(
-            thrusters.find_indices_of_thrusters_or_groups(names, scenario.name, "faults.lost")
-            for _, names in losses
-        )
+    begin_s, end_s = use.window_s
+    used = (
+        f"From {begin_s:.0f} to {end_s:.0f} s in `{ship.name}`, it uses {describe_thrust_used(use)}"
     )
-    faults = scenario.files["scenario"]["faults"]
-    is_ramped = any(fault.get("loss", "ramp_down") != "trip" for fault in faults)
-    rise_s = max((thrusters.thrusters[i].rise_s for i in lost), default=0.0)
-    begin_s = max(at_s for at_s, _ in losses) + is_ramped * rise_s / RAMP_DOWN_SHARE
-    left = [i for i in range(len(most_N)) if i not in lost]
-    steps = records.read_counting_step_table(run, ("k", "thrust_share"))
-    t_s = steps["k"].to_numpy() * run.sample_s
-    share = steps["thrust_share"].to_numpy()[t_s >= begin_s]
-    if not left or not len(share) or not np.isfinite(share).all():
-        return ""
-    share = share * most_N.sum() / most_N[left].sum()
-    tail = share[-max(1, round(TAIL_S / run.sample_s)) :]
-    return (
-        f"{100.0 * share.max():.0f} % of the remaining thrust at most, {100.0 * tail.mean():.0f} % "
-        f"on average in the last {len(tail) * run.sample_s:.0f} s"
+    busy = [
+        f"`{name}` in {100.0 * limit:.0f} % of the steps"
+        for name, (_, _, limit, _) in use.thrusters.items()
+        if limit >= MOSTLY
+    ]
+    if busy:
+        return f"{used}; {AT_LIMIT}: {join_with_and(busy)}."
+    reason = (
+        "the remaining thrusters balance the mean load, but the loop does not settle"
+        if _is_mean_load_balanced(ship, use)
+        else "the remaining thrusters cannot balance the mean load in all axes at once"
     )
+    return f"{used}. No thruster is {AT_LIMIT} in most steps: {reason}."
+
+
+def _is_mean_load_balanced(ship: ShipResult, use: ThrusterUse) -> bool:
+    """Return whether the thrusters left make the mean force of the weather."""
+    scenario = build_scenario_from_documents(ship.run.files)
+    vessel, heading_rad = scenario.vessel, float(scenario.reference[2])
+    assert vessel.thrusters is not None, "as they are used"
+    names = [one.name for one in vessel.thrusters.thrusters]
+    lost = [i for i, name in enumerate(names) if name not in use.thrusters]
+    load = compute_mean_weather_force(vessel, scenario.environment, heading_rad)
+    return ThrusterReach(vessel.thrusters).find_least_thrust_share(-load, lost) <= 1.0
+
+
+def list_thruster_uses(ships: Sequence[ShipResult]) -> Iterator[str]:
+    """Yield a line on each thruster's use in each scenario outside of studies."""
+    for ship in ships:
+        if ship.run.study or (use := ship.thruster_use) is None:
+            continue
+        parts = [
+            f"{name} {100.0 * mean:.0f} / {100.0 * most:.0f} % ({100.0 * limit:.0f} %)"
+            for name, (mean, most, limit, _) in use.thrusters.items()
+        ]
+        begin_s, end_s = use.window_s
+        yield f"{ship.name}, {begin_s:.0f} to {end_s:.0f} s: {', '.join(parts)}"
+
+
+def tabulate_thruster_use(ships: Sequence[ShipResult]) -> Table | None:
+    """Return a table of each thruster's use in the reference loops; None without thrusters."""
+    rows = [
+        {
+            "scenario": ship.name,
+            "window [s]": f"{use.window_s[0]:.0f} to {use.window_s[1]:.0f}",
+            "thruster": name,
+            "mean thrust [%]": f"{100.0 * mean:.0f}",
+            "largest thrust [%]": f"{100.0 * most:.0f}",
+            "steps at a limit [%]": f"{100.0 * limit:.0f}",
+            "steps at the rate limit [%]": f"{100.0 * rate:.0f}",
+        }
+        for ship in ships
+        if not ship.run.study and (use := ship.thruster_use) is not None
+        for name, (mean, most, limit, rate) in use.thrusters.items()
+    ]
+    note = (
+        "Commanded thrust in percent of the largest thrust ahead. A limit is that of the thrust or "
+        "the sector of an azimuth. The window begins at the last loss, or else at the start. It "
+        "ends when the ship leaves its station, or else with the run. Lost thrusters are left out."
+    )
+    title = "Use of each thruster in the reference loop"
+    return Table.from_rows(rows, title, note=note, text_columns=3) if rows else None

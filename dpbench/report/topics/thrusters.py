@@ -17,6 +17,7 @@ from dpbench.analysis.suites.capability import (
     select_configurations_in_all_analyses,
 )
 from dpbench.analysis.verdict.requirements import MISSED, Requirements, is_right_to_the_end
+from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.analysis.verdict.thruster_verdicts import (
     ThrusterVerdicts,
     compare_thrusters_with_forces,
@@ -37,7 +38,7 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.page.section import Topic
-from dpbench.report.ship.thrust_text import describe_thrust_after_loss
+from dpbench.report.ship.thrust_text import describe_thrust_used, tabulate_thruster_use
 from dpbench.report.verdict.verdict_text import describe_hardest_wait
 
 MOST_ROWS = 8
@@ -53,9 +54,10 @@ def build_thrusters_topic(records: Records, requirements: Requirements) -> Topic
         return None
     best, configurations = found.best, found.configurations
     lead = _describe_thruster_load(best, configurations, requirements)
+    use = [table] if (table := tabulate_thruster_use(find_ship_results(records))) else []
     if not is_mostly_thruster_control(records):
         # Where thrusters are one scenario among others, what they cost is not what is asked.
-        return Topic("thrusters", "Thrusters", (lead,))
+        return Topic("thrusters", "Thrusters", (lead,), tables=tuple(use))
     rows = [
         make_wear_row(name, of_it, best, requirements) for name, of_it in configurations.items()
     ]
@@ -71,8 +73,8 @@ def build_thrusters_topic(records: Records, requirements: Requirements) -> Topic
     )
     if len(kept) > MOST_ROWS:
         note += " All rows: tables/thrusters.csv."
-    table = Table.from_rows(kept, shown=MOST_ROWS)
-    return Topic("thrusters", "Thrusters", (lead, note), (), (table,))
+    wear = Table.from_rows(kept, shown=MOST_ROWS)
+    return Topic("thrusters", "Thrusters", (lead, note), (), (wear, *use))
 
 
 def _describe_thruster_load(
@@ -211,8 +213,8 @@ def _yield_offset_after_loss_sentences(
         )
         if own and lost and isfinite(run.r_tail_max_m) and is_right_to_the_end(run, requirements):
             opening = f"After the loss of {join_with_and(lost)} ({run.scenario}), the ship"
-            used = describe_thrust_after_loss(records, run)
-            thrust = f" It uses {used}." if used else ""
+            use = run.thruster_use
+            thrust = f" It uses {describe_thrust_used(use)}." if use else ""
             if run.r_tail_max_m > run.station_radius_m:
                 far, after = (
                     significant(run.r_tail_max_m),

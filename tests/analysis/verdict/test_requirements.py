@@ -109,13 +109,27 @@ def test_a_loop_survives_within_a_tenth_of_the_exact_cost(
 
 def test_the_worst_run_is_first_and_the_others_keep_their_order() -> None:
     runs: list[Any] = [
-        SimpleNamespace(solver_label=n, x=x) for n, x in zip("abcd", (2, 5, 1, 5), strict=True)
+        SimpleNamespace(solver_label=n, x=x, exact_left_s=math.nan)
+        for n, x in zip("abcd", (2, 5, 1, 5), strict=True)
     ]
     (found,) = make_finding_on_worst_runs("failed", runs, lambda run: float(run.x))
     assert [run.solver_label for run in found.runs] == ["b", "a", "c", "d"]
     assert (found.kind, found.value, found.steps) == ("failed", 5.0, 0)
     assert math.isnan(found.machine)
     assert make_finding_on_worst_runs("failed", [], lambda run: 0.0) == []
+
+
+def test_a_run_with_a_lost_ship_comes_after_the_worst_with_a_ship_on_station() -> None:
+    """Its ship leaves whatever the solver; where all ships leave, the worst is first."""
+    names, errors, left_s = "abc", (9.0, 2.0, 3.0), (120.0, math.nan, math.nan)
+    runs: list[Any] = [
+        SimpleNamespace(solver_label=n, x=x, exact_left_s=at)
+        for n, x, at in zip(names, errors, left_s, strict=True)
+    ]
+    (found,) = make_finding_on_worst_runs("inaccurate", runs, lambda run: float(run.x))
+    assert [run.solver_label for run in found.runs] == ["c", "a", "b"] and found.value == 3.0
+    (alone,) = make_finding_on_worst_runs("inaccurate", runs[:1], lambda run: float(run.x))
+    assert alone.value == 9.0
 
 
 def test_verdicts_are_ordered_from_best_to_worst() -> None:

@@ -1,7 +1,9 @@
 """Thrust, power, wear and limit figures of thrusters in runs worked by hand."""
 
+import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from dpbench.bench.judge.control_metrics import (
     compute_thruster_metrics,
     compute_used_thrust_and_power_shares,
+    describe_thruster_use_as_json,
 )
 from dpbench.mpc.thruster_rows import Limits, build_limit_rows_of_thrusters
 from dpbench.mpc.thrusters.azimuth_turning import AzimuthTurning
@@ -140,6 +143,40 @@ def test_share_of_steps_at_a_side_of_a_limit() -> None:
     # Within 1e-6 of the increment of 1.25 N, and 2.5e-6 N away
     inside = [[0, 0, 25 - 1.2e-6, 0], [0, 0, 25 - near, 0], [0, 0, -25, 0], [0, 0, 0, -200]]
     assert metrics_of(inside)["at_limit_thrusters"] == 0.75
+
+
+@pytest.mark.parametrize(("left_s", "end"), [(math.nan, 4), (1.5, 3)])
+def test_use_of_each_thruster_since_the_last_loss(left_s: float, end: int) -> None:
+    """The tunnel is lost at 0.5 s, step 1; the ship leaves at step 3 or stays for 4 steps."""
+    scenario = ship()
+    fault = {"at_s": 0.5, "lost": ["bow"]}
+    document = scenario.files["scenario"] | {"faults": [fault, fault | {"at_s": 9.0}]}
+    scenario = replace(scenario, files=scenario.files | {"scenario": document})
+    f = np.array([[0, 0, 25, 400], [60, 40, 0, 400], [65, 30, 0, 385], [0, 0.5, 0, 380]], float)
+    limits = [ROWS.intact, *3 * [ROWS.limits_after_loss_of_thrusters({1})]]
+    use = json.loads(describe_thruster_use_as_json(scenario, f, limits, left_s))
+    azimuth = [math.hypot(60, 40) / 100, math.hypot(65, 30) / 100, 0.005][: end - 1]
+    main = [1.0, 385 / 400, 380 / 400][: end - 1]
+    count = end - 1
+    assert use["window_s"] == [0.5, end * 0.5] and list(use["thrusters"]) == ["azimuth", "main"]
+    # |X| + |Y| = 100 N once; increments of 60, 10 and 65 N exceed the 5 N of an entry.
+    assert use["thrusters"]["azimuth"][:3] == pytest.approx(
+        [np.mean(azimuth), max(azimuth), 1 / count]
+    )
+    assert use["thrusters"]["main"] == pytest.approx([np.mean(main), 1.0, 1 / count, 0.0])
+    total = [(100 * a + 400 * m) / 500 for a, m in zip(azimuth, main, strict=True)]
+    assert use["thrust"] == pytest.approx([np.mean(total), max(total)])
+
+
+def test_an_idle_azimuth_in_the_corner_of_its_sector_is_at_no_limit() -> None:
+    """At 1 N of 100 N it is idle; at 50 N along the edge of its half turn it is at a limit."""
+    half = Thruster("azimuth", "azimuth", -10.0, 0.0, 100.0, 10.0, sector_rad=(0.0, math.pi))
+    own = ThrusterSet((half, *THRUSTERS.thrusters[1:]))
+    rows = build_limit_rows_of_thrusters(own, 4)
+    scenario = thruster_ship(ThrusterControl(own, rows, np.eye(4)))
+    f = np.array([[0, 0, 0, 0], [1.0, 0, 0, 0], [50, 0, 0, 0], [30, 20, 0, 0]], dtype=float)
+    use = json.loads(describe_thruster_use_as_json(scenario, f, 4 * [rows.intact], math.nan))
+    assert use["thrusters"]["azimuth"][2] == 0.25
 
 
 def test_a_lost_thruster_is_at_no_limit() -> None:
