@@ -80,7 +80,7 @@ class _ItemProcess(Child, Generic[AnyItem]):
         for item in self.items[: self._at]:
             outcomes[item.name] = self.read_verdict(self.folder / f"{item.name}.{self._suffix}")
         # A library may bring its process down when it is let go, between two cells.
-        not_begun = self._at > 0 and self.notice.cell_index < self._at
+        not_begun = self._at > 0 and self.notice.page.cell_index < self._at
         if not_begun or self.is_suspect or self._at == len(self.items):
             return outcomes, self.items[self._at :]
         outcomes[self.name] = self.determine_outcome()
@@ -226,11 +226,11 @@ class FileRun:
 
     def describe_step(self, child: Child) -> str:
         """Return the step of a reference loop that a process is at; "" if it is quick."""
-        done, steps = child.notice.step
+        done, steps = child.notice.page.step, child.notice.page.steps
         if not steps:
             return ""
         assert isinstance(child, _ItemProcess), "the processes of a batch are its own"
-        cell = Cell.from_json(child.items[child.notice.cell_index].description)
+        cell = Cell.from_json(child.items[child.notice.page.cell_index].description)
         return f"step {done} of {steps}, exact loop of {cell.scenario_name}"
 
     def start_next(self, child: Child, core: int) -> Child | None:

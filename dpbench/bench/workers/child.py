@@ -214,16 +214,16 @@ class Child:
     def _join_process(self) -> None:
         """Wake the worker's parent, which may be stopped, and wait for the end of the worker."""
         # A stopped template does not say who ended, and a stopped keeper does not let it go on.
-        signal_process(self.notice.keeper, signal.SIGCONT)
+        signal_process(self.notice.page.keeper, signal.SIGCONT)
         self.process.join()
 
     def join(self) -> None:
         """Wait for the end of the process, and end the processes that it has started."""
         self._join_process()
-        end_orphans(self.notice.keeper, self.notice.forkserver)
+        end_orphans(self.notice.page.keeper, self.notice.page.forkserver)
         if self.forkserver_died or self.process.exitcode != _UNHEARD:
             return
-        self.forkserver_died = _wait_for_end(self.notice.forkserver)
+        self.forkserver_died = _wait_for_end(self.notice.page.forkserver)
         if self.forkserver_died and self.process.pid is not None:
             _kill_and_wait(self.process.pid)
 
@@ -246,7 +246,7 @@ class Child:
             return KILLED_FORKSERVER if guilty else FORKSERVER_DIED
         ended = self._diagnose_end()
         cut = f"; {CUT}" if self.notice.output.is_full else ""
-        peak = max(self._peak_bytes, self.notice.peak_bytes)
+        peak = max(self._peak_bytes, self.notice.page.peak_bytes)
         return replace(ended, detail=f"{ended.detail}{cut}", peak_bytes=peak or None)
 
     def _diagnose_end(self) -> Outcome:
@@ -275,7 +275,8 @@ class Child:
 
     def _blame_plant(self, reason: str) -> Outcome:
         """Return the outcome of a run that its FMU ended; it counts against no solver."""
-        return Outcome("invalid", f"plant {self.notice.fmu} failed, not the solver: {reason}")
+        fmu = self.notice.page.fmu.decode(errors="replace")
+        return Outcome("invalid", f"plant {fmu} failed, not the solver: {reason}")
 
     def _memory_ran_out(self) -> bool:
         """Return whether the kernel killed processes for lack of memory, or hides that."""

@@ -4,11 +4,11 @@ Anonymous memory needs no room on a file system, cannot be removed, and outlives
 tells whether the harness or the solver was at work when the process died.
 """
 
+import ctypes
 import fcntl
 import io
 import mmap
 import os
-import struct
 import sys
 import weakref
 from collections.abc import Callable
@@ -24,21 +24,7 @@ from dpbench.bench.workers import orphans
 
 OUTPUT_BYTES = 2**20  # What is kept of the output of one cell; the rest is dropped
 CUT = f"its output was cut at {OUTPUT_BYTES // 2**20} MiB"
-_HEAD = struct.Struct("iiI")
-"""Layout of the head: the process at work, the cell it is at, and the bytes of the words that
-follow."""
-_TEMPLATE = struct.Struct("ii")
-"""Layout of the process it was forked from and that one's supervisor; behind the head."""
-_PEAK = struct.Struct("d")
-_PEAK_AT = _HEAD.size + _TEMPLATE.size
-"""Offset of the peak of memory [B] of a process that ended by an exception."""
-_STEP = struct.Struct("ii")
-_STEP_AT = _PEAK_AT + _PEAK.size
-"""Offset of the steps done and to do of the file that the process makes; zeros for none."""
-_FMU = struct.Struct("256p")
-_FMU_AT = _STEP_AT + _STEP.size
-"""Offset of the file name of the FMU that is the plant; "" for none."""
-_WORDS = _FMU_AT + _FMU.size
+_REASON_BYTES = 3072  # What is kept of the reason why a process ended
 _PACKAGE = Path(__file__).parents[2]
 _BY_SOLVERS = (
     f"{_PACKAGE / 'solvers'}{os.sep}",
@@ -126,6 +112,33 @@ def _receive_output(descriptor: Any) -> Output:
     return Output(descriptor.detach())
 
 
+class _Page(ctypes.Structure):
+    """Layout of the memory that a worker process shares with its supervisor.
+
+    phase : or the last one of a process that has ended; cell_index : of its run in its batch.
+    forkserver : process that it was forked from; keeper : process that adopts what it leaves; 0 for
+        both before it began.
+    peak_bytes : of its memory, when an exception ended it [B]; exit_reason : "" for none.
+    step, steps : done and to do of the file that it makes; zeros where none are shown.
+    fmu : file name of the FMU that is the plant; "" for none.
+    """
+
+    phase: int
+    cell_index: int
+    forkserver: int
+    keeper: int
+    step: int
+    steps: int
+    peak_bytes: float
+    fmu: bytes
+    exit_reason: bytes
+    _fields_ = [
+        *((name, ctypes.c_int) for name in ("phase", "cell_index", "forkserver", "keeper")),
+        *(("step", ctypes.c_int), ("steps", ctypes.c_int), ("peak_bytes", ctypes.c_double)),
+        *(("fmu", ctypes.c_char * 256), ("exit_reason", ctypes.c_char * _REASON_BYTES)),
+    ]
+
+
 class SharedStatus:
     """Phase, exit reason and output of a worker process, in memory shared with its supervisor."""
 
@@ -135,7 +148,7 @@ class SharedStatus:
         if descriptor is None:
             # Written, not only made longer: this page must exist whatever becomes scarce.
             os.write(self._descriptor, bytes(mmap.PAGESIZE))
-        self._page = mmap.mmap(self._descriptor, mmap.PAGESIZE)
+        self.page = _Page.from_buffer(mmap.mmap(self._descriptor, mmap.PAGESIZE))
 
     def __reduce__(self) -> "tuple[Callable[..., SharedStatus], tuple[Any, ...]]":
         return _receive_status, (reduction.DupFd(self._descriptor), self.output)
@@ -148,72 +161,30 @@ class SharedStatus:
         """Record this worker's parents and first phase; have it end with the fork server."""
         orphans.end_with_parent(orphans.template)
         orphans.adopt_orphans()
-        _TEMPLATE.pack_into(self._page, _HEAD.size, orphans.template, orphans.keeper)
+        self.page.forkserver, self.page.keeper = orphans.template, orphans.keeper
         self.set_phase(Phase.HARNESS)
 
     def set_phase(self, phase: Phase, cell_index: int | None = None) -> None:
         """Set the phase that the worker is in, and the index of its current run."""
-        at = self.cell_index if cell_index is None else cell_index
-        _HEAD.pack_into(self._page, 0, phase, at, 0)
-
-    def set_step(self, done: int, steps: int) -> None:
-        """Set how many of its steps the file that the worker makes has; zeros to show none."""
-        _STEP.pack_into(self._page, _STEP_AT, done, steps)
-
-    def set_fmu(self, name: str) -> None:
-        """Set the file name of the FMU that the worker runs; its first 255 bytes are kept."""
-        _FMU.pack_into(self._page, _FMU_AT, name.encode(errors="replace"))
+        self.page.phase, self.page.exit_reason = phase, b""
+        if cell_index is not None:
+            self.page.cell_index = cell_index
 
     def record_exit(self, phase: Phase, reason: str) -> None:
         """Record the phase in which the process ends, the reason, and its peak memory."""
-        text = " ".join(reason.split()).encode()[: mmap.PAGESIZE - _WORDS]
-        self._page[_WORDS : _WORDS + len(text)] = text
-        _PEAK.pack_into(self._page, _PEAK_AT, process_peak_bytes())
-        _HEAD.pack_into(self._page, 0, phase, self.cell_index, len(text))
+        self.page.exit_reason = " ".join(reason.split()).encode()[:_REASON_BYTES]
+        self.page.peak_bytes = process_peak_bytes()
+        self.page.phase = phase
 
     @property
     def phase(self) -> Phase:
         """The current phase of the worker, or the last one of a process that has ended."""
-        return Phase(_HEAD.unpack_from(self._page)[0])
-
-    @property
-    def cell_index(self) -> int:
-        """Index of the worker's current run in its batch."""
-        return int(_HEAD.unpack_from(self._page)[1])
-
-    @property
-    def step(self) -> tuple[int, int]:
-        """Steps done and to do of the file that the worker makes; zeros where none are shown."""
-        done, steps = _STEP.unpack_from(self._page, _STEP_AT)
-        return int(done), int(steps)
-
-    @property
-    def fmu(self) -> str:
-        """File name of the FMU that the worker runs; "" where it runs none."""
-        name: bytes = _FMU.unpack_from(self._page, _FMU_AT)[0]
-        return name.decode(errors="replace")
-
-    @property
-    def forkserver(self) -> int:
-        """Id of the process this worker was forked from; 0 before the worker began."""
-        return int(_TEMPLATE.unpack_from(self._page, _HEAD.size)[0])
-
-    @property
-    def keeper(self) -> int:
-        """Id of the process that adopts what this worker leaves running; 0 before it began."""
-        return int(_TEMPLATE.unpack_from(self._page, _HEAD.size)[1])
-
-    @property
-    def peak_bytes(self) -> float:
-        """Peak memory when an exception ended the process [B]; 0 for none."""
-        return float(_PEAK.unpack_from(self._page, _PEAK_AT)[0])
+        return Phase(self.page.phase)
 
     @property
     def exit_reason(self) -> str:
         """Reason why the process ended; "" where it recorded none."""
-        length = _HEAD.unpack_from(self._page)[2]
-        text = bytes(self._page[_WORDS : _WORDS + length])
-        return text.decode(errors="replace")
+        return self.page.exit_reason.decode(errors="replace")
 
 
 def _receive_status(descriptor: Any, output: Output) -> SharedStatus:
@@ -236,13 +207,13 @@ def set_phase(phase: Phase, cell_index: int | None = None) -> None:
 def set_step(done: int, steps: int) -> None:
     """Report to the supervisor how many of its steps the file has that this process makes."""
     for notice in _process_status:
-        notice.set_step(done, steps)
+        notice.page.step, notice.page.steps = done, steps
 
 
 def set_fmu(name: str) -> None:
     """Report the file name of the FMU that this process runs to the supervisor."""
     for notice in _process_status:
-        notice.set_fmu(name)
+        notice.page.fmu = name.encode(errors="replace")[:255]
 
 
 def discard_captured_output() -> None:

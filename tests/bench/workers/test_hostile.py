@@ -155,10 +155,10 @@ def test_output_of_children_counts(context: ForkServerContext, tmp_path: Path) -
 @pytest.mark.slow
 def test_the_keeper_has_one_child(context: ForkServerContext, tmp_path: Path) -> None:
     child = Child(context, exec, (SOLVER + "time.sleep(600.0)",), tmp_path, "cell", limit_s=5.0)
-    wait_until(lambda: child.notice.forkserver, "it does not begin")
-    notice = child.notice
-    assert list_children(notice.keeper) == [notice.forkserver]
-    assert child.process.pid in list_children(notice.forkserver)
+    wait_until(lambda: child.notice.page.forkserver, "it does not begin")
+    page = child.notice.page
+    assert list_children(page.keeper) == [page.forkserver]
+    assert child.process.pid in list_children(page.forkserver)
     child.kill("seen")
 
 

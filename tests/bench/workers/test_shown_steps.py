@@ -31,6 +31,11 @@ def status() -> Iterator[SharedStatus]:
     own.close_descriptor()
 
 
+def shown(status: SharedStatus) -> tuple[int, int]:
+    """Return the steps done and to do that a process has reported."""
+    return status.page.step, status.page.steps
+
+
 def test_an_exact_loop_reports_each_step() -> None:
     reported: list[tuple[int, int]] = []
     solve_loop_exactly(load_scenario("paper").truncate(3), lambda *step: reported.append(step))
@@ -41,17 +46,17 @@ def test_a_worker_reports_the_steps_of_a_long_loop_alone(
     status: SharedStatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     worker._make_step_report()(7, 450)
-    assert status.step == (0, 0)
+    assert shown(status) == (0, 0)
     monkeypatch.setattr(worker, "QUICK_S", 0.0)
     report = worker._make_step_report()
     report(8, 450)
-    assert status.step == (8, 450)
+    assert shown(status) == (8, 450)
     # The reason of an end is behind it, and the phase before it.
     status.record_exit(Phase.SOLVER, "out of memory")
-    assert (status.step, status.exit_reason) == ((8, 450), "out of memory")
+    assert (shown(status), status.exit_reason) == ((8, 450), "out of memory")
     assert status.phase is Phase.SOLVER
     worker._make_step_report()
-    assert status.step == (0, 0)
+    assert shown(status) == (0, 0)
 
 
 class Shown(Silent):
@@ -77,7 +82,7 @@ def test_the_step_is_shown_once_a_second(status: SharedStatus, monkeypatch: Any)
     status.set_phase(Phase.HARNESS, 1)
     for k, at_s in ((120, 200.0), (121, 200.5), (122, 201.5)):
         now_s[0] = at_s
-        status.set_step(k, 450)
+        status.page.step, status.page.steps = k, 450
         CellExecutor._show_step(executor, run, child)
     what = "step {} of 450, exact loop of turn"
     assert shown.lines == [(0, what.format(120)), (0, what.format(122))]
