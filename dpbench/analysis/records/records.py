@@ -14,7 +14,6 @@ from dpbench.analysis.records.loop_ratios import (
 from dpbench.analysis.records.run_record import RunRecord, build_run_records, map_first_by_key
 from dpbench.analysis.records.run_steps import (
     COUNTING_COLUMNS,
-    DELAY_COLUMNS,
     TIME_COLUMNS,
     Delays,
     RunSteps,
@@ -228,7 +227,7 @@ class Records:
     def read_delays_by_run(self, runs: Sequence[RunRecord]) -> dict[str, Delays]:
         """Return unusually long step timings of given runs, by run id."""
         unread = [run for run in runs if run.run_id not in self._delays]
-        for table in self.yield_step_tables(unread, DELAY_COLUMNS):
+        for table in self.yield_step_tables(unread, TIME_COLUMNS):
             self._delays |= dict(yield_delays_by_run(table))
         return {run.run_id: self._delays[run.run_id] for run in runs if run.run_id in self._delays}
 

@@ -216,9 +216,7 @@ class StepTimes:
 
 def yield_step_times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
     """Yield each run's id and its step times, from a table of steps."""
-    for run_id, repeat, k, (total_ns, waited_ns) in _yield_valid_timings_by_run(
-        steps, "total_ns", "waited_ns"
-    ):
+    for run_id, repeat, k, total_ns, waited_ns in _yield_valid_timings_by_run(steps):
         best = _find_least_by_step(k, total_ns)
         done = np.flatnonzero(np.isfinite(best))
         net_ns = _subtract_waits(total_ns, waited_ns)
@@ -245,18 +243,20 @@ def _find_least_by_step(k: Ints, times_ns: Floats) -> Floats:
 
 
 def _yield_valid_timings_by_run(
-    steps: pd.DataFrame, *times: str
-) -> Iterator[tuple[str, Ints, Ints, list[Floats]]]:
-    """Yield each run's id, repetition and step indices, and times [ns] from valid step rows."""
+    steps: pd.DataFrame,
+) -> Iterator[tuple[str, Ints, Ints, Floats, Floats]]:
+    """Yield each run's id, and of its valid step rows repetition, step, time and wait [ns]."""
     counting = steps[steps["counts"]]
     repeat, k = (counting[name].to_numpy(dtype=np.int64) for name in ("repeat", "k"))
-    columns = [counting[name].to_numpy(dtype=np.float64, na_value=np.nan) for name in times]
+    total_ns, waited_ns = (
+        counting[name].to_numpy(dtype=np.float64, na_value=np.nan)
+        for name in ("total_ns", "waited_ns")
+    )
     for run_id, (first, end) in find_row_ranges_by_label(counting["run_id"]).items():
         own = slice(first, end)
-        yield run_id, repeat[own], k[own], [column[own] for column in columns]
+        yield run_id, repeat[own], k[own], total_ns[own], waited_ns[own]
 
 
-DELAY_COLUMNS = ("run_id", "repeat", "k", "counts", "total_ns", "waited_ns")
 DELAYED = 2.0
 """A timing over this multiple of the fastest time of its step is a delay."""
 
@@ -310,9 +310,7 @@ class Delays:
 
 def yield_delays_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, Delays]]:
     """Yield each run's id and its unusually long timings, from a table of steps."""
-    for run_id, repeat, k, (total_ns, waited_ns) in _yield_valid_timings_by_run(
-        steps, "total_ns", "waited_ns"
-    ):
+    for run_id, repeat, k, total_ns, waited_ns in _yield_valid_timings_by_run(steps):
         yield run_id, find_delays(repeat, k, total_ns, waited_ns)
 
 

@@ -8,7 +8,6 @@ import pytest
 
 from dpbench.analysis.records.run_steps import (
     COUNTING_COLUMNS,
-    DELAY_COLUMNS,
     MEASURES,
     TIME_COLUMNS,
     Delays,
@@ -140,11 +139,11 @@ def test_no_counting_row_is_no_run(records: Any) -> None:
 
 def test_the_named_columns_are_all_that_is_read(records: Any) -> None:
     steps = _several(records)
-    for columns in (COUNTING_COLUMNS, TIME_COLUMNS, DELAY_COLUMNS):
+    for columns in (COUNTING_COLUMNS, TIME_COLUMNS):
         assert len(set(columns)) == len(columns)
     assert len(extract_counting_rows(steps[list(COUNTING_COLUMNS)])) == steps["counts"].sum()
     assert len(dict(yield_step_times_by_run(steps[list(TIME_COLUMNS)]))) == 3
-    assert len(dict(yield_delays_by_run(steps[list(DELAY_COLUMNS)]))) == 3
+    assert len(dict(yield_delays_by_run(steps[list(TIME_COLUMNS)]))) == 3
 
 
 def test_a_run_without_rows_has_none_to_select(records: Any) -> None:
