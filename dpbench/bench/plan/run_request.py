@@ -7,9 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar, get_args
-
-from pydantic import BaseModel
+from typing import Any, get_args
 
 from dpbench.bench.judge.rules import LEAST_STRETCH, has_enough_samples_for_percentile
 from dpbench.bench.plan.cells import PlannedCell
@@ -73,7 +71,7 @@ class Plan:
         document = self.document
         if self.solvers:
             update = {"solvers": list(self.solvers), "baseline_law": False, "calibration": False}
-            document = _copy_table_with(document, **update)
+            document = document.model_copy(update=update)
         scenarios = _rename_files(list(self.scenarios), Path(), folder)
         options = "".join(f" --scenario {name}" for name in scenarios)
         tables = document.model_dump(mode="json", exclude_defaults=True)
@@ -208,23 +206,22 @@ def reduce_suite(
         key: list(getattr(suite, key)) for key in SuiteFile.list_names_of_run_tables()
     }
     if not set(asked) <= set(suite.scenario_names):
-        tables["closed_loop"] = [
-            _copy_table_with(t, scenarios=asked, vessels=[], steps=0) for t in suite.closed_loop
-        ]
+        own_scenarios = {"scenarios": asked, "vessels": [], "steps": 0}
+        tables["closed_loop"] = [t.model_copy(update=own_scenarios) for t in suite.closed_loop]
         tables["replay"] = [
-            _copy_table_with(t, scenario=name, first=0, steps=0)
+            t.model_copy(update={"scenario": name, "first": 0, "steps": 0})
             for t in suite.replay
             for name in asked
         ]
     for key, own in tables.items():
-        tables[key] = [_copy_table_with(t, **calls) for t in own]
+        tables[key] = [t.model_copy(update=calls) for t in own]
     if steps is not None:
         for key in ("closed_loop", "replay", "study"):
             tables[key] = [
-                _copy_table_with(t, steps=min(steps, t.steps or steps)) for t in tables[key]
+                t.model_copy(update={"steps": min(steps, t.steps or steps)}) for t in tables[key]
             ]
         tables["replay"] = [
-            _copy_table_with(t, hardest=min(steps, t.hardest)) for t in tables["replay"]
+            t.model_copy(update={"hardest": min(steps, t.hardest)}) for t in tables["replay"]
         ]
     if not (scenarios or calls or steps is not None):
         return suite
@@ -235,16 +232,8 @@ def reduce_suite(
     }
     keys = {"route": "routes", "policy": "policies"}
     replaced = {key: None for key, names in keys.items() if names in calls}
-    named = {name: _copy_table_with(table, **replaced) for name, table in suite.settings.items()}
-    return _copy_table_with(suite, settings=named, **once)
-
-
-Model = TypeVar("Model", bound=BaseModel)
-
-
-def _copy_table_with(model: Model, **update: object) -> Model:
-    """Return a copy of a table of a suite with some of its keys changed."""
-    return model.model_copy(update=update)
+    named = {name: table.model_copy(update=replaced) for name, table in suite.settings.items()}
+    return suite.model_copy(update={"settings": named, **once})
 
 
 def list_tables_left_out(suite: SuiteFile) -> list[str]:
