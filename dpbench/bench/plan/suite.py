@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, get_args
 
@@ -57,25 +58,22 @@ def _require_slowdown_0_or_from_1(value: float) -> float:
     return value
 
 
-def _require_known_fallback(name: str) -> str:
-    """Return the name of a policy for unanswered steps unchanged; ValueError if unknown."""
-    if name not in FALLBACKS:
-        raise ValueError(", ".join(map(repr, FALLBACKS)))
-    return name
-
-
-def _require_known_core(name: str) -> str:
-    """Return the name of an embedded core unchanged; ValueError for an unknown one."""
-    if name not in TARGETS:
-        raise ValueError(", ".join(map(repr, TARGETS)))
+def _require_name_among(known: Collection[str], name: str) -> str:
+    """Return a name unchanged; ValueError, with the known names, for an unknown one."""
+    if name not in known:
+        raise ValueError(", ".join(map(repr, known)))
     return name
 
 
 TargetName = Annotated[
-    str, AfterValidator(_require_known_core), WithJsonSchema({"enum": list(TARGETS)})
+    str,
+    AfterValidator(partial(_require_name_among, TARGETS)),
+    WithJsonSchema({"enum": list(TARGETS)}),
 ]
 Fallback = Annotated[
-    str, AfterValidator(_require_known_fallback), WithJsonSchema({"enum": list(FALLBACKS)})
+    str,
+    AfterValidator(partial(_require_name_among, FALLBACKS)),
+    WithJsonSchema({"enum": list(FALLBACKS)}),
 ]
 Slowdown = Annotated[float, AfterValidator(_require_slowdown_0_or_from_1)]
 
