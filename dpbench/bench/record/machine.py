@@ -143,29 +143,18 @@ def _list_vector_instructions(facts: Mapping[str, str]) -> list[str]:
 def find_running_revision() -> Revision | None:
     """Return the git revision of the running dpbench package; None where unknown."""
     package = Path(__file__).parents[2]
-    return read_git_revision(package) or read_installed_revision() or read_built_revision(package)
-
-
-def read_git_revision(package: Path) -> Revision | None:
-    """Return a package's git commit and whether its files are unchanged; None if unknown."""
-    found = read_commit(package)
+    found = read_commit(package) or read_installed_commit() or read_built_commit(package)
     return None if found is None else Revision(commit=found[0], clean=found[1])
 
 
-def read_built_revision(package: Path) -> Revision | None:
-    """Return the commit that a wheel of the package was built from; None if unknown."""
-    found = read_built_commit(package)
-    return None if found is None else Revision(commit=found[0], clean=found[1])
-
-
-def read_installed_revision() -> Revision | None:
+def read_installed_commit() -> tuple[str, bool] | None:
     """Return the commit that dpbench was installed from, by its installer's note (PEP 610)."""
     try:
         noted = importlib.metadata.distribution("dpbench").read_text("direct_url.json")
     except importlib.metadata.PackageNotFoundError:
         return None
     commit = json.loads(noted or "{}").get("vcs_info", {}).get("commit_id")
-    return None if commit is None else Revision(commit=str(commit), clean=True)
+    return None if commit is None else (str(commit), True)
 
 
 def append_revision(earlier: list[Revision], now: Revision | None) -> list[Revision]:

@@ -8,15 +8,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from dpbench.bench.record.git_commit import write_built_commit
+from dpbench.bench.record.git_commit import (
+    read_built_commit,
+    read_commit,
+    write_built_commit,
+)
 from dpbench.bench.record.machine import (
     append_revision,
     describe_machine,
     describe_revisions,
     describe_version,
-    read_built_revision,
-    read_git_revision,
-    read_installed_revision,
+    read_installed_commit,
 )
 
 
@@ -37,28 +39,28 @@ def package(tmp_path: Path) -> Path:
 
 
 def test_a_checkout_tells_its_commit_and_whether_it_is_clean(package: Path) -> None:
-    clean = read_git_revision(package)
-    assert len(clean["commit"]) == 40 and clean["clean"] is True
+    clean = read_commit(package)
+    assert clean is not None and len(clean[0]) == 40 and clean[1] is True
     (package.parent / "notes.txt").write_text("beside", encoding="utf-8")
-    assert read_git_revision(package) == clean
+    assert read_commit(package) == clean
     (package / "__init__.py").write_text("x = 2\n", encoding="utf-8")
-    assert read_git_revision(package) == clean | {"clean": False}
+    assert read_commit(package) == (clean[0], False)
 
 
 def test_a_package_inside_the_checkout_of_another_is_not_of_its_commit(package: Path) -> None:
     other = package.parent / "environment"
     other.mkdir()
     (other / "__init__.py").write_text("", encoding="utf-8")
-    assert read_git_revision(other) is None
+    assert read_commit(other) is None
 
 
 def test_an_installer_tells_the_commit_it_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     noted: dict[str, str | None] = {"text": json.dumps({"vcs_info": {"commit_id": "ab" * 20}})}
     there = SimpleNamespace(read_text=lambda name: noted["text"])
     monkeypatch.setattr(importlib.metadata, "distribution", lambda name: there)
-    assert read_installed_revision() == {"commit": "ab" * 20, "clean": True}
+    assert read_installed_commit() == ("ab" * 20, True)
     noted["text"] = None
-    assert read_installed_revision() is None
+    assert read_installed_commit() is None
 
 
 def test_a_folder_that_was_taken_up_again_names_all_commits() -> None:
@@ -71,9 +73,9 @@ def test_a_folder_that_was_taken_up_again_names_all_commits() -> None:
 
 
 def test_a_wheel_keeps_the_commit_it_was_built_from(tmp_path: Path) -> None:
-    assert read_built_revision(tmp_path) is None
+    assert read_built_commit(tmp_path) is None
     write_built_commit(tmp_path, "c" * 40, is_clean=False)
-    assert read_built_revision(tmp_path) == {"commit": "c" * 40, "clean": False}
+    assert read_built_commit(tmp_path) == ("c" * 40, False)
 
 
 def test_a_machine_has_the_facts_that_libraries_choose_their_code_by() -> None:
