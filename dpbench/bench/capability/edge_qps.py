@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 
 from dpbench.bench.capability.frontier import (
     FROM_DEG,
@@ -24,6 +23,7 @@ from dpbench.bench.capability.frontier import (
     Case,
     WindLimit,
 )
+from dpbench.bench.record.recorded_steps import convert_table_errors
 from dpbench.errors import ResultsError
 from dpbench.files.regular_files import write_file_atomically
 from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
@@ -155,18 +155,15 @@ def load_capability_plots(folder: Path) -> pd.DataFrame | None:
     path = folder / CAPABILITY_FILE
     if not path.exists():
         return None
-    try:
-        with open_untrusted_parquet_table(path, error=ResultsError) as file:
-            table = decode_dictionary_columns_to_text(
-                file.read(columns=list(COLUMNS)), path, error=ResultsError
-            )
+    with (
+        convert_table_errors(path),
+        open_untrusted_parquet_table(path, error=ResultsError) as file,
+    ):
+        table = decode_dictionary_columns_to_text(
+            file.read(columns=list(COLUMNS)), path, error=ResultsError
+        )
         plots: pd.DataFrame = table.to_pandas(ignore_metadata=True)[list(COLUMNS)]
         plots = plots.astype(COLUMNS)
-    except ResultsError:
-        raise
-    except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
-        found = "a damaged file"
-        raise ResultsError(str(path), "", found, "a Parquet table; run the suite again") from error
     _refuse_bad_plots(plots, path)
     return plots
 

@@ -201,7 +201,7 @@ def convert_table_errors(path: Path) -> Iterator[None]:
     """Turn errors of reading a Parquet table within the block into `ResultsError`."""
     try:
         yield
-    except (OSError, ValueError, KeyError, pa.ArrowException) as error:
+    except (OSError, ValueError, TypeError, KeyError, pa.ArrowException) as error:
         if isinstance(error, ResultsError):
             raise
         raise ResultsError(
