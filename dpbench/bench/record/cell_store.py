@@ -97,10 +97,6 @@ class Source(ABC):
     def is_undamaged(self) -> bool:
         """Return whether the file of steps is undamaged, by its checksum."""
 
-    @abstractmethod
-    def remove(self) -> None:
-        """Delete the files that finished runs are read from."""
-
     def read_rows(self, columns: Sequence[str] = ()) -> pa.Table:
         """Return some or all columns of finished runs as one table; no rows if unreadable."""
         none = NO_RUNS.select(columns or NO_RUNS.column_names)
@@ -193,11 +189,6 @@ class PublicTables(Source):
         rename_durably(steps.path, self.steps)
         write_runs(self.runs, rows, noted)
 
-    def remove(self) -> None:
-        """Delete `runs.parquet` and `steps.parquet`."""
-        self.runs.unlink(missing_ok=True)
-        self.steps.unlink(missing_ok=True)
-
 
 class Part(Source):
     """A Parquet file in the folder `cells` with the finished runs of one batch."""
@@ -220,10 +211,6 @@ class Part(Source):
         """Return whether a batch's file has the checksum in its name."""
         named = _PART.fullmatch(self.steps.name)
         return named is not None and int(named["crc32"], 16) == _compute_crc32_of_file(self.steps)
-
-    def remove(self) -> None:
-        """Delete the file of one batch's finished runs."""
-        self.steps.unlink(missing_ok=True)
 
 
 def _parse_runs_of_batch(columns: Mapping[str, Sequence[Any]]) -> pa.Table:
@@ -326,11 +313,10 @@ class CellStore:
     def remarks(self) -> list[str]:
         """A remark on unknown files in the folder `cells`, such as those of sync programs."""
         others = sorted(p.name for p in self.folder.iterdir() if not _OWN_FILE.fullmatch(p.name))
+        if not others:
+            return []
         more = f" and {len(others) - 1} more" if len(others) > 1 else ""
-        said = (
-            f"{self.folder}: ignored {others[0]!r}{more}, which no campaign wrote" if others else ""
-        )
-        return [said] if said else []
+        return [f"{self.folder}: ignored {others[0]!r}{more}, which no campaign wrote"]
 
     def mark_unfinished(self, run_ids: Iterable[str]) -> None:
         """Treat stored runs as unfinished, so that they are done again."""
@@ -399,7 +385,7 @@ class CellStore:
     def delete_parts(self, parts: Iterable[Part]) -> None:
         """Delete batch files whose runs are now stored in the result tables."""
         for part in list(parts):
-            part.remove()
+            part.steps.unlink(missing_ok=True)
             self.parts.remove(part)
 
 
