@@ -146,11 +146,6 @@ class LoopWithBackup:
         """Time waited for the core in the main solver's last answer [ns]; −1 if unknown."""
         return self._solver.waited_ns
 
-    @property
-    def matrix_updates(self) -> int:
-        """Number of updates in which the main solver took new QP matrices."""
-        return self._solver.matrix_updates
-
     def prepare(self) -> int:
         """Warm up the backup and set up the main solver; return the set-up time [ns]."""
         self._backup.warm_up()

@@ -266,7 +266,7 @@ def _record_steps(setup: ClosedLoopSetup, steered: Steered) -> bool:
         log.state[k + 1] = steered.state
         t4 = clock()
         log.times[0, k] = (t2 - t1, *solver.phases_ns, t4 - t0 - (t3 - t2))
-        log.matrix_updates[0] = solver.matrix_updates
+        log.matrix_updates[0] = setup.solver.matrix_updates
         log.done[0] = k + 1
         if run_limit.is_exceeded(t4) and k + 1 < steps:
             return False

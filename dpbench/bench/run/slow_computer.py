@@ -127,11 +127,6 @@ class SlowComputer:
         self._stopped = self._of_backup = self._of_backup_arrived = False
         self.phases_ns, self.waited_ns, self.acted = NOT_RUN, 0, False
 
-    @property
-    def matrix_updates(self) -> int:
-        """Number of updates in which the solver took new QP matrices."""
-        return self._solver.matrix_updates
-
     def prepare(self) -> int:
         """Set up and warm up solver and backup; return the set-up time [ns]."""
         spent = self._solver.prepare()
