@@ -117,14 +117,8 @@ class MeanEstimate:
 
     def compute_p_value_of_mean_beyond(self, bound: float) -> float:
         """Return the two-sided p-value of "the mean is farther than `bound` from 0"."""
-        return min(
-            1.0,
-            2.0
-            * min(
-                self.compute_p_value_of_mean_above(bound),
-                self.compute_p_value_of_mean_below(-bound),
-            ),
-        )
+        above = self.compute_p_value_of_mean_above(bound)
+        return min(1.0, 2.0 * min(above, self.compute_p_value_of_mean_below(-bound)))
 
     def _correct_t_for_skewness(self, statistic: float) -> float:
         """Return a t statistic corrected for skewness by Hall's cubic transformation."""
