@@ -302,14 +302,9 @@ class _ConsequenceFile(_LoopFile):
         exact = ExactLoop.load(path)
         group, margin = self.source.group, self.source.margin
         whole = build_consequence_sequence(scenario, exact.tau, group, margin)
-        last = cell.first + cell.steps
-        sequence = replace(
-            whole,
-            name=cell.sequence,
-            base=whole.problem(cell.first),
-            meta=whole.meta | {"first": cell.first},
-            **{name: getattr(whole, name)[cell.first : last] for name in ("q", "l", "u")},
-        )
+        replayed, first = slice(cell.first, cell.first + cell.steps), {"first": cell.first}
+        sequence = _select_steps(whole, replayed, cell.sequence, first)
+        sequence = replace(sequence, base=whole.problem(cell.first))
         station = compute_station_metrics(scenario, exact, cell.steps_needed_in_file)
         return ReplayInput(sequence, scenario.sample_s, None, station)
 
