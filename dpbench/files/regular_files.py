@@ -14,8 +14,9 @@ import os
 import stat
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from dpbench.errors import InputError
 
@@ -47,7 +48,7 @@ def open_regular_file(
     *,
     most_bytes: int | None = None,
     error: type[InputError] = InputError,
-) -> Iterator[BinaryIO]:
+) -> Iterator[BufferedReader]:
     """Yield a file open to read bytes; `error` unless it is regular, of at most `most_bytes`."""
     try:
         number = os.open(path, _FLAGS)
