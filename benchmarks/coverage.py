@@ -33,7 +33,9 @@ from dpbench.analysis.statistics import (
     estimate_percentile_interval,
     estimate_pooled_ratio,
 )
-from dpbench.analysis.suites.study import compute_paired_difference
+from dpbench.analysis.suites.study import Study, compute_paired_difference
+from dpbench.analysis.suites.study_effects import STEP_TIME, compute_study_effects
+from dpbench.bench.record.disturbance import Disturbance
 
 METHOD = Path(__file__).parents[1] / "docs" / "method.md"
 MARKERS = ("<!-- coverage -->", "<!-- /coverage -->")
@@ -322,6 +324,73 @@ def comparison_rows(rng: Random, tables: int) -> Iterator[Row]:
             )
 
 
+# Effects on the step times of a study on a disturbed machine, through `compute_study_effects`.
+
+LEVELS, REALISATIONS, SOLVERS = 3, 10, ("one", "other")
+HIGHEST_LOAD = 2.0
+"""Largest factor of a median step time between runs of one point under other load."""
+NO_STEPS = dict.fromkeys(("r_95_m", "r_max_m", "r_tail_max_m", "failed_steps", "exact_left_s"), 0.0)
+
+
+def yield_load(rng: Random) -> Iterator[float]:
+    """Yield the factor of the step time of each run in turn: load comes and goes at random.
+
+    It lasts one to a hundred runs on average and is there for 20 to 80 % of the time.
+    """
+    runs, share = math.exp(rng.uniform(0.0, math.log(100.0))), rng.uniform(0.2, 0.8)
+    lengths = {True: max(1.0, runs * share), False: max(1.0, runs * (1.0 - share))}
+    on = bool(rng.uniform() < share)
+    factor = rng.uniform(1.0, HIGHEST_LOAD)
+    while True:
+        yield factor if on else 1.0
+        if rng.uniform() < 1.0 / lengths[on]:
+            on, factor = not on, rng.uniform(1.0, HIGHEST_LOAD)
+
+
+def simulate_study(rng: Random, factor: float) -> Study:
+    """A study of a key with three values, the last of which multiplies the step times."""
+    order = [(p, r, s) for r in range(REALISATIONS) for p in range(LEVELS) for s in SOLVERS]
+    seas, load = 0.1 * rng.standard_normal(REALISATIONS), yield_load(rng)
+    runs = []
+    for point, sea, solver in order:
+        log = seas[sea] + 0.03 * rng.standard_normal() + 0.02 * rng.exponential()
+        slow = next(load) * (factor if point == LEVELS - 1 else 1.0)
+        words = {"solver_label": solver, "solver": solver, "settings": "default"}
+        numbers = {"steps_done": 400, "steps_planned": 400, "exact_steps": 400, "true_share": 1.0}
+        times = {"raw_p50_ns": 1e5 * slow * math.exp(log), "raw_p99_ns": math.nan}
+        rest = {"closed_loop_cost": 1.0, "exact_cost": 1.0, "is_baseline_law": False}
+        rest |= {"claimed_not_true": 0, "error_move_max": 0.0, "caching_sign": None}
+        names = {"run_id": "", "campaign_utc": "", "outcome": "finished", "has_no_optimum": False}
+        place = {"study_point": point, "replicate": sea + 1, "x": {"key": float(point)}}
+        runs.append(
+            SimpleNamespace(**words, **numbers, **times, **rest, **names, **place, **NO_STEPS)
+        )
+    busy = Disturbance(0.0, 0.0, 0.0, seconds=1.0, involuntary=99.0, steal_s=0.0, throttled=0.0)
+    return Study("simulated", cast(Any, runs), 1.0, busy)
+
+
+def study_effect_rows(rng: Random, tables: int) -> Iterator[Row]:
+    """Yield the rows of a disturbed study: coverage, false and correct effects on step times."""
+    for planted in (0.0, 0.7, 2.0):
+        held, false, correct = np.zeros((3, tables))
+        for i in range(tables):
+            found = [
+                (math.log1p(planted) if one.measured.change.end == LEVELS - 1 else 0.0, one)
+                for one in compute_study_effects(simulate_study(rng, 1.0 + planted))
+                if one.measure == STEP_TIME
+            ]
+            shown = [truth for truth, one in found if not one.is_disturbed]
+            held[i] = np.mean([one.mean_difference.mean_interval.contains(t) for t, one in found])
+            false[i], correct[i] = 0.0 in shown, sum(t > 0.0 for t in shown) / len(SOLVERS)
+        change = f"one value {100.0 * planted:.0f} % slower" if planted else "no change"
+        case = f"disturbed machine, {change}"
+        yield Row("effect on step times of a study", case, tables, tables, held.mean())
+        yield Row("studies with a false effect", case, tables, tables, false.mean(), False)
+        if planted:
+            what = "correct effects on step times that are shown"
+            yield Row(what, case, tables, tables, correct.mean(), False)
+
+
 def rows(rng: Random, draws: int, tables: int) -> Iterator[Row]:
     """All rows of the table."""
     kinds: dict[str, dict[str, Draw]] = {"mean difference of a study": STUDIES}
@@ -337,6 +406,7 @@ def rows(rng: Random, draws: int, tables: int) -> Iterator[Row]:
             yield Row(kind, case, draws, len(stated), held)
     # Of its own, or a change of another row would change these.
     yield from comparison_rows(np.random.default_rng(2), tables)
+    yield from study_effect_rows(np.random.default_rng(3), tables)
 
 
 def main() -> int:

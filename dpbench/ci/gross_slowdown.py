@@ -11,10 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from dpbench.analysis.statistics import Interval
+from dpbench.analysis.times.machine import GROSS
 from dpbench.ci.benchmarks import Benchmark
 
-GROSS = 1.5
-"""Ratio of times that every disturbed pair of runs must exceed: more than load makes of one."""
 MAX_KERNEL_RATIO = 1.1
 """Largest ratio of the reference kernel's times before and after the two runs of a pair."""
 MIN_PAIRS = 2

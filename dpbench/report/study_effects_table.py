@@ -16,6 +16,7 @@ from dpbench.analysis.suites.study_effects import (
     compute_study_interactions,
     find_dominated_effects,
 )
+from dpbench.analysis.times.machine import GROSS
 from dpbench.report.formats import MISSING, Table, format_estimate_with_bounds, mark_solver, plural
 
 MOST_ROWS = 24
@@ -32,6 +33,8 @@ _INTERVALS = (
     f"so skewed that the interval is at least {MARKED_WIDENING:g} times as wide as Student's; more "
     "realisations narrow it. "
 )
+BEYOND_LOAD = f"above +{100 * (GROSS - 1):.0f} % or below −{100 * (1 - 1 / GROSS):.0f} %"
+"""Size of an effect on step times that is shown on a disturbed machine."""
 WIDENED = " (skewed, widened)"
 """Mark of an interval that skewness widens."""
 _KEYS = ("factor", "levels", "configuration")
@@ -64,9 +67,8 @@ def _build_table(studies: Sequence[Study], compute: _Compute) -> pd.DataFrame:
             *(
                 _name_measure(effect.measure, study),
                 effect.measure.unit,
-                *convert_effect_and_interval(effect),
+                *_list_numbers(effect),
             ),
-            *(_interval_text(effect), _get_widening(effect), *_get_median_and_agreement(effect)),
             len(effect.measured.units) or effect.mean_difference.points,
             *(effect.mean_difference.pairs, effect.mean_difference.points),
         )
@@ -82,8 +84,8 @@ def tabulate_effects(study: Study) -> Table | None:
         "Change from the first value to the second, of runs that differ in nothing else and share "
         "the realisation; a slope is the least-squares change over the range, all points of a "
         f"realisation together. {_INTERVALS}"
-        "Step times are from closed loops that may have run in parallel. For a difference of a few "
-        "percent, or one without an interval or on a disturbed machine, use a replay."
+        "Step times are from closed loops, which run in parallel unless --jobs is 1. Disturbed: "
+        "other load can explain the effect."
     )
     title = f"{study.name}: effect of each factor"
     return _tabulate(study, compute_study_effects, title, note, "study_effects")
@@ -152,12 +154,9 @@ def convert_effect_and_interval(effect: Effect) -> tuple[float, float, float]:
     """Return an effect and the ends of its interval in the unit of its measure; NaN for none.
 
     An effect that is the same in every realisation has no interval: its width would be that of
-    `NOTHING`. An effect on the step times of a disturbed machine has no value either, as these may
-    change with the factor by chance.
+    `NOTHING`.
     """
     mean, convert = effect.mean_difference.mean_interval, effect.measure.convert
-    if effect.is_disturbed:
-        return np.nan, np.nan, np.nan
     if effect.mean_difference.is_constant:
         value = 0.0 if abs(mean.value) <= NOTHING else mean.value
         return convert(value), np.nan, np.nan
@@ -166,27 +165,20 @@ def convert_effect_and_interval(effect: Effect) -> tuple[float, float, float]:
     return convert(mean.value), convert(mean.low), convert(mean.high)
 
 
-def _interval_text(effect: Effect) -> str:
-    """Return whether an effect's interval is known: "95 %", "none", "disturbed", "in every …"."""
+def _list_numbers(effect: Effect) -> tuple[float | str, ...]:
+    """Return the columns of `COLUMNS` from effect to same_sign; no number where load explains it.
+
+    interval : "95 %", "none", "disturbed" or "in every realisation".
+    """
     if effect.is_disturbed:
-        return "disturbed"
-    if not np.isfinite(effect.mean_difference.mean_interval.low):
-        return "none"
-    return "in every realisation" if effect.mean_difference.is_constant else "95 %"
-
-
-def _get_widening(effect: Effect) -> float:
-    """Return an interval's width over that of Student's; NaN where there is no interval."""
-    has_interval = _interval_text(effect) == "95 %"
-    return effect.mean_difference.estimate.widening if has_interval else np.nan
-
-
-def _get_median_and_agreement(effect: Effect) -> tuple[float, float]:
-    """Return the median effect, and in how many realisations its sign is found; NaN: disturbed."""
-    if effect.is_disturbed:
-        return np.nan, np.nan
-    measured = effect.measured
-    return effect.measure.convert(measured.median_change), measured.count_with_sign_of_median
+        return (*[np.nan] * 3, "disturbed", *[np.nan] * 3)
+    difference, measured = effect.mean_difference, effect.measured
+    interval = "in every realisation" if difference.is_constant else "95 %"
+    interval = interval if np.isfinite(difference.mean_interval.low) else "none"
+    widening = difference.estimate.widening if interval == "95 %" else np.nan
+    median = effect.measure.convert(measured.median_change)
+    numbers = convert_effect_and_interval(effect)
+    return (*numbers, interval, widening, median, measured.count_with_sign_of_median)
 
 
 def _format_effect(effect: Effect, units: str) -> str:

@@ -1,16 +1,8 @@
 """Studies: the cost of a configuration over many realisations, paired with a reference.
 
 The sea moves every ship by metres, a solver by millimetres, so configurations are compared in the
-same realisation. With d_pr the difference at point p in realisation r, R_p of them at point p, P
-points:
-
-    mean = Σ_p Σ_r d_pr / (P R_p),    s² = f Σ_r u_r²,    u_r = Σ_p w_p (d_pr − mean_p)
-
-w_p² = 1/(P² R_p (R_p − 1)). Points share their realisations, so a realisation, not a run, is the
-unit. Only repeated points (R_p > 1) have a spread; f = 1 + 2 n / Σ_p (1/R_p) gives the n others
-twice their variance, as points that lose runs are the rougher ones. Degrees of freedom after
-Satterthwaite (1946), as if runs were independent: R − 1 where nothing is lost. Points that are all
-run once are the sample.
+same realisation. Points share their realisations, so a realisation, not a run, is the unit; points
+that are all run once are the sample. docs/method.md has the formulas (*The interval of a study*).
 
 A difference is conditional on the runs that both configurations finished. A run that its time limit
 stopped, or that the benchmark lost, is not judged: it is in no share within the radius.
@@ -254,6 +246,7 @@ class Study:
         rows = [
             {
                 "run_id": run.run_id,
+                "campaign": run.campaign_utc,
                 "configuration": run.solver_label,
                 "solver": run.solver,
                 "settings": run.settings,
@@ -299,6 +292,13 @@ class Study:
         return self.disturbance is not None and bool(self.disturbance.complaints())
 
     @property
+    def has_alternating_points(self) -> bool:
+        """True if one command ran each realisation of all points before the next realisation."""
+        seas = self.runs["replicate"]
+        commands = self.runs.groupby("replicate")["campaign"].nunique()
+        return self.seas_per_point > 1 and seas.is_monotonic_increasing and commands.max() == 1
+
+    @property
     def sample_count(self) -> int:
         """Number of independent samples: sea realisations, or points if each is run once."""
         return self.seas_per_point if self.seas_per_point > 1 else len(self.points)
@@ -314,9 +314,13 @@ class Study:
 
     @property
     def step_time_column(self) -> str:
-        """Column of the step time: the p99 where every run that solves QPs to its end has one."""
+        """Column of the step time: the p99 where every run that solves QPs to its end has one.
+
+        On a disturbed machine the median, as other load changes a p99 most.
+        """
         solved = self.runs[self.runs["finished"] & ~self.runs["baseline_law"]]
-        return "raw_p99_ns" if solved["raw_p99_ns"].notna().all() else "raw_p50_ns"
+        has_p99 = solved["raw_p99_ns"].notna().all() and not self.is_disturbed
+        return "raw_p99_ns" if has_p99 else "raw_p50_ns"
 
     @cached_property
     def reference_name(self) -> str:

@@ -11,7 +11,7 @@ at the last level of the first than at the first: a difference of differences, p
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
@@ -30,6 +30,7 @@ from dpbench.analysis.suites.study import (
     compute_paired_difference,
     estimate_mean_over_points,
 )
+from dpbench.analysis.times.machine import GROSS
 from dpbench.arrays import Floats
 
 INTERACTS = " × "
@@ -100,7 +101,7 @@ class Effect:
     """Change of one measure of a configuration from one value of a factor to another.
 
     factor : its keys; those of a `zip` change together.
-    is_disturbed : True if other work may have changed the measure more than the factor did.
+    is_disturbed : True if other load can explain the change.
     """
 
     configuration: str
@@ -134,7 +135,6 @@ def compute_study_effects(study: Study) -> tuple[Effect, ...]:
         for factor in factors
         if not pairings[factor] and is_numeric_dtype(study.points[factor[0]])
     ]
-    disturbed = STEP_TIME if study.is_disturbed else None
     effects: list[Effect] = []
     for configuration in study.results_by_cost:
         for measure, values in _collect_values_by_measure(study, configuration.name).items():
@@ -142,14 +142,9 @@ def compute_study_effects(study: Study) -> tuple[Effect, ...]:
                 factor: [_compute_level_effect(values, *change) for change in pairings[factor]]
                 for factor in factors
             } | _fit_range_effects(study.points, values, ranged)
-            effects += [
-                Effect(
-                    configuration.name, ", ".join(factor), measure, measured, measure == disturbed
-                )
-                for factor in factors
-                for measured in found[factor]
-                if measured.difference.pairs and _is_told_from_noise(measure, measured.difference)
-            ]
+            for factor in factors:
+                name = ", ".join(factor)
+                effects += _yield_effects(study, configuration.name, name, measure, found[factor])
     return tuple(effects)
 
 
@@ -165,21 +160,36 @@ def compute_study_interactions(study: Study) -> tuple[Effect, ...]:
         if (found := _find_end_levels(study.points, factor)) is not None
     }
     corners = {pair: _list_corners(study.points, ends, *pair) for pair in combinations(ends, 2)}
-    disturbed = STEP_TIME if study.is_disturbed else None
     return tuple(
-        Effect(
-            configuration.name,
-            INTERACTS.join(map(", ".join, pair)),
-            measure,
-            measured,
-            measure == disturbed,
-        )
+        effect
         for configuration in study.results_by_cost
         for measure, values in _collect_values_by_measure(study, configuration.name).items()
         for pair, sides in corners.items()
+        for name in [INTERACTS.join(map(", ".join, pair))]
         for measured in [_compute_interaction(values, _join_changes(ends, *pair), *sides)]
-        if measured.difference.pairs and _is_told_from_noise(measure, measured.difference)
+        for effect in _yield_effects(study, configuration.name, name, measure, [measured])
     )
+
+
+def _yield_effects(
+    study: Study,
+    configuration: str,
+    factor: str,
+    measure: Measure,
+    changes: Sequence[MeasuredChange],
+) -> Iterator[Effect]:
+    """Yield the effects of a factor; of step times those that have an interval.
+
+    Other load can explain a change of the step time on a disturbed machine, unless the points
+    alternate, so that all meet the load, and the whole interval is beyond GROSS.
+    """
+    for measured in changes:
+        interval, largest = measured.difference.mean_interval, math.log(GROSS)
+        is_beyond = interval.low > largest or interval.high < -largest
+        is_explained = study.is_disturbed and not (study.has_alternating_points and is_beyond)
+        is_time = measure == STEP_TIME
+        if measured.difference.pairs and (math.isfinite(interval.low) or not is_time):
+            yield Effect(configuration, factor, measure, measured, is_time and is_explained)
 
 
 @dataclass(frozen=True)
@@ -214,7 +224,7 @@ def find_dominated_effects(study: Study) -> list[DominatedEffect]:
         for factor, other, level in zip(factors, factors[::-1], levels, strict=True):
             key = (interaction.configuration, interaction.measure, factor, level)
             effect = effects.get(key)
-            if effect is None or key in found:
+            if effect is None or interaction.is_disturbed or key in found:
                 continue
             size = abs(effect.mean_difference.mean_interval.value)
             if _compute_least_size(interaction) > size + NOTHING:
@@ -268,11 +278,6 @@ def _compute_interaction(values: pd.Series, change: Change, *sides: pd.Series) -
     """Return how much more a measure changes with a second factor at the first one's last level."""
     least, second, first, both = (_select_values_of_side(values, side) for side in sides)
     return _measure_change(change, (both - first).dropna(), (second - least).dropna())
-
-
-def _is_told_from_noise(measure: Measure, difference: PairedDifference) -> bool:
-    """Return whether a measure's difference has an interval, or no other program changes it."""
-    return measure != STEP_TIME or math.isfinite(difference.mean_interval.low)
 
 
 def group_keys_that_vary_together(points: pd.DataFrame) -> list[tuple[str, ...]]:

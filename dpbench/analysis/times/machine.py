@@ -19,6 +19,8 @@ OWN_A_STEP, OWN_TIMES = 0.5, 10.0
 the median configuration and the rule allow, makes them itself: a library that starts a thread in
 each solve is put off its only core by that thread, where a busy machine would put off its
 neighbours too."""
+GROSS = 1.5
+"""Ratio of step times on a disturbed machine beyond which other load does not explain it."""
 
 
 def compute_repetition_spread(records: Records) -> tuple[float, float, int]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 
 from dpbench.bench.plan.cells import (
@@ -318,7 +319,10 @@ def _plan_loops_of_study(
     solvers: Sequence[str],
     beside: Path | None,
 ) -> list[PlannedCell]:
-    """Return planned closed loops of a study: each parameter point with each configuration."""
+    """Return planned closed loops of a study: each parameter point with each configuration.
+
+    The first realisation of all points comes first, so that passing load affects all points.
+    """
     base = load_scenario(table.base, beside=beside)
     keys = [*table.keys, *([table.replicates.key] if table.replicates.count > 1 else [])]
     own = {key: read_value_of_dotted_key(base.files, key, where) for key in keys}
@@ -326,12 +330,13 @@ def _plan_loops_of_study(
     scenarios = _ScenarioCache(base, where, beside)
     _refuse_idle_keys(table, points, scenarios)
     blanks = _plan_base_cells(suite, table, base, solvers)
-    return [
-        _change_cell_to_point(blank, table, point, *documents)
+    cells = [
+        (point.replicate, _change_cell_to_point(blank, table, point, *documents))
         for point in points
         for documents in (scenarios.documents_and_steps_of_point(point),)
         for blank in blanks
     ]
+    return [cell for _, cell in sorted(cells, key=itemgetter(0))]
 
 
 def _plan_base_cells(

@@ -38,6 +38,7 @@ from dpbench.report.formats import (
 )
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.study_effects_table import (
+    BEYOND_LOAD,
     WIDENED,
     convert_effect_and_interval,
     describe_dominated_effects,
@@ -144,8 +145,9 @@ def yield_disturbance_sentences(studies: Sequence[Study]) -> Iterator[str]:
         if study.disturbance and study.is_disturbed:
             yield (
                 f"`{study.name}`: other work disturbed the machine: "
-                f"{join_with_and(study.disturbance.complaints())}. Effects on step times are not "
-                "shown, because the machine may have caused them."
+                f"{join_with_and(study.disturbance.complaints())}. An effect on step times is "
+                f"shown only if its whole interval is {BEYOND_LOAD}: other load may cause a "
+                "smaller one."
             )
 
 
@@ -372,7 +374,7 @@ def draw_effect_figures(study: Study, name: str) -> Iterator[Figure]:
             "Change of each factor, with its 95 % interval where there is one; zero: no effect."
             + (f" {left} more configurations are in the table." if left > 0 else "")
             + (
-                " Step times are not drawn, as the machine was disturbed."
+                " Effects on step times that other load can explain are not drawn."
                 if study.is_disturbed
                 else ""
             )

@@ -177,6 +177,7 @@ def _runs(away: dict[str, float], *, points: int = 2, seas: int = 6, **odd: str)
             closed_loop_cost=sea[p, r] * (1.0 + behind + noise[c, p, r]),
             exact_cost=sea[p, r],
             is_baseline_law=False,
+            campaign_utc="",
             has_no_optimum=False,
         )
         for c, (label, behind) in enumerate(away.items())

@@ -53,6 +53,7 @@ def _run(name: str, point: int, replicate: int, **columns: Any) -> Any:
         "exact_left_s": LOST,
         "r_max_m": 0.5,
         "is_baseline_law": False,
+        "campaign_utc": "",
         "has_no_optimum": False,
     }
     return SimpleNamespace(**usual | columns)

@@ -20,6 +20,7 @@ from dpbench.analysis.suites.study_effects import (
     compute_study_interactions,
     find_dominated_effects,
 )
+from dpbench.bench.record.disturbance import Disturbance
 from dpbench.report.study_effects_table import (
     build_interactions_table,
     describe_dominated_effects,
@@ -31,7 +32,14 @@ HEIGHT, PERIOD = "environment.waves.hs_m", "environment.waves.tp_s"
 
 
 def _study(points: list[dict[str, Any]], results: Any, seas: int = 8, **columns: Any) -> Study:
-    """A study of one solver with a given error [m] of each point (row) and sea (column)."""
+    """A study of `_runs`."""
+    return Study("sea", cast(Any, _runs(points, results, seas, **columns)), 1.0)
+
+
+def _runs(
+    points: list[dict[str, Any]], results: Any, seas: int = 8, **columns: Any
+) -> list[SimpleNamespace]:
+    """Runs of one solver with a given error [m] of each point (row) and sea (column)."""
     usual = {
         "solver_label": "daqp",
         "solver": "daqp",
@@ -53,9 +61,10 @@ def _study(points: list[dict[str, Any]], results: Any, seas: int = 8, **columns:
         "exact_left_s": np.nan,
         "r_max_m": 0.5,
         "is_baseline_law": False,
+        "campaign_utc": "",
         "has_no_optimum": False,
     }
-    runs = [
+    return [
         SimpleNamespace(
             **(usual | columns),
             run_id=f"{p} {r}",
@@ -67,7 +76,6 @@ def _study(points: list[dict[str, Any]], results: Any, seas: int = 8, **columns:
         for p, x in enumerate(points)
         for r in range(seas)
     ]
-    return Study("sea", cast(Any, runs), 1.0)
 
 
 def _effects(study: Study, measure: Measure = ERROR) -> dict[tuple[str, str], Effect]:
@@ -87,6 +95,35 @@ def test_the_effect_of_two_levels_is_the_paired_t_test() -> None:
     expected = stats.ttest_rel(errors[[0, 2]].mean(axis=0), errors[[1, 3]].mean(axis=0))
     assert found.estimate.value / found.estimate.error == pytest.approx(expected.statistic)
     assert (found.pairs, found.points, found.estimate.df) == (16, 2, pytest.approx(7.0))
+
+
+@pytest.mark.parametrize(
+    ("factor", "order", "commands", "is_shown"),
+    [
+        (2.0, "seas", 1, True),
+        (0.5, "seas", 1, True),
+        (1.4, "seas", 1, False),  # beyond 1, not beyond 1.5
+        (2.0, "points", 1, False),  # load during one point alone looks like its effect
+        (2.0, "seas", 2, False),  # so does load during one command
+    ],
+)
+def test_an_effect_on_a_disturbed_machine_is_shown_beyond_a_half(
+    factor: float, order: str, commands: int, is_shown: bool
+) -> None:
+    """Medians of 8 seas at two horizons, the second `factor` times the first within 8 %."""
+    scatter = np.random.default_rng(3).uniform(0.96, 1.04, size=(2, 8))
+    points = [{HORIZON: n} for n in (20, 60)]
+    runs = _runs(points, np.ones((2, 8)))
+    for run in runs:
+        p, r = int(run.study_point), int(run.replicate) - 1
+        run.raw_p50_ns = 2e4 * scatter[p, r] * factor**p
+        run.campaign_utc = "later" if commands == 2 and p else "first"
+    if order == "seas":
+        runs.sort(key=lambda run: run.replicate)
+    busy = Disturbance(0.0, 0.0, 0.0, seconds=1.0, involuntary=99.0, steal_s=0.0, throttled=0.0)
+    (effect,) = _effects(Study("sea", cast(Any, runs), 1.0, busy), STEP_TIME).values()
+    assert effect.is_disturbed != is_shown
+    assert effect.mean_difference.mean_interval.low > 0.0 or factor < 1.0
 
 
 def test_the_interaction_of_two_factors_is_a_difference_of_differences() -> None:

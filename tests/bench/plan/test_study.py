@@ -91,6 +91,8 @@ def test_cells_of_a_study_are_the_scenarios_they_say() -> None:
         assert environment["seed"] == 3 + cell.study.replicate
     studies = [(c.study, c.solver, c.settings) for c in cells]
     assert all(studies.count(one) == 1 for one in studies)
+    order = [(study.replicate, study.point) for study, *_ in studies if study is not None]
+    assert order == sorted(order)
 
 
 def test_columns_of_a_study_in_the_table_of_runs() -> None:

@@ -132,7 +132,8 @@ def test_a_disturbed_machine_is_said_of_a_study(records: Any, switches: int) -> 
     said = [line for line in found.lines if "other work disturbed the machine" in line]
     expected = (
         "`seas`: other work disturbed the machine: 10 involuntary context switches per second. "
-        "Effects on step times are not shown, because the machine may have caused them."
+        "An effect on step times is shown only if its whole interval is above +50 % or below "
+        "−33 %: other load may cause a smaller one."
     )
     assert said == ([expected] if switches == 101 else [])
     plain = expected.replace("`", "")
@@ -167,7 +168,7 @@ def test_a_step_time_of_a_disturbed_machine_has_no_number(records: Any, switches
     (figure,) = topic.draw_effect_figures(study, "seas")
     measures = {row["measure"] for row in compile_rows(figure)}
     assert ("median step time [%]" in measures) == (switches == 99)
-    assert ("not drawn, as the machine was disturbed" in figure.caption) == (switches == 101)
+    assert ("other load can explain are not drawn" in figure.caption) == (switches == 101)
 
 
 def test_a_skewed_difference_is_marked(records: Any) -> None:
