@@ -3,7 +3,7 @@
 import json
 import sys
 import sysconfig
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,6 +23,8 @@ SELECTION = "dpbench_selection"
 """Key of a JSON file: which tests the session was given."""
 COLLECTED = "dpbench_collected"
 """Key of a JSON file: the number of benchmarks among the tests."""
+BY_STEP = "exact_by_step"
+"""Key of `extra_info`: the exact measures at each step, and the steps as `k`."""
 WRONG_ANSWERS = "wrong answers"
 """Beginning of the reason where a replay does not meet its requirements."""
 ALLOWED = "a JSON file of pytest-benchmark, written with --benchmark-json"
@@ -37,6 +39,7 @@ class Benchmark:
     error : of log(minimum), from inside the run.
     solver : the benchmark's own name where no solver was noted.
     is_verified : whether every answer was verified; True where none was checked.
+    by_step : exact measures at each step of the sequence, and the steps as `k`; may be empty.
     complaints : what disturbed the machine meanwhile.
     machine : its state meanwhile; None if unknown.
     """
@@ -48,6 +51,8 @@ class Benchmark:
     exact: Mapping[str, float]
     solver: str
     is_verified: bool = True
+    sequence: str = ""
+    by_step: Mapping[str, Sequence[float]] = field(default_factory=dict)
     complaints: tuple[str, ...] = ()
     machine: MachineState | None = None
 
@@ -70,6 +75,8 @@ class Benchmark:
             dict(extra.get("exact", {})),
             solver,
             extra.get("true_share", 1.0) == 1.0,
+            str(extra.get("sequence", "")),
+            dict(extra.get(BY_STEP, {})),
             tuple(read_complaints(extra)),
             MachineState.from_stored_state(extra[KEY]) if KEY in extra else None,
         )

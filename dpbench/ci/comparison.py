@@ -196,6 +196,8 @@ class RunComparison:
         ]
         increases = sum(row.allowed for row in self.rows)
         allowed = [f"{plural(increases, 'increase')} allowed"] if increases else []
+        if self.verdict == NO_BASELINE:
+            return "comparisons start when the base has these benchmarks"
         if self.worse:
             return "; ".join([f"a regression against {base}", *times, *allowed])
         if not times:
@@ -364,12 +366,9 @@ def _judge_benchmark(
         remarks += complaints
         if is_grossly_slower(both, time.ratio):
             verdict, not_judged, disturbed_ratio = GROSSLY_SLOWER, "", np.nan
-        elif all(one.complaints for pair in both for one in pair):
-            # Without one quiet run pairs show nothing of the noise that load makes.
+        elif all(any(one.complaints for one in pair) for pair in both):
+            # Without one quiet pair they show nothing of the noise that load makes.
             ratio = None
-        elif len(both) == 1:
-            # Nor does a single pair.
-            ratio = Interval(time.ratio.value, 0.0, np.inf)
     elif not np.isfinite(time.ratio.high):
         verdict = not_judged = NO_KERNEL
     elif time.verdict == "slower":
@@ -409,7 +408,20 @@ def _yield_grown_measures(was: Benchmark, now: Benchmark) -> Iterator[tuple[str,
         if now.exact[name] > factor * was.exact[name] + more:
             _, words, unit = MEASURES.get(name, ("", name, ""))
             before, after = (_format_measure(one.exact[name]) for one in (was, now))
-            yield name, f"{words} {before} → {after}{unit}"
+            yield name, f"{words} {before} → {after}{unit}{_name_worst_step(name, was, now)}"
+
+
+def _name_worst_step(measure: str, was: Benchmark, now: Benchmark) -> str:
+    """Return the step at which an exact measure grew most, as text; "" if it is not known."""
+    steps, before, after = (
+        list(values.get(name, ()))
+        for values, name in ((now.by_step, "k"), (was.by_step, measure), (now.by_step, measure))
+    )
+    if not after or was.by_step.get("k") != steps:
+        return ""
+    at = int(np.argmax(np.subtract(after, before)))
+    ends = " → ".join(_format_measure(values[at]) for values in (before, after))
+    return f" (most at step {steps[at]} of {now.sequence}: {ends})"
 
 
 def _format_measure(value: float) -> str:

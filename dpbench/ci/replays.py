@@ -16,7 +16,7 @@ from dpbench.analysis.records.run_record import build_run_records
 from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
 from dpbench.bench.sequences.sequence_file import as_sequence
 from dpbench.bench.sequences.source import thin_sequence
-from dpbench.ci.benchmarks import WRONG_ANSWERS
+from dpbench.ci.benchmarks import BY_STEP, WRONG_ANSWERS
 from dpbench.ci.machine_state import HasInfo, watch_machine
 from dpbench.errors import InputError, SituationError
 from dpbench.notebook.runs import Run, replay
@@ -108,11 +108,13 @@ class ReplayBenchmark:
         first, second = (run.steps.loc[run.steps["repeat"] == r] for r in (1, 2))
         info["active_share"] = float((first["n_active"] > 0).mean())
         # Where rounds differ, the clock has a part in them.
-        exact = info["exact"] = {}
+        exact, by_step = info["exact"], info[BY_STEP] = {}, {"k": first["k"].tolist()}
         if first["iterations"].notna().all() and row["iterations_identical_share"] == 1.0:
             exact["iterations"] = int(first["iterations"].sum())
+            by_step["iterations"] = first["iterations"].astype(int).tolist()
         if np.array_equal(first["error_move"], second["error_move"]):
             exact["error_move_max"] = info["error_move_max"]
+            by_step["error_move_max"] = first["error_move"].tolist()
 
 
 def _open_solver(solver: Workspace | str | Path, options: dict[str, Any]) -> Workspace:

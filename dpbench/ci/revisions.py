@@ -38,7 +38,7 @@ from dpbench.ci.benchmarks import (
     is_in_site_packages,
     load_run,
 )
-from dpbench.ci.comparison import NOT_TIMED, Allowed, Row, RunComparison, compare_runs
+from dpbench.ci.comparison import NO_BASELINE, NOT_TIMED, Allowed, Row, RunComparison, compare_runs
 from dpbench.errors import InputError, SituationError
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe
 from dpbench.report.formats import plural
@@ -66,8 +66,8 @@ examples:
   python -m dpbench.ci.revisions ../base . --markdown compare.md -- test_slsqp.py
   python -m dpbench.ci.revisions ../base . --pairs 3 --disturbed-exit 75 -- -k transfer
 """
-SHOWN_LINES = 5
-"""Last lines of a pytest run that has no benchmarks."""
+SHOWN_LINES, LEFT_OUT = 5, "PytestBenchmarkWarning"
+"""Last lines of a pytest run that has no benchmarks, without the warning that it has none."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def measure_tree(tree: Path, arguments: Sequence[str]) -> Measured:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.json"
         code, output = _run_pytest(tree, path, arguments)
-        lines = [line for line in output.splitlines() if line.strip()]
+        lines = [line for line in output.splitlines() if line.strip() and LEFT_OUT not in line]
         reason = f"pytest ended with exit code {code}: {' | '.join(lines[-SHOWN_LINES:])}"
         reason += _find_remedy(tree, output)
         # 0 and 1: every test was run to its end.
@@ -311,7 +311,7 @@ def compare_trees(
     runs = f"{plural(len(pairs), 'pair')} of runs, {disturbed} of them disturbed"
     lines = [f"{found.describe_scope(*names)}; {runs}", found.describe_verdict(names[0])]
     end = describe_early_end(pairs, count, attempts)
-    end = ADVICE if end == STOPPED else end
+    end = ADVICE if end == STOPPED else end * (found.verdict != NO_BASELINE)
     lines += [line for line in (end, base.reason and f"base: {base.reason}") if line]
     lines += found.describe_unjudged(disturbed_exit)
     return found, [*lines, found.describe_exit(disturbed_exit)]

@@ -61,7 +61,7 @@ def test_complaints_of_a_machine(changed: dict[str, float], text: str) -> None:
 @pytest.mark.parametrize("side", [0, 1])
 @pytest.mark.parametrize("factor", [0.06, 1.0, 2.06])
 def test_a_disturbed_time_has_no_verdict(side: int, factor: float) -> None:
-    """Neither slower nor faster, whichever of the two runs it was, and no interval."""
+    """Neither slower nor faster, whichever of the two runs it was, and no ratio."""
     loud = QUIET | {"involuntary_switches": 120.0}
     machines = [loud if side == i else QUIET for i in range(2)]
     base, head = (
@@ -71,7 +71,7 @@ def test_a_disturbed_time_has_no_verdict(side: int, factor: float) -> None:
     found = compare_runs([(base, head)])
     (row,) = found.rows
     assert (found.verdict, found.worse) == ("disturbed", False)
-    assert row.cells["ratio"] == f"{factor:.2f}"
+    assert row.cells["ratio"] == "–"
     assert "120 involuntary context switches" in row.cells["remarks"]
     assert found.headline.startswith("disturbed")
     line = "times not judged (machine disturbed) in 1 of 1 benchmark; failures: no regression"
@@ -108,6 +108,8 @@ def test_a_failed_test_is_not_gone_and_one_that_is_gone_may_be_allowed() -> None
     assert verdicts(base, other) == ("gone", True)
     assert verdicts(base, other, allow_gone=True) == ("new", False)
     assert verdicts(run_of(), base) == ("no baseline", False)
+    line = compare_runs([(run_of(), base)]).describe_verdict("base 05cf873")
+    assert line == "comparisons start when the base has these benchmarks"
     assert verdicts(run_of(t="TypeError"), base) == ("no baseline", False)
     assert verdicts(run_of(entry("u"), t="TypeError"), run_of(entry("u"), entry("t")))[1] is False
 
@@ -191,6 +193,24 @@ def test_other_growth_is_no_part_of_an_allowance() -> None:
     assert compare_runs([(base, head)], allow=[Allowance("iterations", "osqp")]).worse
     both = [Allowance("iterations", "osqp"), Allowance("errors", "osqp")]
     assert not compare_runs([(base, head)], allow=both).worse
+
+
+def test_a_larger_measure_names_its_step() -> None:
+    """Of steps 0, 3 and 6 the last but one takes four iterations more; other steps: no name."""
+    base, head, others = (
+        run_of(
+            entry(
+                exact={"iterations": sum(counts)},
+                sequence="paper-30-5",
+                exact_by_step={"k": steps, "iterations": counts},
+            )
+        )
+        for steps, counts in (([0, 3, 6], [5, 5, 5]), ([0, 3, 6], [6, 9, 4]), ([0, 3], [9, 9]))
+    )
+    (row,) = compare_runs([(base, head)]).rows
+    assert row.remarks == ("iterations 15 → 19 (most at step 3 of paper-30-5: 5 → 9)",)
+    (row,) = compare_runs([(base, others)]).rows
+    assert row.remarks == ("iterations 15 → 18",)
 
 
 @pytest.mark.parametrize("count", [1, 3])
