@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from dpbench.report.report import Report
 
 _TIME_ENDINGS = ("_us", "_ms", "_ns")
+_NAME = "table"
+"""Key of a data frame's `attrs`: the name of the table."""
 _OF_UNIT = ("effect", "low", "high", "median")
 """Columns of a table whose unit is in its column `unit`."""
 VERDICT_COLUMNS = (
@@ -43,6 +45,10 @@ VERDICT_COLUMNS = (
 RATIO_NOTE = (
     "Ratio: geometric mean of the step times of the second over those of the first, on the same "
     "steps. Low and high: its 95 % interval within this run; two runs can differ by more."
+)
+NO_RATIO_NOTE = (
+    "No ratio: two configurations must be timed on the same QPs. One solver at several horizons "
+    "solves different QPs: vary the horizon in a study, whose effects on step times have intervals."
 )
 EXCESS_NOTE = (
     "Excess error: 95 % radial error less that of the reference in the same realisation, mean over "
@@ -64,12 +70,17 @@ class RatioTable(pd.DataFrame):
     """Data frame of step time ratios that displays the meaning and reach of their intervals."""
 
     def __repr__(self) -> str:
-        return f"{super().__repr__()}\n{RATIO_NOTE}"
+        return f"{super().__repr__()}\n{self._note}"
 
     def _repr_html_(self) -> str | None:
         """Return the table as HTML with the note below it, which a notebook displays."""
         table = super()._repr_html_()  # type: ignore[misc] # the stubs of pandas lack it
-        return None if table is None else f"{table}{make_html_paragraph(RATIO_NOTE)}"
+        return None if table is None else f"{table}{make_html_paragraph(self._note)}"
+
+    @property
+    def _note(self) -> str:
+        """Note below the table: what a ratio is, or why there is none."""
+        return NO_RATIO_NOTE if self.empty else RATIO_NOTE
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,7 +154,7 @@ class Results(result_folder.Results):
         """
         if self.recorded.is_missing:
             return _StoredTables(self.folder / "tables")
-        return _Tables(self._full_report.tables)
+        return _Tables(self._full_report.tables.items())
 
     @cached_property
     def steps(self) -> pd.DataFrame:
@@ -233,9 +244,9 @@ class Results(result_folder.Results):
         """Return a table of the report as a LaTeX `tabular`, numbers to three digits.
 
         The document needs the package `booktabs`. A ratio of one run to itself is an empty cell. If
-        all rows have one `unit`, it is in the heads of the values. For a named table, the last
-        line is a comment with a caption: contents, and rounds and steps of the replays. For step
-        time ratios it defines the ratio and its interval.
+        all rows have one `unit`, it is in the heads of the values. For a table of the report, or
+        rows of one, the last line is a comment with a caption: contents, and rounds and steps of
+        the replays. For step time ratios it defines the ratio and its interval.
 
         table : a name in `tables`, or a data frame, such as some rows of one. columns : some of its
         columns, by default all; of "verdicts" those that identify a configuration, its verdict,
@@ -254,9 +265,9 @@ class Results(result_folder.Results):
             _refuse_unknown_name(
                 "table", table, self.tables, "results.tables` or `dpbench report DIR --tables"
             )
-            frame = self.tables[table]
+            frame, source = self.tables[table], table
         else:
-            frame = table
+            frame, source = table, str(table.attrs.get(_NAME, ""))
         if solvers is not None:
             _refuse_unknown_name("solvers", "solver", frame.columns)
             for name in solvers:
@@ -277,7 +288,7 @@ class Results(result_folder.Results):
             for name in frame
             if not are_verdicts or (name in VERDICT_COLUMNS and not frame[name].isna().all())
         ]
-        caption = self._describe_table(table) if isinstance(table, str) else ""
+        caption = self._describe_table(source) if source in self.tables else ""
         if {"ratio", "finding"} <= {*frame}:
             caption = f"{caption} {RATIO_NOTE}".lstrip()
             caption += " An empty ratio: both names are of one run." if of_one_run.any() else ""
@@ -394,14 +405,19 @@ class Results(result_folder.Results):
 
 
 class _Tables(dict[str, pd.DataFrame]):
-    """Tables by name; KeyError with the nearest names for one that is absent."""
+    """Tables by name, which their rows keep; KeyError with the nearest names for an absent one."""
+
+    def __init__(self, tables: Iterable[tuple[str, pd.DataFrame]]) -> None:
+        super().__init__(tables)
+        for name, frame in self.items():
+            frame.attrs[_NAME] = name
 
     def __missing__(self, name: str) -> pd.DataFrame:
         """Raise KeyError that names the nearest tables."""
         raise KeyError(f"no table {name!r}; allowed: {format_allowed_names(name, list(self))}")
 
 
-class _StoredTables(dict[str, pd.DataFrame]):
+class _StoredTables(_Tables):
     """Tables that an earlier report wrote into a folder; ResultsError for one that is absent."""
 
     def __init__(self, folder: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from dpbench import InputError, compare, load_results
 from dpbench.analysis.verdict.requirements import MISSED, STATES
 from dpbench.errors import ResultsError
-from dpbench.notebook.results import Results
+from dpbench.notebook.results import RatioTable, Results
 from dpbench.report.ship.ship_text import BANNER
 from dpbench.report.write import write_report
 
@@ -122,6 +122,21 @@ def test_a_ratio_of_one_run_to_itself_is_empty_in_latex(results: Results) -> Non
     assert "An empty ratio: both names are of one run." in text
     assert "of one run" not in results.to_latex(rows.assign(finding="slower"))
     assert "\n &  &  & one run" in text and "\n2.04 & 1.90 & 2.10 & slower" in text
+
+
+def test_rows_of_a_table_keep_its_caption_in_latex(results: Results) -> None:
+    """The contents, steps and rounds; a frame that is no table of the report has none."""
+    caption = results.to_latex("ladder").splitlines()[-1]
+    ladder = results.ladder()
+    some = ladder[ladder["p50_us"] > 0.0].copy()
+    assert results.to_latex(some).splitlines()[-1] == caption
+    assert caption.startswith("% Caption: ") and " rounds." in caption
+    assert "Caption" not in results.to_latex(pd.DataFrame({"a": [1.0]}))
+
+
+def test_a_table_without_ratios_names_the_study() -> None:
+    assert "vary the horizon in a study" in repr(RatioTable())
+    assert "vary the horizon" not in repr(RatioTable({"ratio": [1.0]}))
 
 
 def test_ratios_are_shown_with_their_definition_and_reach(results: Results) -> None:
