@@ -368,7 +368,8 @@ def _compare_with_p99_limit(
     if algo.p95_ns > high_ns:
         return Finding("p95 late", run, algo.p95_ns)
     if algo.max_ns > limit_ns:
-        return Finding("no p99", run, algo.max_ns, figures.steps)
+        own_ns = own.max_ns if figures.has_waits else math.nan
+        return Finding("no p99", run, algo.max_ns, figures.steps, machine=own_ns)
     return Finding("p95 borderline", run, algo.p95_ns) if algo.p95_ns >= low_ns else None
 
 

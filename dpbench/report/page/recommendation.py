@@ -314,7 +314,9 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
             first, compare_paired_times(*pair), count_common_window_steps(*pair)
         )
         error = _describe_larger_error(chosen, found.runner_up)
-        yield "next", f"The next fastest is {label}. Its {time} {beside}{error}"
+        measure = "p99" if isfinite(found.runner_up.p99_ns) else "p50"
+        text = f"The next fastest is {label}, in order of the {measure}. Its {time} {beside}{error}"
+        yield "next", text
     named = [*filter(None, (chosen, found.faster, found.runner_up))]
     if short := describe_short_times(data.records, named):
         yield "checked", short

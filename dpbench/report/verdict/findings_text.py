@@ -11,6 +11,7 @@ from dpbench.analysis.verdict.verdict import explain_outcome, find_solver_record
 from dpbench.bench.judge.answer_caching import CachingSign
 from dpbench.report.formats import (
     describe_range_of_steps,
+    describe_wait,
     format_count,
     format_error,
     format_share,
@@ -143,6 +144,7 @@ def describe_finding(finding: Finding) -> str:
         machine=_format_explained(finding.machine),
         only_machine=_format_explained(finding.machine, "only "),
         net=format_time(finding.machine),
+        wait=describe_wait(finding.value, finding.value - finding.machine),
         net_range=_describe_uncertain_part(finding),
         limit=format_time(finding.limit),
         low=format_time(finding.value / finding.factor),

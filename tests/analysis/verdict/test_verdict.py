@@ -325,6 +325,12 @@ def test_too_few_steps_for_a_p99(records: Any) -> None:
     assert near.state == "inconclusive"
     assert _why(near).startswith("300 steps of the replay of `paper` do not support a p99, and ")
     assert _why(near).endswith(", above the limit of 3.00 ms")
+    assert "for the core" not in _why(near)
+    records._steps[-1]["waited_ns"] = (records._steps[-1]["total_ns"] * 0.5).astype(int)
+    assert re.search(
+        r"takes (\S+) ms \(including a wait of \S+ ms for the core\), ",
+        _why(_verdict(records, "near")),
+    )
 
 
 def test_the_requirements_are_read_from_the_suite(records: Any) -> None:
