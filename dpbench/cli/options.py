@@ -144,7 +144,7 @@ def add_report_options(report: Command) -> None:
     more = report.add_argument_group("further documents")
     formats = "also write the figures as svg, pdf or png"
     _repeated(more, "--figures", "FORMAT", formats, default=[])
-    _option(more, "--statement", "FILE.pdf", "write a one-page statement for a class society")
+    _option(more, "--statement", "FILE.pdf", "write a statement for a class society")
     beside = (
         "write DIR/SOLVER.md for a pull request: a comparison of this solver with others, and its "
         "worst steps"

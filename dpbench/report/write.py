@@ -67,7 +67,7 @@ def write_report_with_summary(
     Parameters
     ----------
     figures : further formats of the figures, of `FORMATS`; SVG is always written.
-    statement : file to write the one-page statement to, .pdf or .svg.
+    statement : file to write the statement to, .pdf or .svg.
     send : folder to make that can be sent to others, see `documents/sent.py`.
     solver, against : solvers to compare in `SOLVER.md`, see `compare_solver`.
     progress : receiver of the name of each stage.

@@ -56,11 +56,6 @@ def compute_linear_damping_speeds(vessel: Vessel) -> Vector:
     return np.array([speed_mps, speed_mps, speed_mps / (0.5 * vessel.length_m)])
 
 
-def compute_force_of_unit_current_abeam(vessel: Vessel) -> Vector:
-    """Return the force (3,) [N, N, N·m] that holds the ship in a current abeam of 1 m/s."""
-    return vessel.force_to_keep_velocity(np.eye(len(vessel.D))[SWAY])
-
-
 def find_largest_current_abeam_mps(
     vessel: Vessel, find_share: Callable[[Vector], float] | None = None
 ) -> float:

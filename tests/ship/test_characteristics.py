@@ -10,7 +10,6 @@ from dpbench.scenario.problem_files import list_shipped_problem_names
 from dpbench.scenario.scenario import load_vessel
 from dpbench.ship.characteristics import (
     compute_axis_time_constants_s,
-    compute_force_of_unit_current_abeam,
     compute_linear_damping_speeds,
     compute_mean_weather_force,
     compute_speeds_at_force_limits,
@@ -77,7 +76,7 @@ def test_the_force_sideways_keeps_the_ship_at_that_speed() -> None:
     ship = linear_vessel("supply_mss")
     plant = ShipPlant(ship, np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0]), 1.0)
     for stages in CALM.build_weather_table_at_stages(100, 1.0, 10):
-        plant.advance_by_one_sample(compute_force_of_unit_current_abeam(ship), stages)
+        plant.advance_by_one_sample(ship.force_to_keep_velocity(np.eye(3)[1]), stages)
     np.testing.assert_allclose(plant.state[:3], [0.0, 1.0, 0.0], atol=1e-12)
 
 

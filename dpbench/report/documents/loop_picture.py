@@ -18,6 +18,8 @@ from dpbench.report.ship.ship_text import list_losses
 
 POINTS = 150  # Corners of a line, at most: one a point of a page
 GAP = 24.0  # Space between panels [points]
+SAME_M = 1e-3
+"""Distance from the reference loop below which a loop ends where that does [m]."""
 BEFORE_LOSS_S = 60.0
 """Time before the first loss at which a picture of it begins [s]."""
 
@@ -131,14 +133,20 @@ def find_loop_picture(data: PageData, solver: str) -> LoopPicture | None:
     north, east, turn = (
         steps[name].to_numpy() - wanted[:, i] for i, name in enumerate(("n_m", "e_m", "psi_rad"))
     )
+    offset_m, heading_deg = np.hypot(north, east), np.degrees(np.abs(turn))
+    thrust, t_s = 100.0 * steps["thrust_share"].to_numpy(), steps["k"].to_numpy() * run.sample_s
+    if run.steps_done == run.exact_steps and run.dev_position_max_m < SAME_M:
+        # The steps have the state at their start: the end is that of the reference loop.
+        offset_m = np.append(offset_m, run.exact_offset_end_m)
+        heading_deg = np.append(heading_deg, run.exact_heading_end_deg)
+        thrust, t_s = np.append(thrust, thrust[-1]), np.append(t_s, run.steps_done * run.sample_s)
     panels = [
-        Panel("offset", "m", np.hypot(north, east), run.station_radius_m),
-        Panel("heading error", "°", np.degrees(np.abs(turn)), HEADING_DEG),
+        Panel("offset", "m", offset_m, run.station_radius_m),
+        Panel("heading error", "°", heading_deg, HEADING_DEG),
     ]
-    thrust = 100.0 * steps["thrust_share"].to_numpy()
     if np.isfinite(thrust).all():
         panels.append(Panel("thrust", "% of all", thrust))
-    return LoopPicture(run, steps["k"].to_numpy() * scenario.sample_s, tuple(panels))
+    return LoopPicture(run, t_s, tuple(panels))
 
 
 def _find_begin_s(run: RunRecord) -> float:

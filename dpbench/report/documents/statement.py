@@ -1,6 +1,6 @@
-"""Statement: one page that a control engineer can give to a class society.
+"""Statement: pages that a control engineer can give to a class society.
 
-It is drawn as SVG and turned into PDF, and claims nothing that is not on the page.
+It is drawn as SVG and turned into PDF, and claims nothing that is not on its pages.
 """
 
 import hashlib
@@ -40,6 +40,7 @@ from dpbench.files.regular_files import write_bytes_to_file_or_pipe
 from dpbench.report.charts.style import FAIL, INK, LINE, SOFT
 from dpbench.report.commands_text import describe_commands, describe_machine_states, describe_turns
 from dpbench.report.documents.loop_picture import LoopPicture, find_loop_picture
+from dpbench.report.documents.pdf_pages import split_into_pages
 from dpbench.report.formats import format_time, join_with_and, strip_markdown
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import Recommendation, list_speed_margin_sentences
@@ -93,7 +94,7 @@ HASHED = ("runs.parquet", "steps.parquet", "capability.parquet", "machine.json",
 
 @dataclass(frozen=True)
 class TextLine:
-    """Line of text on the one-page statement: size, weight, gap above it, colour.
+    """Line of text of the statement: size, weight, gap above it, colour.
 
     is_caption : whether the picture precedes it.
     """
@@ -107,7 +108,7 @@ class TextLine:
 
 
 def make_statement_svg(folder: Path, results: Results, data: PageData) -> str:
-    """Return the one-page statement on the recommended solver as SVG, A4.
+    """Return the statement on the recommended solver as SVG, its A4 pages below each other.
 
     Raises InputError when nothing can be recommended, so that there is nothing to state.
     """
@@ -118,12 +119,7 @@ def make_statement_svg(folder: Path, results: Results, data: PageData) -> str:
     picture = find_loop_picture(data, chosen.configuration.solver)
     caption = "" if picture is None else picture.caption
     text = _fill_statement(folder, results, data, chosen, caption)
-    shrink = 1.0
-    lines = list(_format_lines(text, shrink))
-    while MARGIN + sum(map(_height, lines)) > HEIGHT - BOTTOM:
-        shrink *= SHRINK
-        lines = list(_format_lines(text, shrink))
-    return _render_svg(lines, picture)
+    return _render_svg([*_format_lines(text)], picture)
 
 
 def _wrap(text: str, size: float) -> list[str]:
@@ -146,12 +142,12 @@ def _width_em(text: str) -> float:
 
 
 def write_statement(path: Path, folder: Path, results: Results, data: PageData) -> Path:
-    """Write the one-page statement on the recommended solver, as .pdf or .svg; return the path."""
+    """Write the statement on the recommended solver, as .pdf or .svg; return the path."""
     drawn = make_statement_svg(folder, results, data)
     if path.suffix == ".svg":
         write_bytes_to_file_or_pipe(path, drawn.encode())
     elif path.suffix == ".pdf":
-        write_bytes_to_file_or_pipe(path, vlc.svg_to_pdf(drawn))
+        write_bytes_to_file_or_pipe(path, split_into_pages(vlc.svg_to_pdf(drawn), HEIGHT))
     else:
         raise InputError("--statement", "", str(path), "a file name that ends in .pdf or .svg")
     return path
@@ -160,22 +156,18 @@ def write_statement(path: Path, folder: Path, results: Results, data: PageData) 
 _LOOKS: dict[str, dict[str, Any]] = {
     "#": {"size": 14, "bold": True},
     ">": {"size": 9, "colour": SOFT},
-    "##": {"size": 9.5, "bold": True, "gap": 7.0},
-    "!": {"size": 9, "bold": True, "colour": FAIL},
+    "##": {"size": 10, "bold": True, "gap": 7.0},
+    "!": {"size": 8.5, "bold": True, "colour": FAIL},
     "+": {"bold": True},
     "%": {"size": 7, "colour": SOFT, "is_caption": True},
-    "`": {"size": 7, "gap": 0.0},
-    "~": {"size": 7.5},
-    "-": {"size": 6.5},
-    "_": {"size": 9, "gap": 8.0},
+    "`": {"size": 6.5, "gap": 0.0},
+    "_": {"size": 9, "gap": 12.0},
 }
 """Look of a line by the mark it begins with."""
-WRAPPED = ("", "!", "+", "%", "-", "~")  # Marks of lines that may be longer than the page is wide
+WRAPPED = ("", "!", "+", "%")  # Marks of lines that may be longer than the page is wide
 PICTURE_HEIGHT, ABOVE_PICTURE = 54.0, 14.0  # [points]
-BOTTOM = 24  # Space below the last line [points]
+BOTTOM = 40  # Space below the last line of a page [points]
 LEADING = 1.16  # Height of a line over the size of its letters
-SHRINK = 0.97  # Factor of the sizes of letters and gaps, repeated until all lines fit the page
-SMALLEST = 6.0  # Smallest letters [points], unless even this factor is below one half
 BOLD_WIDER = 1.15  # Width of bold letters over that of others
 _WIDTHS = {
     0.28: "ijl'",
@@ -198,28 +190,24 @@ def _height(line: TextLine) -> float:
     return picture + LEADING * line.size + line.gap
 
 
-def _format_lines(text: str, shrink: float) -> Iterator[TextLine]:
-    """Yield the lines of the statement's text, styled, wrapped, and smaller by a factor."""
+def _format_lines(text: str) -> Iterator[TextLine]:
+    """Yield the lines of the statement's text, styled and wrapped."""
     for line in text.splitlines():
         mark, _, words = line.partition(" ")
         if mark not in _LOOKS:
             mark, words = "", line
-        words = strip_markdown(words)
-        look = _LOOKS.get(mark, {})
+        words, look = strip_markdown(words), _LOOKS.get(mark, {})
         wide = BOLD_WIDER if look.get("bold") else 1.0
-        least = SMALLEST * min(1.0, 2.0 * shrink)
-        size = max(least, shrink * look.get("size", TextLine.size))
-        first = {"size": size, "gap": shrink * look.get("gap", TextLine.gap)}
-        lines = _wrap(words, wide * size) if mark in WRAPPED else [words]
-        for number, part in enumerate(lines):
+        size = wide * look.get("size", TextLine.size)
+        for number, part in enumerate(_wrap(words, size) if mark in WRAPPED else [words]):
             later = {"gap": 0.0, "is_caption": False} if number else {}
-            yield TextLine(part, **look | first | later)
+            yield TextLine(part, **look | later)
 
 
 def _fill_statement(
     folder: Path, results: Results, data: PageData, chosen: Verdict, caption: str
 ) -> str:
-    """Return the text of the one-page statement: ship, solver, machine, limits, file hashes."""
+    """Return the text of the statement: ship, solver, machine, limits, file hashes."""
     c, records = chosen.configuration, data.records
     plots = build_capability_results(records, load_capability_plots(folder))
     analyses = build_consequence_analyses(records)
@@ -232,14 +220,16 @@ def _fill_statement(
     vessels = {s.vessel.id: s.vessel for s in known}
     ships_by_title = group_by_key(vessels.values(), lambda vessel: vessel.title)
     loops = {ship.run.scenario for ship in ships}
-    files = list({s.vessel.id: s.files["vessel"] for s in known}.values())
     return render_document(
         "statement",
         made_by=describe_version(results.suite),
         ship=summarise_ships(data.ships),
         ship_lines=[list(describe_scenario(ship)) for ship in ships[:MOST_SHIPS]],
         more_ships=max(0, len(ships) - MOST_SHIPS),
-        thrusters=_list_once(describe_thrusters(file.get("thrusters") or ()) for file in files),
+        thrusters=_list_once(
+            describe_thrusters(_list_thrusters_with_thrust(s.vessel, s.files["vessel"]))
+            for s in {s.vessel.id: s for s in known}.values()
+        ),
         sources=_list_once(split_source(vessel)[0] for vessel in vessels.values()),
         assumed=_list_once(
             text for vessel in vessels.values() for text in list_assumptions_on_vessel(vessel)
@@ -384,22 +374,33 @@ def _hash_documents(scenarios: Sequence[Scenario]) -> dict[str, str]:
 def _render_svg(lines: Iterable[TextLine], picture: LoopPicture | None) -> str:
     """Return lines of text and the picture as one SVG page."""
     parts: list[str] = []
-    y = float(MARGIN)
+    y, pages = float(MARGIN), 1
     for line in lines:
+        if y + _height(line) > HEIGHT * pages - BOTTOM:
+            y, pages = float(HEIGHT * pages + MARGIN), pages + 1
         if line.is_caption and picture is not None:
             parts += picture.svg(MARGIN, y + ABOVE_PICTURE, WIDTH - 2 * MARGIN, PICTURE_HEIGHT)
         y += _height(line)
         weight = "600" if line.bold else "400"
-        parts.append(
-            f'<text x="{MARGIN}" y="{y:.1f}" font-size="{line.size:g}" font-weight="{weight}" '
-            f'fill="{line.colour}">{escape(line.text)}</text>'
-        )
+        parts.append(_make_svg_text(y, line.size, line.colour, line.text, weight))
+    for page in range(1, pages + 1):
+        foot = HEIGHT * page - BOTTOM / 2
+        parts.append(_make_svg_text(foot, 7.0, SOFT, f"Page {page} of {pages}"))
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT}" '
-        f'viewBox="0 0 {WIDTH} {HEIGHT}" font-family="DejaVu Sans, Helvetica, Arial, sans-serif">'
-        f'<rect width="{WIDTH}" height="{HEIGHT}" fill="white"/>'
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT * pages}" '
+        f'viewBox="0 0 {WIDTH} {HEIGHT * pages}" '
+        'font-family="DejaVu Sans, Helvetica, Arial, sans-serif">'
+        f'<rect width="{WIDTH}" height="{HEIGHT * pages}" fill="white"/>'
         f'<rect x="{MARGIN}" y="{MARGIN - 8}" width="{WIDTH - 2 * MARGIN}" height="1" '
         f'fill="{LINE}"/>' + "".join(parts) + "</svg>"
+    )
+
+
+def _make_svg_text(y: float, size: float, colour: str, text: str, weight: str = "400") -> str:
+    """Return a line of text at the left margin as an SVG element."""
+    return (
+        f'<text x="{MARGIN}" y="{y:.1f}" font-size="{size:g}" font-weight="{weight}" '
+        f'fill="{colour}">{escape(text)}</text>'
     )
 
 
@@ -439,10 +440,26 @@ def describe_thrusters(thrusters: Sequence[Mapping[str, Any]]) -> str:
     return "; ".join(boards)
 
 
+def _list_thrusters_with_thrust(
+    vessel: Vessel, document: Mapping[str, Any]
+) -> list[Mapping[str, Any]]:
+    """Return the thruster tables of a vessel document, each with its thrust ahead."""
+    thrusts_N = [] if vessel.thrusters is None else vessel.thrusters.largest_thrusts_N.tolist()
+    tables = document.get("thrusters") or ()
+    return [
+        {**one, "thrust_kN": thrust_N / 1e3}
+        for one, thrust_N in zip(tables, thrusts_N, strict=False)
+    ]
+
+
 def _name_thruster(thruster: Mapping[str, Any]) -> str:
-    """Return a thruster's name with power and push directions, where they are known."""
-    power_kW, sector_deg = thruster.get("power_kW"), thruster.get("sector_deg")
-    facts = [f"{power_kW:g} kW"] if power_kW else []
+    """Return a thruster's name, kind, position, power, thrust and push, where they are known."""
+    sector_deg = thruster.get("sector_deg")
+    facts = [thruster["kind"]] if "kind" in thruster else []
+    if "x_m" in thruster:
+        facts.append(f"x {thruster['x_m']:g} m, y {thruster.get('y_m', 0.0):g} m")
+    for key, unit in (("power_kW", "kW"), ("thrust_kN", "kN")):
+        facts += [f"{thruster[key]:.4g} {unit}"] if thruster.get(key) else []
     facts += [describe_sector(*sector_deg)] if sector_deg else []
     if planned_deg := thruster.get("controller_sector_deg"):
         facts.append(f"controllers plan with {format_directions(*planned_deg)}")

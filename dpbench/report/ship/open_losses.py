@@ -27,7 +27,8 @@ from dpbench.ship.thrusters import ThrusterSet
 class OpenLosses:
     """Sentences on the losses that no closed loop shows to be held.
 
-    not_held : of losses that level 1 or a consequence analysis finds not held; not_simulated : of
+    not_held : of losses that level 1 or a consequence analysis finds not held, those that are not
+    simulated first, in the least wind; not_simulated : of
     the others, in one sentence; "" for none.
     """
 
@@ -53,7 +54,7 @@ def find_open_losses(
         return OpenLosses()
     known = [scenario for scenario in map(records.build_scenario, records.scenarios) if scenario]
     by_vessel = group_by_key(known, lambda scenario: scenario.vessel.id)
-    not_held, not_simulated = [], dict[str, None]()
+    not_held, not_simulated = list[_WeatherLoss](), dict[str, None]()
     for vessel, own in by_vessel.items():
         thrusters = own[0].vessel.thrusters
         if thrusters is None:
@@ -68,12 +69,13 @@ def find_open_losses(
                 _WeatherLoss(group, alike, losses, plots_of_ship, analyses) for alike in weathers
             ]
             found = [one for one in of_weather if one.findings]
-            not_held += [one.sentence for one in found if not one.has_ship_left]
+            not_held += [one for one in found if not one.has_ship_left]
             if not found and not losses:
                 not_simulated[group] = None
     others = " or of ".join(not_simulated)
     sentence = f"Loss of {others}: not simulated, so not shown to be held." if not_simulated else ""
-    return OpenLosses(tuple(not_held), sentence)
+    by_weight = sorted(not_held, key=lambda one: one.order)
+    return OpenLosses(tuple(one.sentence for one in by_weight), sentence)
 
 
 class _WeatherLoss:
@@ -109,6 +111,11 @@ class _WeatherLoss:
         return any(
             ship.has_left_station and ship.run.exact_left_s >= at_s for at_s, ship in self._losses
         )
+
+    @property
+    def order(self) -> tuple[bool, float]:
+        """Key that sorts losses by weight: not simulated first, then the least wind."""
+        return bool(self._losses), _find_wind(self._alike[0]).get("speed_mps", 0.0)
 
     @property
     def sentence(self) -> str:

@@ -23,7 +23,7 @@ def describe_thrust_used(use: ThrusterUse) -> str:
 def explain_departure(ship: ShipResult) -> str:
     """Return sentences on the thrusters' limits until a ship leaves; "" without thrusters."""
     use = ship.thruster_use
-    if use is None:
+    if use is None or ship.run.scenario_documents is None:
         return ""
     begin_s, end_s = use.window_s
     used = (
@@ -45,14 +45,15 @@ def explain_departure(ship: ShipResult) -> str:
 
 
 def _is_mean_load_balanced(ship: ShipResult, use: ThrusterUse) -> bool:
-    """Return whether the thrusters left make the mean force of the weather."""
+    """Return whether the thrusters left, in their half turns, make the mean force of weather."""
     scenario = build_scenario_from_documents(ship.run.files)
     vessel, heading_rad = scenario.vessel, float(scenario.reference[2])
     assert vessel.thrusters is not None, "as they are used"
     names = [one.name for one in vessel.thrusters.thrusters]
     lost = [i for i, name in enumerate(names) if name not in use.thrusters]
     load = compute_mean_weather_force(vessel, scenario.environment, heading_rad)
-    return ThrusterReach(vessel.thrusters).find_least_thrust_share(-load, lost) <= 1.0
+    reach = ThrusterReach(vessel.thrusters.copy_with_convex_sectors())
+    return reach.find_least_thrust_share(-load, lost) <= 1.0
 
 
 def list_thruster_uses(ships: Sequence[ShipResult]) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The statement: one page on what holds, with hashes; none where nothing does."""
+"""The statement: what holds, with hashes; none where nothing does."""
 
 import hashlib
 import io
@@ -18,6 +18,7 @@ import vl_convert as vlc
 
 from dpbench.cli.main import main
 from dpbench.report.documents import statement
+from dpbench.report.documents.pdf_pages import split_into_pages
 from dpbench.report.documents.statement import (
     HEIGHT,
     MARGIN,
@@ -127,12 +128,36 @@ def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, writte
 
 def test_a_sector_is_listed_with_its_thruster() -> None:
     """Both what it pushes towards and what is barred; without power and sector the name alone."""
-    azimuth = {"name": "azimuth", "power_kW": 1200.0, "group": "A", "sector_deg": [-30.0, 60.0]}
+    azimuth: dict[str, Any] = {
+        "name": "azimuth",
+        "power_kW": 1200.0,
+        "group": "A",
+        "sector_deg": [-30.0, 60.0],
+    }
     said = describe_thrusters([azimuth, {"name": "bow", "group": "A", "sector_deg": None}])
     sector = "pushes 330° to 60° (race 150° to 240°), barred 60° to 330° (race 240° to 150°)"
     assert said == f"A: azimuth (1200 kW, {sector}), bow"
     planned = azimuth | {"sector_deg": [240.0, 60.0], "controller_sector_deg": [240.0, 60.0]}
     assert describe_thrusters([planned]).endswith(", controllers plan with 240° to 60°)")
+    main = {"name": "port", "kind": "main", "x_m": -34.0, "y_m": -4.5, "thrust_kN": 353.96}
+    assert describe_thrusters([main | {"group": "B"}]) == (
+        "B: port (main, x -34 m, y -4.5 m, 354 kN)"
+    )
+
+
+def test_a_tall_pdf_becomes_pages_from_the_top() -> None:
+    """Every new object is where its table of references says, and the old table is before it."""
+    tall = vlc.svg_to_pdf('<svg xmlns="http://www.w3.org/2000/svg" width="50" height="300"/>')
+    pdf = split_into_pages(tall, 100)
+    assert pdf.startswith(tall) and pdf.count(b"startxref") == 2
+    boxes = re.findall(rb"MediaBox \[([0-9 ]+)\]", pdf[len(tall) :])
+    assert boxes == [b"0 200 50 300", b"0 100 50 200", b"0 0 50 100"]
+    table = pdf[int(re.findall(rb"startxref\s(\d+)", pdf)[-1]) :]
+    entries = re.findall(rb"(\d+) 1\n(\d{10}) 00000 n\r\n", table)
+    assert len(entries) == 4 and table.startswith(b"xref\n")
+    assert all(pdf[int(at) :].startswith(b"%b 0 obj\n" % number) for number, at in entries)
+    kids = re.findall(rb"/Kids \[([^]]+)\]", pdf)[-1]
+    assert {*re.findall(rb"(\d+) 0 R", kids)} <= {number for number, _ in entries}
 
 
 def test_it_names_the_commit_where_the_record_has_one(written: Any) -> None:
@@ -252,11 +277,22 @@ def test_wind_areas_of_ones_own_are_not_listed_as_assumed() -> None:
     assert list_assumptions_on_vessel(alone) == []
 
 
-def test_it_fits_a_page(drawn: str) -> None:
+def _body(svg: str) -> list[ElementTree.Element]:
+    """Return the lines of a statement without the feet of its pages."""
+    lines = _texts(svg)
+    assert (lines[-1].text or "").startswith("Page ")
+    pages = int((lines[-1].text or "").rpartition(" ")[2])
+    assert [foot.text for foot in lines[-pages:]] == [
+        f"Page {page} of {pages}" for page in range(1, pages + 1)
+    ]
+    return lines[:-pages]
+
+
+def test_it_fits_its_pages(drawn: str) -> None:
     """As rendered, nothing is drawn beyond the margins; each line is below the one before."""
-    lines = _texts(drawn)
-    heights = [float(line.get("y", "nan")) for line in lines]
-    assert heights == sorted(heights) and heights[-1] <= HEIGHT - 20
+    heights = [float(line.get("y", "nan")) for line in _body(drawn)]
+    assert heights == sorted(heights)
+    assert all(MARGIN <= height % HEIGHT <= HEIGHT - 40 for height in heights)
     assert not re.search(r"\bnan\b|None", drawn)
     assert _rightmost_ink(drawn) <= WIDTH - MARGIN + 2
 
@@ -278,20 +314,22 @@ def test_wrapped_lines_end_before_the_margin_and_use_the_page(letters: str) -> N
 
 
 @pytest.mark.parametrize("count", [16, 60])
-def test_a_text_too_long_for_the_page_is_set_smaller(
+def test_a_long_text_takes_more_pages_of_readable_letters(
     written: Any, monkeypatch: pytest.MonkeyPatch, count: int
 ) -> None:
-    """The signature is on the page as well. Only a text that needs it has letters below 6 pt."""
+    """The signature is last. Text is set in 8 pt, and nothing in less than 6 pt."""
     lines = (f"Loss of board {i}: not held (not simulated)." for i in range(count))
     losses = OpenLosses(tuple(lines))
     monkeypatch.setattr(statement, "find_open_losses", lambda *_: losses)
     report = written.report
     svg = make_statement_svg(written.folder, report.results, report.data)
-    assert all(MARGIN <= float(line.get("y", "nan")) <= HEIGHT - 20 for line in _texts(svg))
-    smallest = min(float(line.get("font-size", "nan")) for line in _texts(svg))
-    assert smallest >= 6.0 if count == 16 else smallest < 6.0
+    heights = [float(line.get("y", "nan")) for line in _body(svg)]
+    assert all(MARGIN <= height % HEIGHT <= HEIGHT - 40 for height in heights)
+    # 60 lines of 8.5 pt take 700 points.
+    assert heights[-1] > HEIGHT if count == 60 else heights[-1] < 2 * HEIGHT
+    assert min(float(line.get("font-size", "nan")) for line in _texts(svg)) >= 6.0
     assert _rightmost_ink(svg) <= WIDTH - MARGIN + 2
-    texts = ["".join(element.itertext()) for element in _texts(svg)]
+    texts = ["".join(element.itertext()) for element in _body(svg)]
     assert texts[3] == losses.not_held[0] and texts[-1].startswith("Author ___")
     assert "Solver of these QPs alone" in texts and "Recommended solver" not in texts
 
@@ -312,7 +350,7 @@ def test_equal_ships_are_described_once(records: Any, tmp_path: Path) -> None:
     vessel = plain.vessel
     assert f"Ship: {vessel.title} ({vessel.id}, twin_ship); " in text
     assert text.count(split_source(vessel)[0]) == 1
-    assert text.count("Thrusters by switchboard: board A: ") == text.count("board A: ") == 1
+    assert text.count("y to starboard): board A: ") == text.count("board A: ") == 1
     assert f"vessel {vessel.id} and 1 equal (stored document)  SHA-256 " in text
 
 
@@ -383,7 +421,7 @@ def test_it_states_weather_losses_thrusters_and_source(records: Any, tmp_path: P
     lines = ["".join(element.itertext()) for element in _texts(svg)]
     text = " ".join(lines)
     assert "loss of board A at 90 s" in text and "loss of board A" in lines
-    assert "Thrusters by switchboard: board A: " in text
+    assert "to starboard): board A: " in text
     assert "wind " in text and " m/s from " in text and "current " in text
     assert max(len(line) * 3.5 for line in lines) <= WIDTH
     names = ("offset", "heading error", "thrust")
@@ -397,7 +435,7 @@ def test_it_states_weather_losses_thrusters_and_source(records: Any, tmp_path: P
 def test_rudders_are_named_with_the_notation_and_above_it(
     records: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In the size of other text. A solver that leaves alarms unanswered is named as compared."""
+    """A solver that leaves alarms unanswered is named as compared."""
     records.loop("daqp", "thrusters_loss", steps=500)
     records.replay("daqp", "thrusters_loss", spread=0.1)
     records.replay("quadprog", "thrusters_loss", spread=0.1)
@@ -416,6 +454,4 @@ def test_rudders_are_named_with_the_notation_and_above_it(
     lines = ["".join(element.itertext()) for element in _texts(svg)]
     at = lines.index(caution)
     assert lines[at + 1].startswith("DP capability-L1(8, 8, 8, 8) without rudders. ")
-    sizes = [float(element.get("font-size", "nan")) for element in _texts(svg)]
-    assert sizes[at] > sizes[at + 1]
     assert f"quadprog {silent}." in " ".join(lines)
