@@ -98,12 +98,11 @@ def _describe_counted_runs(runs: Sequence[RunRecord], records: Records) -> str:
     excluded = [f"{plural(count, 'run')} {what}" for what, count in apart.items() if count]
     if calibration := len(records.calibration):
         excluded.append(plural(calibration, "calibration run"))
-    notes = [f". The total includes {plural(refused, 'refused run')}"] * bool(refused)
+    notes = [f". The number of runs includes {plural(refused, 'refused run')}"] * bool(refused)
     if twice:
-        verb = "counts" if twice == 1 else "count"
         why = "because two settings names select the same settings"
-        notes.append(f". {plural(twice, 'run')} {verb} twice, {why}")
-    notes += [f". The total excludes {join_with_and(excluded)}"] * bool(excluded)
+        notes.append(f". Both numbers count {plural(twice, 'run')} twice, {why}")
+    notes += [f". Both numbers exclude {join_with_and(excluded)}"] * bool(excluded)
     return "".join(notes)
 
 

@@ -39,7 +39,7 @@ def name_core_and_precision(target: str, *, single: bool) -> str:
 
 
 NOTE = (
-    "Median, p99 and maximum: instructions per step. Iterations and active limits are those of the "
+    "p50, p99 and maximum: instructions per step. Iterations and active limits are those of the "
     "step with the maximum. Code includes constants; static includes the heap. Error: largest "
     "error of the first move, in maximum increments. On this machine: the same steps through the "
     "native interface at default settings, with a warm start where supported; solvers whose C code "
@@ -74,7 +74,7 @@ def convert_instructions_to_ns(instructions: int) -> float:
 
 @dataclass(frozen=True)
 class CoreTimes:
-    """One row of the calculator: a solver on a core, its p99 and worst step in instructions."""
+    """One row of the calculator: a solver on a core, its p99 and maximum in instructions."""
 
     solver: str
     where: str
@@ -84,7 +84,7 @@ class CoreTimes:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """Texts of a row: solver, sequence, core; p99, worst step, and share of the deadline."""
+        """Texts of a row: solver, sequence, core; p99, maximum, and its share of the deadline."""
         worst_ns = convert_instructions_to_ns(self.worst)
         known = math.isfinite(self.deadline_ns)
         share = format_sample_share(worst_ns / self.deadline_ns) if known else MISSING
@@ -137,6 +137,12 @@ def list_embedded_cost_sentences(
         *yield_uncounted_loops_sentences(results),
         CAVEAT,
     ]
+
+
+def describe_emulation(sequences: Sequence[CountedSequence]) -> str:
+    """Return for which cores solvers' C code was compiled to be run in an emulator, as text."""
+    cores = [_name_core_with_article(one.target, single=one.single) for one in sequences]
+    return f"compiled for {join_with_and(list(dict.fromkeys(cores)))} and run in an emulator"
 
 
 def _describe_p99_counts(

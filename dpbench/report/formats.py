@@ -217,6 +217,14 @@ def join_with_counts(counts: Iterable[tuple[str, int]]) -> str:
     return join_with_and([f"{name} ({count})" for name, count in ordered])
 
 
+_BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:%|°|[kMG]?Hz|GiB|[nµm]?s|[kc]?m|k?N)(?![\w/^]))")
+
+
+def bind_units(text: str) -> str:
+    """Return a text in which no line of the page breaks between a number and its unit."""
+    return _BEFORE_UNIT.sub("\u00a0", text)
+
+
 def strip_markdown(text: str) -> str:
     """Return a text without bold and code marks of Markdown."""
     return text.replace("**", "").replace("`", "")
@@ -295,7 +303,9 @@ class Table:
     @property
     def page_rows(self) -> list[list[str]]:
         """Rows of the table that the page shows, without Markdown marks."""
-        return [[strip_markdown(cell) for cell in row] for row in self.rows[: self.shown]]
+        return [
+            [bind_units(strip_markdown(cell)) for cell in row] for row in self.rows[: self.shown]
+        ]
 
     @property
     def cut(self) -> int:

@@ -134,4 +134,4 @@ def test_commanded_azimuths_turn_freely_unless_the_controller_limits_it(
     if limited:
         files["scenario"]["controller"]["thrusters"]["azimuth_turning"] = True
     run: Any = _Run(files)
-    assert ("unlimited turning of azimuths" in list_conditions(run)) == is_named
+    assert ("no rate limit on azimuth angles" in list_conditions(run)) == is_named

@@ -153,9 +153,13 @@ class RunRecord:
     at_rate_surge: float
     at_rate_sway: float
     at_rate_yaw: float
+    at_amplitude_surge: float
+    at_amplitude_sway: float
+    at_amplitude_yaw: float
     power_share: float
     thrust_variation: float
     azimuth_travel_deg: float
+    at_rate_thrusters: float
     at_limit_thrusters: float
     closed_loop_cost: float
     exact_cost: float

@@ -135,8 +135,8 @@ _LEGEND_COLUMNS = alt.ExprRef("narrow ? 1 : 3")
 _FIGURES = (
     style.tooltip("verdict:N", "overall verdict"),
     style.tooltip("off:N", f"{style.ERROR}, in all replays"),
-    style.tooltip("p50_us:Q", "p50 [µs]"),
-    style.tooltip("p99_us:Q", "p99 [µs]"),
+    alt.Tooltip("p50_us:Q", title="p50 [µs]", format=".3r"),
+    alt.Tooltip("p99_us:Q", title="p99 [µs]", format=".3r"),
     style.tooltip("timed_on:N", "times in the replay of"),
 )
 
@@ -251,7 +251,7 @@ _JITTER = (
     "slow <= 1 ? '' : 'dashed: ' + (narrow ? '' : 'timings on this machine, ') + 'as measured'"
 )
 """Remark on the whiskers on a slower computer."""
-_FIGURE = "isValid(datum.{0}) ? format(datum.{0}, '.3~g') : '–'"
+_FIGURE = "isValid(datum.{0}) ? format(datum.{0}, '.3r') : '–'"
 """Text of a number in a tooltip, a dash where there is none: the page leaves its line out."""
 ALLOWED = "speed margin (factor by which the computer may be slower)"
 
@@ -292,7 +292,7 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
         now=f"({good}) && slow > 1 && isValid(datum.margin) && slow > datum.margin"
         " ? 'late' : datum.verdict",
         computer="'× ' + format(slow, '.3~g')",
-        timing="format(datum.longest_ms, '.3~g') + (slow > 1 ? ', as measured' : '')",
+        timing="format(datum.longest_ms, '.3r') + (slow > 1 ? ', as measured' : '')",
         replayed=_FIGURE.format("replay_p99_ms"),
         single=_FIGURE.format("raw_p99_ms"),
     )
@@ -301,7 +301,7 @@ def _scale_rows(table: pd.DataFrame) -> alt.Chart:
         style.tooltip("label:N", "configuration"),
         style.tooltip("computer:N", "slowdown of the computer"),
         style.tooltip("now:N", "verdict at this slowdown"),
-        *(style.tooltip(f"{name}:Q", f"{title} [ms]", 3) for name, title in times),
+        *(alt.Tooltip(f"{name}:Q", title=f"{title} [ms]", format=".3r") for name, title in times),
         style.tooltip("replayed:N", "p99 of the replay, as measured [ms]"),
         style.tooltip("single:N", "p99 of single timings in the replay, as measured [ms]"),
         style.tooltip("timing:N", "largest single timing [ms]"),

@@ -115,7 +115,7 @@ def describe_marks(chart: Any, tips: Sequence[Any]) -> Any:
         value = f"datum.{known['field']}"
         shown = f"format({value}, '{known['format']}')" if "format" in known else value
         label = known.get("title", known["field"])
-        said = f"{json.dumps(('; ' if parts else '') + f'{label}: ')} + {shown}"
+        said = f"{json.dumps(('. ' if parts else '') + f'{label}: ')} + {shown}"
         parts.append(f"(isValid({value}) && {value} !== '–' ? {said} : '')")
     return chart.transform_calculate(said=" + ".join(parts)).encode(
         description=alt.Description("said:N")

@@ -70,9 +70,14 @@ PERCENTILES = ("p99", "p99 of single timings")
 MARGINS = ("limiting p99", "speed margin")
 """Columns that are left out where lateness is not judged."""
 CALL_MODES = (
-    "Call modes: fresh sets up the solver at every step, reuse keeps its workspace, and warm also "
-    "starts from its last solution. Settings are `default` unless named. Route `native` is the "
-    "solver's own interface, `qpsolvers` the Python package."
+    "A call mode is a route and a policy. Route `native` is the solver's own interface, "
+    "`qpsolvers` the Python package. Policy `fresh` sets up the solver at every step, `reuse` "
+    "keeps its workspace, and `warm` also starts from its last solution. Settings are `default` "
+    "unless named."
+)
+FAILED_STEPS = (
+    "The failed steps of all closed loops, replays and windows are added up: a step counts once "
+    "in each run in which it fails, in a replay or window in any round, warm-up included."
 )
 SINGLE_TIMINGS = "The p99 of single timings includes interference from other work."
 FEW_STEPS = "A p99 of step times needs at least 1 000 steps; a dash marks a shorter replay."
@@ -230,6 +235,7 @@ def _explain_columns(data: PageData, listed: Sequence[Verdict]) -> str:
         _explain_speed_margin(data, listed),
         SINGLE_TIMINGS * has_raw_p99,
         *few,
+        FAILED_STEPS,
         TERMS,
     ]
     return " ".join(filter(None, notes))
@@ -243,16 +249,15 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
     requirements = data.requirements
     is_scaled = any(margin.p99.run.untimed_iterations > 1.0 for margin in margins)
     scaled = (
-        " after each is scaled up to the iterations of the closed loop in its scenario"
+        " after each is scaled up to the iterations of the closed loop in its scenario. It may "
+        "exceed the longest step, which the table gives as measured, not scaled"
     ) * is_scaled
-    step = ", scaled up in the same way" * any(
-        m.hardest.run.untimed_iterations_max > 1 for m in margins
-    )
+    step = "scaled " * any(m.hardest.run.untimed_iterations_max > 1 for m in margins)
     return (
         f"The limiting p99 is the largest p99 of all replays and windows{scaled}. If there is no "
         "p99, the longest step is used. Speed margin: factor by which the computer may be slower, "
         f"the smaller of {requirements.p99_ms:g} ms divided by the limiting p99 and "
-        f"{requirements.deadline_ms:g} ms divided by the longest step{step}; rounded down."
+        f"{requirements.deadline_ms:g} ms divided by the {step}longest step; rounded down."
     )
 
 
@@ -325,7 +330,9 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
         )
     for name, found in (("largest p99", worst), ("longest step", hardest)):
         if any(found[label] != usual[label] for label in found):
-            alike = " for all configurations" * (len({*found.values()}) == 1 < len(found))
+            alike = " for all configurations in this table" * (
+                len({*found.values()}) == 1 < len(found)
+            )
             yield f"The {name} is {_most_and_others(found, 'in')}{alike}."
     own = {
         f"`{v.configuration.solver}` {v.configuration.settings}: {v.configuration.options_text}"

@@ -25,7 +25,11 @@ from dpbench.report.charts.embedded import draw_instructions
 from dpbench.report.charts.overview import draw_accuracy, draw_deadline_chart, draw_verdict_tiles
 from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS, draw_step_pairs, draw_step_strips
 from dpbench.report.charts.study import draw_point_errors, draw_point_seas, draw_study_points
-from dpbench.report.embedded_text import make_calculator_rows, name_sequence_and_core
+from dpbench.report.embedded_text import (
+    describe_emulation,
+    make_calculator_rows,
+    name_sequence_and_core,
+)
 from dpbench.report.formats import (
     describe_range_of_steps,
     explain_range_of_steps,
@@ -66,7 +70,9 @@ def _explain_step_times(data: PageData) -> str:
     more = f" {left_out} more custom settings: `tables/verdicts.csv`." * (left_out > 0)
     return (
         "Step time of each solver in the replays and windows of hardest steps. Marker: p50 in the "
-        f"replay of {replay}{which}; bar: up to the limiting p99; line: up to the longest step; "
+        f"replay of {replay}{which}; bar: up to the limiting p99, which is scaled up to the "
+        "iterations of the closed loop; line: up to the longest step, which is not scaled and may "
+        "be shorter; "
         "dashed line: up to the largest single timing, closed loops included. Grey bar: call "
         "overhead, measured with a reference call that only copies its data; it is cut "
         "at the p50 if the overhead exceeds the p50. Below 5 µs, differences may be due to "
@@ -91,8 +97,8 @@ def _draw_verdict_grids(data: PageData) -> Charts:
 
 MATRIX = (
     "Each cell shows the verdict on a configuration (solver, call mode, settings) in one scenario "
-    "or replay. Fail: at least one step has an inaccurate solution or none, a step failed, or "
-    "the process crashed. Late: accurate, but too slow."
+    "or replay. Fail: at least one step has an inaccurate solution, or none although its QP has "
+    "one, a step failed, or the process crashed. Late: accurate, but too slow."
 )
 FURTHER = (
     "Borderline: a time is above or below its limit by less than the rounds differ from "
@@ -241,7 +247,10 @@ def _explain_other_replays(points: pd.DataFrame, names: str, usual: str) -> str:
     if has_p99[points["timed_on"] == names].any() or not has_p99[points["timed_on"] == usual].all():
         return time
     replays = join_with_and([describe_range_of_steps(name) for name in usual.split("; ")])
-    return f"{solvers} completed too few steps of {replays} for a p99; the step time is "
+    return (
+        f"There is no p99 of {solvers}, because fewer than 1 000 steps of {replays} were "
+        "completed; the p50 is "
+    )
 
 
 def _mark_names(names: Iterable[str]) -> list[str]:
@@ -255,7 +264,7 @@ def _name_timed_replays(names: str) -> str:
     if len(replays) == 1:
         return f"that in the replay of {replays[0]}"
     largest = "larger" if len(replays) == 2 else "largest"
-    return f"the {largest} of the step times in the replays of {join_with_and(replays)}"
+    return f"the {largest} of the values in the replays of {join_with_and(replays)}"
 
 
 def _draw_empty_study_charts(data: PageData) -> Charts:
@@ -281,6 +290,16 @@ def _draw_counts(data: PageData) -> Charts:
             row = {"label": name, "group": group, "k": str(one.k)}
             rows.append(row | {"p50": one.p50, "p99": one.p99, "worst": one.worst})
     return {"embedded": draw_instructions(pd.DataFrame(rows))} if rows else {}
+
+
+def _explain_counts(data: PageData) -> str:
+    """Return a text on the chart of instructions: the cores, and what its marks are."""
+    sequences = data.counts.sequences
+    return (
+        f"Instructions per step of each solver's C code, {describe_emulation(sequences)}. Marker: "
+        "p50; bar: up to the p99; line: up to the maximum. "
+        f"{explain_range_of_steps(one.sequence for one in sequences)}"
+    )
 
 
 def _pack_counts(data: PageData, _: Results) -> dict[str, Any]:
@@ -323,6 +342,7 @@ SECTIONS = (
         "Embedded cores",
         _draw_counts,
         ("embedded",),
+        text=_explain_counts,
         data=_pack_counts,
         in_topic=True,
     ),

@@ -389,7 +389,7 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
         f"{opening[0].upper()}{opening[1:]} may be up to "
         f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this machine"
         f"{also}. {_describe_margin_limit(margin, requirements, time)}",
-        *_list_limiting_steps(data, margin, time),
+        *_list_limiting_steps(data, margin, time, chosen.algo_max_ns),
         *_yield_longest_timing(data, chosen.configuration),
         *_yield_untimed_loops_sentences(data),
     ]
@@ -417,34 +417,37 @@ def _name_scaling(scenario: str) -> str:
     return f" (`{scenario}`, scaled up to the iterations of the closed loop)"
 
 
-def _list_limiting_steps(data: PageData, margin: SpeedMargin, time: str) -> list[str]:
-    """Return sentences on the steps that limit a speed margin, and each one's largest slowdown."""
+def _list_limiting_steps(
+    data: PageData, margin: SpeedMargin, time: str, measured_ns: float
+) -> list[str]:
+    """Return sentences on the steps that limit a speed margin, and each one's largest slowdown.
+
+    measured_ns : the longest step as measured, which a scaled p99 may exceed.
+    """
     wait = describe_hardest_wait(data.records, margin.hardest.run)
     is_longest = margin.p99.time_ns == margin.hardest.time_ns
     p99 = (
         f"{format_time(margin.p99.time_ns)}{wait * is_longest}, the time of "
         f"{_name_slow_step(margin.p99)} ({_describe_work(margin.p99)})"
     )
-    first, second = f"The {time} is {p99}", ""
+    opening, beyond = "The longest step is", ""
+    hardest = f"{format_time(margin.hardest.time_ns)}{wait} ({_describe_work(margin.hardest)})"
     if margin.p99.run.untimed_iterations > 1.0:
-        first = f"Before scaling, the {time} is {p99}"
-        second = (
-            f". Scaled up to the iterations of the closed loop, the {time} is "
-            f"{format_time(margin.limiting_p99_ns)}"
+        scaled = format_time(margin.limiting_p99_ns)
+        p99 = f"{scaled}, scaled up to the iterations of the closed loop from {p99}"
+    if margin.limiting_p99_ns > measured_ns:
+        beyond = (
+            f" Being scaled, it exceeds the longest measured step ({format_time(measured_ns)})."
         )
-    hardest = (
-        f"longest step is {_name_slow_step(margin.hardest)}: "
-        f"{format_time(margin.hardest.time_ns)}{wait} ({_describe_work(margin.hardest)})"
-    )
-    opening = f"The {hardest}"
     if margin.hardest.run.untimed_iterations_max > 1.0:
-        longest = format_time(margin.longest_ns)
-        opening = f"Scaled up in this way, the {hardest} before and {longest} after scaling"
+        opening = "Scaled up in this way, the longest step is"
+        hardest = f"{format_time(margin.longest_ns)}, as measured {hardest}"
     requirements = data.requirements
     return [
-        f"{first}{second}. It reaches the limit of {requirements.p99_ms:g} ms at a slowdown of × "
-        f"{format_rounded_down(margin.p99_limit)}.",
-        f"{opening}. It reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of × "
+        f"The {time} is {p99}. It reaches the limit of {requirements.p99_ms:g} ms at a slowdown of "
+        f"× {format_rounded_down(margin.p99_limit)}.{beyond}",
+        f"{opening} {_name_slow_step(margin.hardest)}: {hardest}. It reaches the deadline of "
+        f"{requirements.deadline_ms:g} ms at a slowdown of × "
         f"{format_rounded_down(margin.deadline)}.",
     ]
 
@@ -545,8 +548,10 @@ def format_python_call(c: Configuration) -> str:
         f'solver = open_workspace(\n    "{c.solver}",\n    route="{c.route}",\n'
         f'    policy="{c.policy}",\n    settings={settings},\n)'
     )
-    known = find_solver_record_or_none(c.solver) is not None
-    if not known or not (c.options or has_preset_or_tolerance(c.solver, c.settings)):
+    record = find_solver_record_or_none(c.solver)
+    if record is not None and record.project.c_code.value.startswith("yes"):
+        call += f"\n# C code: {record.project.c_code.source}"
+    if record is None or not (c.options or has_preset_or_tolerance(c.solver, c.settings)):
         return call
     options = resolve_settings_with_fixed_options(c.solver_settings, c.solver)
     keys = ", ".join(f"{key}={value!r}" for key, value in options.items())

@@ -1,7 +1,7 @@
 """Terms in the texts of a page, each a link to the page's glossary, and its list of scenarios."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,7 @@ from markupsafe import Markup, escape
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.run_matrix import Experiment
-from dpbench.report.formats import format_share, plural
+from dpbench.report.formats import bind_units, format_share, plural
 from dpbench.report.page.data import PageData
 from dpbench.report.words import term_meanings, topics
 
@@ -22,7 +22,7 @@ _OWN_PHRASES = (
 )
 PHRASES = {
     **{name: name for name in _OWN_PHRASES.split(", ")},
-    "first move": "error_move",
+    "first move": "error of the first move (error_move)",
     "single timing": "single timing",
     "scaled up": "speed margin",
     "limiting p99": "speed margin",
@@ -80,11 +80,7 @@ class Terms:
 
     def __call__(self, text: str) -> Markup:
         """Return a text as HTML: terms linked to the page's glossary, Markdown's code as code."""
-        parts = text.replace("**", "").split("`")
-        return Markup("").join(
-            Markup("<code>{}</code>").format(part) if i % 2 else self._link_terms(part)
-            for i, part in enumerate(parts)
-        )
+        return self._mark(text.replace("**", ""), self._link_terms)
 
     def _link_terms(self, text: str) -> Markup:
         """Return a text without code as HTML, with its terms linked to the page's glossary."""
@@ -119,10 +115,14 @@ class Terms:
     @staticmethod
     def mark_code(text: str) -> Markup:
         """Return a text as HTML without links, with Markdown's code as code."""
-        parts = text.split("`")
+        return Terms._mark(text, escape)
+
+    @staticmethod
+    def _mark(text: str, convert: Callable[[str], Markup]) -> Markup:
+        """Return a text as HTML, Markdown's code as code and the other parts converted."""
         return Markup("").join(
-            Markup("<code>{}</code>").format(part) if i % 2 else escape(part)
-            for i, part in enumerate(parts)
+            Markup("<code>{}</code>").format(part) if i % 2 else convert(part)
+            for i, part in enumerate(bind_units(text).split("`"))
         )
 
     @property

@@ -28,7 +28,7 @@ from dpbench.report.charts import style
 from dpbench.report.charts.render import FORMATS, compile_vega, render_svg
 from dpbench.report.commands_text import describe_how_results_were_made, describe_subject
 from dpbench.report.embedded_text import CLOCK_MHZ, CYCLES, describe_deadline, make_calculator_rows
-from dpbench.report.formats import explain_range_of_steps, format_time
+from dpbench.report.formats import format_time
 from dpbench.report.page.citations import format_citations
 from dpbench.report.page.data import (
     GROUPS,
@@ -118,6 +118,7 @@ def _describe_configuration(
         **_describe_margin(data, c, v),
         "longest_in_windows": [list(step) for step in data.longest_window_steps.get(c, ())],
         "max_wait": describe_hardest_wait(data.records, None if v is None else v.max_run),
+        "max_in": "" if v is None or v.max_run is None else name_experiment(v.max_run),
     }
 
 
@@ -197,7 +198,7 @@ _HUES = [hue for hue in style.FAMILY_COLOURS.values() if hue not in style.STATE_
 FILES = {
     "runs.parquet": "one row per run",
     "steps.parquet": "one row per step; published copies may omit it, as a new run writes it again",
-    "embedded.parquet": "one row per step of a solver's C code on an embedded core",
+    "embedded.parquet": "one row per step of C code compiled for an embedded core and emulated",
     "capability.parquet": "one row per QP at the edge of the capability plot",
     "machine.json": "description of the machine, with versions",
     "suite.json": "the suite that was run, with start, duration and revision of dpbench",
@@ -268,7 +269,6 @@ def make_page_html(
             for name, chart in select_static_charts(charts).items()
         },
         lead=lead,
-        counted_range=explain_range_of_steps(one.sequence for one in data.counts.sequences),
         core_times=make_calculator_rows(data.counts, data.requirements),
         cycles=f"{CYCLES:g}",
         clock_mhz=f"{CLOCK_MHZ:g}",

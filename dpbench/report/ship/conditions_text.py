@@ -64,7 +64,7 @@ def list_conditions(run: RunRecord) -> tuple[str, ...]:
     documents = run.scenario_documents or {}
     scenario, vessel = documents.get("scenario") or {}, documents.get("vessel") or {}
     known = read_conditions(scenario, vessel)
-    turning = ["unlimited turning of azimuths"] * _turns_azimuths_freely(scenario, vessel)
+    turning = ["no rate limit on azimuth angles"] * _turns_azimuths_freely(scenario, vessel)
     return *_list_sensors(known), *turning, *_list_differences(known)
 
 

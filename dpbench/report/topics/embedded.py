@@ -11,6 +11,7 @@ from dpbench.report.embedded_text import (
     CAVEAT,
     NOTE,
     describe_cheapest_solver,
+    describe_emulation,
     name_core_and_precision,
     yield_ranking_sentences,
     yield_uncounted_loops_sentences,
@@ -28,6 +29,7 @@ LABELS = {
     "code": "code [bytes]",
     "static": "static [bytes]",
     "stack": "stack [bytes]",
+    "median": "p50",
     "desk p99": "p99 on this machine",
     "desk rank": "rank on this machine",
 }
@@ -44,6 +46,8 @@ def build_embedded_topic(results: EmbeddedResults, requirements: Requirements) -
         *(describe_cheapest_solver(sequence, requirements) for sequence in results.sequences),
         *yield_ranking_sentences(results.sequences, requirements),
     ]
+    if results.sequences:
+        lines[0] = f"The solvers' C code was {describe_emulation(results.sequences)}. {lines[0]}"
     lines += yield_uncounted_loops_sentences(results)
     lines += yield_uncounted_sentences(results.not_counted)
     fewest = min((group.steps for group in results.sequences), default=0)

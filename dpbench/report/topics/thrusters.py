@@ -91,10 +91,9 @@ def _describe_thruster_load(
     names = join_with_and([f"`{name}`" for name in sorted(best)])
     all_runs = " of all these scenarios" * (len(best) > 1)
     return (
-        f"In the closed loop of `{hardest.scenario}` with `{hardest.solver}`, the one nearest to "
-        "the reference loop, the applied (not the planned) thrust of at least one thruster is at "
-        f"its limit in {100.0 * hardest.at_limit_thrusters:.0f} % of the "
-        f"{plural(hardest.steps_done, 'step')}. "
+        f"Of the accurate closed loops of `{hardest.scenario}`, that with `{hardest.solver}` is "
+        "nearest to the reference loop. In it, at least one thruster is at its thrust limit in "
+        f"{100.0 * hardest.at_limit_thrusters:.0f} % of the {plural(hardest.steps_done, 'step')}. "
         f"{whole} of the {plural(len(configurations), 'configuration')} run in {names} "
         f"{'is' if whole == 1 else 'are'} accurate on every step{all_runs}."
     )
@@ -124,7 +123,7 @@ def _format_largest_ratio(
     largest = find_largest_ratio_to_best(runs, best, column)
     if math.isnan(largest):
         return MISSING
-    return "equal to 1 %" if abs(largest - 1.0) < LIKE else f"× {significant(largest)}"
+    return "equal to within 1 %" if abs(largest - 1.0) < LIKE else f"× {significant(largest)}"
 
 
 def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None:

@@ -66,7 +66,8 @@ def _describe_round_spread(records: Records, *, is_quiet: bool) -> list[str]:
         f"This run gives no estimate of how much times differ between days: {join_with_and(why)}."
         if why
         else f"In 95 % of the configurations the rounds of this run agree within a factor of "
-        f"{significant(high)} (median {significant(usual)}). Runs on other days can differ by more."
+        f"{significant(high)}, in half of them within {significant(usual)}. Runs on other days can "
+        "differ by more."
     )
     beyond = "" if is_quiet else " and the ratio exceeds the spread of their rounds"
     return [
@@ -177,11 +178,12 @@ def build_trust_topic(records: Records) -> Topic | None:
         figures.append(Figure("calibration", chart, "Measured wait against requested wait."))
     if disturbance.seconds > 0:
         lines.append(_describe_machine_load(records, timed))
-    data = [
-        *list_machine_facts(records.machine),
-        *(list_disturbance_facts(disturbance) if disturbance.seconds > 0 else ()),
-        *list_switching_solvers(timed),
-    ]
+    # The count of throttle events replaces whether they are visible.
+    data = {
+        **dict(list_machine_facts(records.machine)),
+        **dict(list_disturbance_facts(disturbance) if disturbance.seconds > 0 else ()),
+        **dict(list_switching_solvers(timed)),
+    }
     is_of_own_plant = any(run.is_of_own_plant for run in records.runs)
     others = "plants, disturbances" if is_of_own_plant else "ships, weather"
     return Topic(
@@ -190,5 +192,7 @@ def build_trust_topic(records: Records) -> Topic | None:
         short="Measurement",
         lines=(*lines, COVERED.format(f"{others} and tunings")),
         figures=tuple(figures),
-        tables=(Table(("property", "value"), tuple(data), "Machine", COMPARED, folded=True),),
+        tables=(
+            Table(("property", "value"), tuple(data.items()), "Machine", COMPARED, folded=True),
+        ),
     )

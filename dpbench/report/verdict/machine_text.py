@@ -52,7 +52,7 @@ def list_machine_facts(machine: MachineDescription) -> list[tuple[str, str]]:
         ("cores used (numbers)", ", ".join(cores) or "not recorded"),
         ("frequency governor", of("governor")),
         ("frequency at the start", of("frequency_MHz", "MHz")),
-        ("throttle counters", of("throttle_counters")),
+        ("throttle events", of("throttle_counters")),
         ("BLAS", ", ".join(machine.get("blas") or ["none found"])),
         ("time to read the clock", of("clock_read_ns", "ns")),
         ("resolution of the clock", of("timer_resolution_ns", "ns")),

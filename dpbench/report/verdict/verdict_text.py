@@ -30,6 +30,7 @@ from dpbench.bench.judge.rules import LEAST_STRETCH
 from dpbench.bench.record.cell import Configuration
 from dpbench.qp.residuals import TRUE_TOL
 from dpbench.report.formats import (
+    describe_range_of_steps,
     describe_wait,
     format_count,
     format_error,
@@ -205,14 +206,14 @@ def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
     late = [run.configuration for run in ran if run.outcome == "timed_out"]
     if not late:
         return ""
-    have = "Its outcome is" if len(late) == 1 else "Their outcome is"
     is_one = len({configuration.solver for configuration in late}) == 1
     stopped = Counter(c.marked_label if is_one else f"`{c.solver}`" for c in late)
     others = "configurations" if is_one else "solvers"
     return (
         f"The time limit (`cell_limit_s`) stopped {len(late)} of "
         f"{plural(len(ran), 'started run')}: {name_counts(stopped.most_common(), others)}. "
-        f"{have} `timed_out` in `tables/runs.csv`."
+        "A configuration with such a run cannot pass, unless it is a replay of which all steps "
+        "were timed. Outcome in `tables/runs.csv`: `timed_out`."
     )
 
 
@@ -386,9 +387,10 @@ def _describe_time_ratio(compared: PairedComparison, end: str) -> str:
     ratio = f"{typically}{significant(compared.ratio.value)} times as long{end}"
     wording = f"{ratio} over the same steps"
     others = len(compared.sequences) - MOST_NAMED
-    marked = [f"`{name}`" for name in compared.sequences[:MOST_NAMED]]
+    marked = [describe_range_of_steps(name) for name in compared.sequences[:MOST_NAMED]]
     names = [*marked, *[f"{others} more"] * (others > 0)]
-    wording += f" of {join_with_and(names)}" * bool(names)
+    replays = "replays" if len(names) > 1 else "replay"
+    wording += f" in the {replays} of {join_with_and(names)}" * bool(names)
     if compared.is_of_one_run:
         return f"the same run under another name{end}: the settings make no difference"
     if not math.isfinite(compared.ratio.high):

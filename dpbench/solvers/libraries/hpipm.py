@@ -62,7 +62,7 @@ RECORD = SolverRecord(
         licence=("BSD-2-Clause", "HPIPM source, head of each file"),
         language=("C, on BLASFEO", "HPIPM reference guide, Introduction"),
         c_code=(
-            "yes (the solver is written in it)",
+            "yes (the solver itself)",
             "HPIPM reference guide, Introduction",
         ),
         allocation_free=(

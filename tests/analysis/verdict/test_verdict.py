@@ -569,7 +569,7 @@ def test_a_clear_lead_is_called_so(records: Any) -> None:
     assert found.ratio.value == pytest.approx(2.0, rel=0.02)
     assert not found.is_tied and found.finding_text == "slower"
     said = (
-        r"[\d.]+ times as long over the same steps of `[a-z, ]+` "
+        r"[\d.]+ times as long over the same steps in the replay of `[a-z, ]+` "
         r"\(95 % interval within this run: [\d.]+ to [\d.]+\)"
     )
     assert re.fullmatch(said, describe_paired_times([found]))

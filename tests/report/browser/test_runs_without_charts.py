@@ -56,7 +56,6 @@ def test_a_window_in_the_table_shows_its_closed_loop(select: Callable[[str], Any
 
 def test_a_step_of_a_window_has_both_times(select: Callable[[str], Any]) -> None:
     page = select("#s=daqp&w=qpsolvers-fresh&set=default&sc=turn")
-    page.locator("#hard summary").click()
     page.locator("#hard details button", has_text="turn, step 213: 200 µs").first.click()
     page.wait_for_function("state.k === 213")
     text = page.inner_text("#step-said")

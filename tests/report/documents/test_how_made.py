@@ -34,7 +34,12 @@ def test_the_report_ends_with_how_it_was_made(records: Any, tmp_path: Path) -> N
     assert str(MACHINE["python"]) in made and str(MACHINE["cpu_model"]) in made
     folder = records.write(tmp_path / "out")
     page = write_report(folder).read_text("utf-8")
-    shown = page.replace("&#39;", "'").replace("<code>", "`").replace("</code>", "`")
+    shown = (
+        page.replace("\xa0", " ")
+        .replace("&#39;", "'")
+        .replace("<code>", "`")
+        .replace("</code>", "`")
+    )
     assert made.strip() in shown and len(text.encode()) <= MOST_BYTES
 
 
@@ -64,8 +69,8 @@ def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> N
     made = _paragraph(make_report_markdown(Report.from_results(records.results())))
     assert "3 runs with" in made
     assert (
-        "1 run counts twice, because two settings names select the same settings. The total "
-        "excludes 1 run of consequence analyses. Solvers: "
+        "Both numbers count 1 run twice, because two settings names select the same settings. "
+        "Both numbers exclude 1 run of consequence analyses. Solvers: "
     ) in made
 
 

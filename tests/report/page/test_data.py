@@ -175,7 +175,7 @@ def test_every_kind_of_finding_has_a_short_text() -> None:
     kinds += [kind for part in (Doubt, Near, Gap) for kind in get_args(part)]
     assert len(kinds) > 40 and all(shorten_findings(kind) for kind in kinds)
     assert shorten_findings("") == ""
-    assert shorten_findings("p99 late, failed") == "p99 above its limit; failed steps"
+    assert shorten_findings("p99 late, failed") == "P99 above its limit. Failed steps"
 
 
 @pytest.mark.slow

@@ -505,8 +505,11 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     data = Report.from_results(records.results()).data
     (verdict,) = data.verdicts.all_verdicts
     text = " ".join(list_speed_margin_sentences(data, verdict))
-    scaled = "Scaled up to the iterations of the closed loop, the limiting p99 is 40.0 µs"
-    assert f"{scaled}. It reaches the limit of 3 ms at a slowdown of × 75.0." in text
+    scaled = (
+        "The limiting p99 is 40.0 µs, scaled up to the iterations of the closed loop from 20.0 µs"
+    )
+    assert scaled in text and "It reaches the limit of 3 ms at a slowdown of × 75.0." in text
+    assert "Being scaled, it exceeds the longest measured step (20.0 µs)." in text
 
 
 def test_the_table_has_the_times_that_give_each_speed_margin(records: Any) -> None:
@@ -555,7 +558,8 @@ def test_loops_without_times_and_stopped_runs_are_named(records: Any) -> None:
     assert notes["margin"].endswith("Not timed, as no replay has their QPs: `calm` and `rough`.")
     assert notes["stopped"] == (
         "The time limit (`cell_limit_s`) stopped 1 of 4 started runs: 1 of `osqp` (qpsolvers "
-        "fresh). Its outcome is `timed_out` in `tables/runs.csv`."
+        "fresh). A configuration with such a run cannot pass, unless it is a replay of which all "
+        "steps were timed. Outcome in `tables/runs.csv`: `timed_out`."
     )
 
 

@@ -56,14 +56,20 @@ function plain(x, digits = 3) {
     ? Number(x).toExponential(Math.max(1, digits - 2)) : String(Number(Number(x).toPrecision(digits)));
 }
 
+// A number in three significant digits with its last zeros, as the texts of the report have it.
+function significant(x) {
+  const near = Number(Number(x).toPrecision(3));
+  return near ? grouped(near.toFixed(Math.max(0, 2 - Math.floor(Math.log10(Math.abs(near)))))) : "0";
+}
+
 // A whole number, or that before the point, with thin spaces between thousands.
 const grouped = (x) => String(x).replace(/^-?\d{4,}(?=\.|$)/, (whole) => whole.replace(/\B(?=(\d{3})+$)/g, "\u202f"));
 
 // A number as text that is read.
 const figure = (x, digits = 3) => grouped(plain(x, digits));
 
-// A text as nodes, what Markdown marks as code as code.
-const coded = (text) => text.split("`").map((part, i) => {
+// A text as nodes, what Markdown marks as code as code; no line breaks before a unit.
+const coded = (text) => text.replace(/(\d) (?=(%|[nµm]?s|c?m)(?![\w/]))/g, "$1\u00a0").split("`").map((part, i) => {
   if (i % 2 === 0) return part;
   const node = document.createElement("code");
   node.textContent = part;
@@ -73,10 +79,10 @@ const coded = (text) => text.split("`").map((part, i) => {
 // So many of what has a plural in s.
 const many = (x, word) => `${Number.isInteger(x) ? grouped(x) : figure(x)} ${word}${x === 1 ? "" : "s"}`;
 
-// As `figure`, but never more than x: what still holds when it is believed.
-function roundedDown(x, digits = 3) {
-  const near = Number(x.toPrecision(digits));
-  return figure(near > x ? near - 10 ** (Math.floor(Math.log10(x)) - digits + 1) : near, digits);
+// As `significant`, but never more than x: what still holds when it is believed.
+function roundedDown(x) {
+  const near = Number(x.toPrecision(3));
+  return significant(near > x ? near - 10 ** (Math.floor(Math.log10(x)) - 2) : near);
 }
 
 // A canvas knows no variables of the style sheet: it gets the colours they have now.

@@ -187,13 +187,11 @@ function varies(c) {
 function drawHard(run) {
   const replayed = facts.experiments[state.p].mode === "replay";
   const names = [
-    replayed ? "longest steps, each in its fastest round" : "largest single timings, stalls included", "most iterations", "largest error of the first move [maximum increments]",
+    replayed ? "longest steps, each in its fastest round" : "largest single timings, including interruptions by other work", "most iterations", "largest error of the first move [maximum increments]",
   ];
   const row = (name, steps) => {
     const line = document.createElement("p"), head = document.createElement("span");
-    const [before, after] = name.split("stalls");
-    head.append(...(after === undefined ? [name] : [before, termLink("word-stall", "stalls"), after]));
-    head.className = "soft";
+    Object.assign(head, { className: "soft", textContent: name });
     line.append(head, ...steps.map(({ p, k, said }) => {
       const button = document.createElement("button");
       button.textContent = said;
@@ -215,15 +213,15 @@ function drawHard(run) {
   const most = varies(state.c) ? [1] : [], worst = most.length && !["late", "fail"].includes(C().verdict[state.c]) ? [] : [2];
   const everywhere = [[0, "longest steps of replays and windows, each in its fastest round", "replay"],
     ...[...worst, ...most].map((m) => [m, names[m]]),
-    [0, "largest single timings of all closed loops, stalls included", "closed_loop"]];
+    [0, "largest single timings of all closed loops, including interruptions by other work", "closed_loop"]];
   const all = document.createElement("details"), title = document.createElement("summary"), heading = document.createElement("h3");
-  title.textContent = "Extreme steps of all scenarios and replays, without runs in SI units";
-  heading.replaceChildren(...coded(`Extreme steps of \`${facts.experiments[state.p].label}\``));
-  all.open = $("hard").querySelector("details")?.open ?? false;
+  title.textContent = "Longest and hardest steps of all scenarios and replays, without runs in SI units";
+  heading.replaceChildren(...coded(`Longest and hardest steps of \`${facts.experiments[state.p].label}\``));
+  all.open = $("hard").querySelector("details")?.open ?? true;
   all.append(title, ...(several ? everywhere : []).map(([m, name, mode]) => row(name, worstAnywhere(m, mode).map(said(m))))
     .filter((line) => line.children.length > 1));
   const own = order.map((m) => here[m]).filter((line) => line?.children.length > 1);
-  $("hard").replaceChildren(...(own.length ? [heading, ...own] : []), ...(all.children.length > 1 ? [all] : []));
+  $("hard").replaceChildren(...(all.children.length > 1 ? [all] : []), ...(own.length ? [heading, ...own] : []));
   drawStep(run);
 }
 

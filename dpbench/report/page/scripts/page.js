@@ -1,7 +1,7 @@
 // What follows from a change of the selection, what listens to the reader, and the start.
 "use strict";
 
-// The line that stays on a wide screen: the selected configuration, its times, what is shown of it.
+// The line that stays on a wide screen: the selected configuration, its verdict and times.
 function drawChosen() {
   const c = state.c, timed = facts.experiments[C().timed_experiment_index[c]]?.label;
   const times = [["p50", "p50"], ["p99", "replay_p99"]].filter(([, column]) => C()[column][c] !== null)
@@ -9,10 +9,9 @@ function drawChosen() {
   const about = [
     C().verdict[c] !== "not judged" && `overall verdict ${C().verdict[c]}`,
     times && `${times}${timed ? ` in \`${timed}\`` : ""}`,
-    C().max[c] !== null && `longest step ${time(C().max[c])}${C().max_wait[c]}`,
+    C().max[c] !== null && `longest step ${time(C().max[c])}${C().max_wait[c]} in ${C().max_in[c]}`,
   ].filter(Boolean).join(", ");
-  const shown = `${state.k === null ? "steps" : `step ${state.k}`} of \`${facts.experiments[state.p].label}\` below`;
-  $("chosen").replaceChildren(...coded(`${marked(c)}${about && `, ${about}`}; ${shown}`));
+  $("chosen").replaceChildren(...coded(`${marked(c)}${about && `, ${about}`}`));
 }
 
 // Draws the eye to what has changed.
@@ -85,6 +84,14 @@ function leadsTo(link) {
 function listenPage() {
   addEventListener("popstate", arrived);
   for (const link of document.querySelectorAll("[data-section], .term")) leadsTo(link);
+  // A badge leads to its result.
+  for (const link of document.querySelectorAll(".chips a")) {
+    link.addEventListener("click", (event) => {
+      event.preventDefault();
+      select({ c: facts.answer.first, p: Number(link.dataset.experiment), k: null });
+      go("one");
+    });
+  }
   on("sections", "change", go);
   document.querySelectorAll(".term").forEach(explain);
   onNewLook(redraw);
@@ -107,15 +114,6 @@ function explain(term) {
   });
   term.addEventListener("blur", hide);
   term.addEventListener("keydown", (event) => { if (event.key === "Escape") hide(); });
-}
-
-// A link of a script to an entry of the glossary.
-function termLink(id, text) {
-  const link = document.createElement("a");
-  Object.assign(link, { className: "term", href: `#${id}`, title: $(id).nextElementSibling.textContent, textContent: text });
-  leadsTo(link);
-  explain(link);
-  return link;
 }
 
 async function start() {

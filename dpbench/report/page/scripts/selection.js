@@ -17,9 +17,8 @@ const on = (id, event, act) => $(id).addEventListener(event, (e) => act(e.target
 
 function time(ns) {
   if (ns === null || ns === undefined) return "–";
-  if (ns < 1e3) return `${figure(ns)} ns`;
-  if (ns < 1e6) return `${figure(ns / 1e3)} µs`;
-  return ns < 1e9 ? `${figure(ns / 1e6)} ms` : `${figure(ns / 1e9)} s`;
+  const at = [1e3, 1e6, 1e9, Infinity].findIndex((end) => ns < 0.9995 * end);
+  return `${significant(ns / 1e3 ** at)} ${["ns", "µs", "ms", "s"][at]}`;
 }
 
 const C = () => facts.configurations;
