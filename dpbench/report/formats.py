@@ -217,12 +217,12 @@ def join_with_counts(counts: Iterable[tuple[str, int]]) -> str:
     return join_with_and([f"{name} ({count})" for name, count in ordered])
 
 
-_BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:%|°|[kMG]?Hz|GiB|[nµm]?s|[kc]?m|k?N)(?![\w/^]))")
+_UNIT = re.compile(r"(?<=\d) (?=(?:%|[MG]?Hz|GiB|[nµm]?s|[kc]?m|k?N)(?![\w/]))|(?<=×) (?=\d)")
 
 
 def bind_units(text: str) -> str:
     """Return a text in which no line of the page breaks between a number and its unit."""
-    return _BEFORE_UNIT.sub("\u00a0", text)
+    return _UNIT.sub("\u00a0", text)
 
 
 def strip_markdown(text: str) -> str:

@@ -19,6 +19,7 @@ from dpbench.report.formats import (
     describe_range_of_steps,
     escape_markdown,
     escape_markdown_paragraph,
+    explain_range_of_steps,
     format_error,
     format_rounded_down,
     format_time,
@@ -106,6 +107,7 @@ def make_report_markdown(report: Report) -> str:
         *make_ship_lines(recommendation.ship),
         *map(
             escape_markdown_paragraph,
+            explain_range_of_steps,
             [*lead, *wording, recommendation.machine, recommendation.requirements],
         ),
         make_solver_table(data, listed := _list_verdicts(data.verdicts)),
@@ -117,6 +119,7 @@ def make_report_markdown(report: Report) -> str:
         *(counts := _make_counts_tables(topics)),
         *map(
             escape_markdown_paragraph,
+            explain_range_of_steps,
             [*describe_failing_settings_and_grids(data.verdicts), *after],
         ),
         *_yield_study_tables(topics),
@@ -168,7 +171,8 @@ def _yield_verdicts_by_scenario(data: PageData, recommendation: Recommendation) 
         names = join_with_and([f"`{badge.name}`" for badge in badges if badge.name])
         text = f"{names} (not counted): {state}" if units == ["si"] else f"{state} in {names}"
         parts.append(text if names else state)
-    yield f"Verdicts on {recommendation.first.marked_label}: {'; '.join(parts)}."
+    notation = explain_range_of_steps(run.sequence for run in data.runs.values())
+    yield f"Verdicts on {recommendation.first.marked_label}: {'; '.join(parts)}. {notation}".rstrip()
 
 
 def _make_counts_tables(topics: Sequence[Topic]) -> list[str]:

@@ -69,7 +69,7 @@ const grouped = (x) => String(x).replace(/^-?\d{4,}(?=\.|$)/, (whole) => whole.r
 const figure = (x, digits = 3) => grouped(plain(x, digits));
 
 // A text as nodes, what Markdown marks as code as code; no line breaks before a unit.
-const coded = (text) => text.replace(/(\d) (?=(%|[nµm]?s|c?m)(?![\w/]))/g, "$1\u00a0").split("`").map((part, i) => {
+const coded = (text) => text.replace(/(?<=\d) (?=(%|[nµm]?s|c?m)(?![\w/]))|(?<=×) (?=\d)/g, "\u00a0").split("`").map((part, i) => {
   if (i % 2 === 0) return part;
   const node = document.createElement("code");
   node.textContent = part;

@@ -24,7 +24,7 @@ function drawTable() {
   const head = document.createElement("tr");
   for (const [column, j] of shown) {
     const th = document.createElement("th"), button = document.createElement("button");
-    th.scope = "col"; button.textContent = column.label; button.title = column.meaning ? `${column.name}: ${column.meaning}` : "";
+    th.scope = "col"; button.textContent = column.label; button.title = column.meaning ? `${column.name}: ${column.meaning.replaceAll("; ", "\n")}` : "";
     if (sorting.column === j) th.setAttribute("aria-sort", sorting.down ? "descending" : "ascending");
     button.addEventListener("click", () => {
       sorting.down = sorting.column === j ? !sorting.down : false;
