@@ -107,7 +107,6 @@ def make_report_markdown(report: Report) -> str:
         *make_ship_lines(recommendation.ship),
         *map(
             escape_markdown_paragraph,
-            explain_range_of_steps,
             [*lead, *wording, recommendation.machine, recommendation.requirements],
         ),
         make_solver_table(data, listed := _list_verdicts(data.verdicts)),
@@ -119,7 +118,6 @@ def make_report_markdown(report: Report) -> str:
         *(counts := _make_counts_tables(topics)),
         *map(
             escape_markdown_paragraph,
-            explain_range_of_steps,
             [*describe_failing_settings_and_grids(data.verdicts), *after],
         ),
         *_yield_study_tables(topics),
@@ -172,7 +170,8 @@ def _yield_verdicts_by_scenario(data: PageData, recommendation: Recommendation) 
         text = f"{names} (not counted): {state}" if units == ["si"] else f"{state} in {names}"
         parts.append(text if names else state)
     notation = explain_range_of_steps(run.sequence for run in data.runs.values())
-    yield f"Verdicts on {recommendation.first.marked_label}: {'; '.join(parts)}. {notation}".rstrip()
+    label = recommendation.first.marked_label
+    yield f"Verdicts on {label}: {'; '.join(parts)}. {notation}".rstrip()
 
 
 def _make_counts_tables(topics: Sequence[Topic]) -> list[str]:
