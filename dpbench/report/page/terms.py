@@ -60,7 +60,7 @@ class GlossaryEntry:
 def find_entry(term: str) -> GlossaryEntry:
     """Return the glossary entry of a term, with its anchor on the page."""
     slug = re.sub(r"[^a-z0-9]+", "-", term.lower()).strip("-")
-    return GlossaryEntry(f"word-{slug}", term, term_meanings()[term])
+    return GlossaryEntry(f"word-{slug}", term, bind_units(term_meanings()[term]))
 
 
 class Terms:

@@ -39,7 +39,7 @@ def cells(page: Any) -> list[list[str]]:
 
 def test_the_inputs_give_times_and_stay_in_the_address(opened: Any) -> None:
     page = opened()
-    assert cells(page) == [["20 ms", "20 ms", "6.7 %"], ["45 ms", "45 ms", "15 %"]]
+    assert cells(page) == [["20.0 ms", "20.0 ms", "6.7 %"], ["45.0 ms", "45.0 ms", "15 %"]]
     page.fill("#cpi", "2")
     page.press("#cpi", "Enter")
     page.fill("#mhz", "400")
@@ -53,7 +53,7 @@ def test_the_inputs_give_times_and_stay_in_the_address(opened: Any) -> None:
 
 def test_an_impossible_clock_becomes_the_usual_one(opened: Any) -> None:
     page = opened("#mhz=0&cpi=-1")
-    assert cells(page)[0] == ["20 ms", "20 ms", "6.7 %"]
+    assert cells(page)[0] == ["20.0 ms", "20.0 ms", "6.7 %"]
     assert (page.input_value("#cpi"), page.input_value("#mhz")) == ("1", "100")
 
 

@@ -208,7 +208,7 @@ def test_a_point_that_is_open_is_not_filled_like_one_that_meets(selected: Any) -
     ).all()
     opacity: dict[str, set[str]] = {}
     for dot in dots:
-        state = str(dot.get_attribute("aria-label")).split("verdict: ")[1].split(";")[0]
+        state = str(dot.get_attribute("aria-label")).split("verdict: ")[1].split(".")[0]
         opacity.setdefault(state, set()).add(str(dot.get_attribute("fill-opacity")))
     assert opacity["pass"] == {"0.95"} and opacity["fail"] == {"0"}
     assert opacity["inconclusive"] == {"0.3"}
