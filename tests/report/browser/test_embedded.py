@@ -45,10 +45,10 @@ def test_the_inputs_give_times_and_stay_in_the_address(opened: Any) -> None:
     page.fill("#mhz", "400")
     page.press("#mhz", "Enter")
     page.wait_for_function("document.querySelector('#core-said').textContent.includes('400 MHz')")
-    assert cells(page)[0] == ["10 ms", "10 ms", "3.3 %"]
+    assert cells(page)[0] == ["10.0 ms", "10.0 ms", "3.3 %"]
     assert (selection(page)["cpi"], selection(page)["mhz"]) == ("2", "400")
     again = opened(page.evaluate("location.hash"))
-    assert cells(again)[0] == ["10 ms", "10 ms", "3.3 %"]
+    assert cells(again)[0] == ["10.0 ms", "10.0 ms", "3.3 %"]
 
 
 def test_an_impossible_clock_becomes_the_usual_one(opened: Any) -> None:
