@@ -294,9 +294,10 @@ class Study:
     @property
     def has_alternating_points(self) -> bool:
         """True if one command ran each realisation of all points before the next realisation."""
-        seas = self.runs["replicate"]
-        commands = self.runs.groupby("replicate")["campaign"].nunique()
-        return self.seas_per_point > 1 and seas.is_monotonic_increasing and commands.max() == 1
+        seas = self.runs.loc[self.runs["finished"], ["replicate", "campaign"]]
+        commands = seas.groupby("replicate")["campaign"].nunique()
+        in_order = seas["replicate"].is_monotonic_increasing
+        return len(commands) > 1 and in_order and commands.max() == 1
 
     @property
     def sample_count(self) -> int:

@@ -142,9 +142,9 @@ def compute_study_effects(study: Study) -> tuple[Effect, ...]:
                 factor: [_compute_level_effect(values, *change) for change in pairings[factor]]
                 for factor in factors
             } | _fit_range_effects(study.points, values, ranged)
-            for factor in factors:
+            for factor, changes in found.items():
                 name = ", ".join(factor)
-                effects += _yield_effects(study, configuration.name, name, measure, found[factor])
+                effects += _yield_effects(study, configuration.name, name, measure, changes)
     return tuple(effects)
 
 

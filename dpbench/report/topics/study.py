@@ -373,11 +373,8 @@ def draw_effect_figures(study: Study, name: str) -> Iterator[Figure]:
         caption = (
             "Change of each factor, with its 95 % interval where there is one; zero: no effect."
             + (f" {left} more configurations are in the table." if left > 0 else "")
-            + (
-                " Effects on step times that other load can explain are not drawn."
-                if study.is_disturbed
-                else ""
-            )
+            + " Effects on step times that other load can explain are not drawn."
+            * study.is_disturbed
         )
         chart = draw_effects(table, f"Effect of each factor, {study.name}", names)
         yield Figure(f"study-effects-{name}", chart, caption)
