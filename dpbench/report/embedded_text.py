@@ -220,7 +220,6 @@ def yield_ranking_sentences(
             f"In {where}, instruction counts and times on this machine rank solvers differently: "
             f"{join_with_and(named)}{more} ({near})."
         )
-    yield from _yield_unranked_sentences(sequences)
     if alike:
         ranked = dict.fromkeys(name for s in sequences for name in s.desk_rank_by_solver)
         is_whole = not _list_unranked_settings(sequences)
@@ -232,7 +231,7 @@ def yield_ranking_sentences(
         )
 
 
-def _yield_unranked_sentences(sequences: Sequence[CountedSequence]) -> Iterator[str]:
+def yield_unranked_sentences(sequences: Sequence[CountedSequence]) -> Iterator[str]:
     """Yield a sentence on each solver whose C code does not run at the settings of the desk."""
     for name, own in _list_unranked_settings(sequences).items():
         counted = join_with_and([f"{key} = {value:g}" for key, value in own.items()])

@@ -25,11 +25,7 @@ from dpbench.report.charts.embedded import draw_instructions
 from dpbench.report.charts.overview import draw_accuracy, draw_deadline_chart, draw_verdict_tiles
 from dpbench.report.charts.steps import COLUMNS as STEP_COLUMNS, draw_step_pairs, draw_step_strips
 from dpbench.report.charts.study import draw_point_errors, draw_point_seas, draw_study_points
-from dpbench.report.embedded_text import (
-    describe_emulation,
-    make_calculator_rows,
-    name_sequence_and_core,
-)
+from dpbench.report.embedded_text import make_calculator_rows, name_sequence_and_core
 from dpbench.report.formats import (
     describe_range_of_steps,
     explain_range_of_steps,
@@ -70,13 +66,11 @@ def _explain_step_times(data: PageData) -> str:
     more = f" {left_out} more custom settings: `tables/verdicts.csv`." * (left_out > 0)
     return (
         "Step time of each solver in the replays and windows of hardest steps. Marker: p50 in the "
-        f"replay of {replay}{which}; bar: up to the limiting p99, which is scaled up to the "
-        "iterations of the closed loop; line: up to the longest step, which is not scaled and may "
-        "be shorter; "
-        "dashed line: up to the largest single timing, closed loops included. Grey bar: call "
-        "overhead, measured with a reference call that only copies its data; it is cut "
-        "at the p50 if the overhead exceeds the p50. Below 5 µs, differences may be due to "
-        "the bindings, not the methods."
+        f"replay of {replay}{which}; bar: up to the limiting p99 (scaled to the closed "
+        "loop); line: up to the longest step (as measured, so it may be shorter); dashed line: up "
+        "to the largest single timing, closed loops included. Grey bar: call overhead (a call that "
+        "only copies its data), cut at the p50. Below 5 µs, differences may be due to the "
+        "bindings, not the methods."
         f"{more}"
     )
 
@@ -293,12 +287,10 @@ def _draw_counts(data: PageData) -> Charts:
 
 
 def _explain_counts(data: PageData) -> str:
-    """Return a text on the chart of instructions: the cores, and what its marks are."""
-    sequences = data.counts.sequences
+    """Return a text on the chart of instructions: what its marks are."""
     return (
-        f"Instructions per step of each solver's C code, {describe_emulation(sequences)}. Marker: "
-        "p50; bar: up to the p99; line: up to the maximum. "
-        f"{explain_range_of_steps(one.sequence for one in sequences)}"
+        "Instructions per step of each solver's C code. Marker: p50; bar: up to the p99; line: up "
+        f"to the maximum. {explain_range_of_steps(one.sequence for one in data.counts.sequences)}"
     )
 
 

@@ -1,6 +1,7 @@
 """Cost of solvers as C on the ship's computer: instructions, memory, and the desk's ranking."""
 
 from collections.abc import Iterator
+from itertools import chain
 from typing import Any
 
 import pandas as pd
@@ -16,6 +17,7 @@ from dpbench.report.embedded_text import (
     yield_ranking_sentences,
     yield_uncounted_loops_sentences,
     yield_uncounted_sentences,
+    yield_unranked_sentences,
 )
 from dpbench.report.formats import MISSING, Table, format_count, format_error, format_time, plural
 from dpbench.report.page.section import Topic
@@ -48,14 +50,15 @@ def build_embedded_topic(results: EmbeddedResults, requirements: Requirements) -
     ]
     if results.sequences:
         lines[0] = f"The solvers' C code was {describe_emulation(results.sequences)}. {lines[0]}"
-    lines += yield_uncounted_loops_sentences(results)
     lines += yield_uncounted_sentences(results.not_counted)
+    left_out = yield_unranked_sentences(results.sequences), yield_uncounted_loops_sentences(results)
     fewest = min((group.steps for group in results.sequences), default=0)
     rough = (
         f"Over {fewest} steps, a p99 is a rough estimate, as at most "
         f"{plural(fewest // 100, 'step')} can exceed it. "
     ) * (0 < fewest < 1000)
     note = f"{NOTE} {rough}Compiled by {', '.join(compilers)} with -O2. {WORST} {CAVEAT}"
+    note = " ".join([note, *chain(*left_out)])
     looks: dict[str, Any] = {"text_columns": 3, "folded": True, "labels": LABELS}
     tables = (Table.from_rows(rows, TABLE, note=note, **looks),) if rows else ()
     return Topic("embedded", TITLE, tuple(lines), tables=tables)

@@ -1,7 +1,6 @@
 """Measurement quality: the machine, the harness measured by itself, what is not covered."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import pandas as pd
 
@@ -38,7 +37,6 @@ from dpbench.report.verdict.machine_text import (
 )
 from dpbench.solvers.calibration import WAITS_NS
 
-UNSEEN = "not visible"
 LEAST_CONFIGURATIONS = 4
 """Configurations with two rounds from which their spread is stated."""
 COVERED = (
@@ -110,12 +108,12 @@ def _describe_machine_load(records: Records, timed: Sequence[RunRecord]) -> str:
             "is idle."
         )
     if timed[0].mode != "replay":
-        return f"Other work did not disturb these closed loops.{_describe_hidden(records.machine)}"
+        return "Other work did not disturb these closed loops."
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     return (
         f"Over all replays{windows}, the machine was quiet: "
         f"{_describe_disturbed_rounds(disturbance)}.{_describe_worse_replays(records, timed)} "
-        f"These counts do not include closed loops.{_describe_hidden(records.machine)}"
+        "These counts do not include closed loops."
     )
 
 
@@ -149,14 +147,6 @@ def _describe_disturbed_rounds(disturbance: Disturbance) -> str:
         f"{format_count(disturbance.rerun)} of {rounds} {were} repeated because other work "
         f"disturbed them, and {left} remained disturbed ({share}, {limit})"
     )
-
-
-def _describe_hidden(machine: Mapping[str, Any]) -> str:
-    """Return a sentence on what the machine does not report of its state; "" for nothing."""
-    keys = {"governor": "its frequency governor", "throttle_counters": "throttling"}
-    hidden = [name for key, name in keys.items() if machine.get(key, UNSEEN) == UNSEEN]
-    neither = "reports neither" if len(hidden) > 1 else "does not report"
-    return f" The machine {neither} {' nor '.join(hidden)}." if hidden else ""
 
 
 def build_trust_topic(records: Records) -> Topic | None:

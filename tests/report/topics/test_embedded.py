@@ -99,9 +99,9 @@ def test_unequal_settings_and_loops_without_counts_are_named(judged: MadeRecords
         "`osqp` is not ranked, because its settings differ: the C code runs with eps_abs = 1e-06 "
         "and rho = 0.25, the solver on this machine with the default settings (adaptive_rho = 1, "
         "adaptive_rho_interval = 50)."
-    ) in topic.lines
+    ) in topic.tables[0].note
     uncounted = "Instructions were not counted for the QPs of `turn`, which may take more."
-    assert uncounted in topic.lines and uncounted in notes(report)["counted"]
+    assert uncounted in topic.tables[0].note and uncounted in notes(report)["counted"]
 
 
 def test_what_was_not_counted_is_stated_once_a_reason(judged: MadeRecords) -> None:
