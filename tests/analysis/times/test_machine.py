@@ -158,7 +158,7 @@ def test_records_without_counters_say_nothing(records: Any) -> None:
         (
             4,
             4,
-            "rounds of this run agree within a factor of 2.00, in half of them within 2.00. Runs on",
+            "rounds of this run agree within a factor of 2.00, in half of them within 2.00. Runs",
         ),
         (3, 4, "differ between days: only 3 configurations had two rounds."),
         (4, 900, "no estimate of how much times differ between days: the machine was disturbed."),
