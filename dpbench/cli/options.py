@@ -337,8 +337,12 @@ def add_capability_options(capability: Command) -> None:
 def add_codegen_options(codegen: Command) -> None:
     """Add the options of `dpbench codegen` to its parser."""
     codegen.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or a TOML file")
-    solver = "solver to include: paper_active_set (default), daqp or osqp"
+    solver = (
+        "solver to include: paper_active_set (default), daqp or osqp; with options, such as "
+        "'osqp[rho=1.6]'"
+    )
     _option(codegen, "--solver", "SOLVER", solver, default="paper_active_set")
+    _option(codegen, "--settings", "NAME", "preset of the solver, such as high or 1e-4")
     steps = "steps of the recorded trajectory (default: 1000)"
     _option(codegen, "--steps", "N", steps, type=int, default=1000)
     output = codegen.add_argument_group("output")

@@ -26,6 +26,7 @@ from dpbench.scenario.scenario import Scenario
 from dpbench.ship.plant import Sensors
 from dpbench.ship.thrusters import Thruster
 from dpbench.ship.vessel import AXIS_NAMES
+from dpbench.solvers.contract import DEFAULT, Settings
 from dpbench.solvers.open import open_workspace
 
 _MEASURED = (
@@ -261,13 +262,13 @@ class Trajectory:
 
 
 def record_closed_loop_trajectory(
-    data: ControllerData, solver: str, steps: int, settings: str = "default"
+    data: ControllerData, solver: str, steps: int, settings: Settings = "default"
 ) -> Trajectory:
     """Run a scenario's closed loop with a solver, warm started; return its inputs and outputs."""
     scenario = data.scenario.truncate(steps)
     K, controller = scenario.steps, scenario.controller
-    workspace = open_workspace(solver, policy="warm", settings=settings)
-    cell = Cell("closed_loop", scenario.files, solver, "native", "warm", settings, K)
+    workspace = open_workspace(solver, route="native", policy="warm", settings=settings)
+    cell = Cell("closed_loop", scenario.files, solver, "native", "warm", DEFAULT, K)
     setup = build_closed_loop_setup(cell, scenario, workspace, RawLog.in_memory, NO_LIMIT_NS)
     record_closed_loop(setup)
     log = setup.log

@@ -1,5 +1,6 @@
 """`dpbench codegen`: write the complete control step of a scenario as C99."""
 
+import shlex
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
@@ -16,12 +17,19 @@ from dpbench.codegen.controller_data import (
 )
 from dpbench.codegen.counted_replay import StepCost, count_replay
 from dpbench.codegen.fmu import SYSTEMS, build_fmu_bytes
-from dpbench.codegen.solver_sources import SOLVERS, SolverSources, round_up_to_multiple_of_8
+from dpbench.codegen.solver_sources import (
+    SOLVERS,
+    TOLERANCE,
+    SolverSources,
+    round_up_to_multiple_of_8,
+)
 from dpbench.embedded.toolchain import has_extra
 from dpbench.errors import InputError
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe, write_file_set_into_folder
 from dpbench.report.formats import format_count
 from dpbench.scenario.scenario import Scenario, resolve_to_scenario
+from dpbench.solvers.contract import DEFAULT
+from dpbench.solvers.own_settings import format_options_as_toml, parse_choice_without_grid
 
 MOST_REPLAYED = 1000
 """Steps of the recorded trajectory."""
@@ -32,6 +40,7 @@ def generate_controller(
     solver: str = "paper_active_set",
     *,
     out: str | Path,
+    settings: str | None = None,
     steps: int = MOST_REPLAYED,
     fmu: str | Path | None = None,
     fmi: int = 2,
@@ -42,8 +51,9 @@ def generate_controller(
     Parameters
     ----------
     scenario : an object, a name or a TOML file; its controller has one model and no cascade.
-    solver : the name of a solver with C sources.
+    solver : the name of a solver with C sources, or with options as `osqp[rho=1.6]`.
     out : the folder, made unless it exists.
+    settings : a preset of the solver such as "high" or "1e-4"; by default those of its C code.
     steps : length of the recorded trajectory that comes with it.
     fmu : file of a functional mock-up unit to write too; fmi : its version, 2 or 3.
     counts : put instructions of the replayed steps into README.md, where the extra `embedded` is
@@ -55,23 +65,28 @@ def generate_controller(
         compiler an FMU needs.
     SituationError : the sources cannot be fetched, or an emulated core commands something else.
     """
-    if solver not in SOLVERS:
-        raise InputError("`solver`", "", repr(solver), f"one of {', '.join(SOLVERS)}")
+    name, options = parse_choice_without_grid(solver, "`solver`", "one value per option")
+    if name not in SOLVERS:
+        raise InputError("`solver`", "", repr(name), f"one of {', '.join(SOLVERS)}")
+    if options and settings:
+        raise InputError("`settings`", "", repr(settings), f"no preset beside {solver}")
     if fmi not in SYSTEMS:
         raise InputError("`fmi`", "", fmi, "2 or 3")
     data = read_controller_data_of_scenario(resolve_to_scenario(scenario))
-    sources = SOLVERS[solver](data.qp)
+    chosen = options or settings
+    sources = SOLVERS[name](data.qp, *([chosen] if chosen else []))
     if fmu is not None and not sources.copies:
         allowed = "`solver` paper_active_set, which uses only memory of its caller"
-        raise InputError("`fmu`", "", f"`solver` {solver}", allowed)
+        raise InputError("`fmu`", "", f"`solver` {name}", allowed)
     tables = list_constant_tables(data)
     sizes = {
         "constants": sum(table.bytes for table in (*tables, *sources.tables)),
         "memory": _count_controller_structure_bytes(data, sources),
     }
-    trajectory = record_closed_loop_trajectory(data, solver, steps, sources.settings)
+    trajectory = record_closed_loop_trajectory(data, name, steps, sources.options or DEFAULT)
     costs = count_steps(data, sources, tables, trajectory) if counts and has_extra() else []
-    facts = {**sizes, "solver": solver, "costs": [cost.row for cost in costs]}
+    arguments = shlex.join(["--solver", solver, *(["--settings", settings] if settings else [])])
+    facts = {**sizes, "arguments": arguments, "costs": [cost.row for cost in costs]}
     files = render_c_sources(data, sources, tables, **facts)
     names = [signal.name for signal in (*data.inputs, *data.outputs)]
     files["trajectory.csv"] = trajectory.format_as_csv(names).encode()
@@ -84,7 +99,8 @@ def generate_controller(
         f"The QP has {data.qp.n} variables and {data.qp.m} rows. Constants take "
         f"{format_count(sizes['constants'])} bytes and working memory takes "
         f"{format_count(sizes['memory'])} bytes"
-        + ("." if sources.copies else f", without the static memory of {solver}."),
+        + ("." if sources.copies else f", without the static memory of {name}."),
+        *_describe_settings(name, sources),
     ]
     lines += [f"{cost.summary}." for cost in costs]
     if fmu is not None:
@@ -98,6 +114,18 @@ def generate_controller(
     return lines
 
 
+def _describe_settings(solver: str, sources: SolverSources) -> list[str]:
+    """Return lines on the settings of the C code, and the command that judges the same ones."""
+    if not sources.options:
+        return []
+    choice = f"{solver}[{format_options_as_toml(sources.options)}]"
+    constant = "" if sources.options.get("adaptive_rho", True) else " It cannot adapt rho."
+    return [
+        f"The code has the settings of the following command, which judges them.{constant}",
+        f"dpbench run standard --solver '{choice}' --route native --policy warm",
+    ]
+
+
 def count_steps(
     data: ControllerData,
     sources: SolverSources,
@@ -105,11 +133,11 @@ def count_steps(
     trajectory: Trajectory,
 ) -> list[StepCost]:
     """Return what the steps of a trajectory take on emulated cores."""
-    files = render_c_sources(data, sources, tables, solver="", constants=0, memory=0, costs=[])
+    files = render_c_sources(data, sources, tables, arguments="", constants=0, memory=0, costs=[])
     compiled = {name: files[name] for name in files if Path(name).suffix in (".c", ".h")}
     del compiled["main.c"]
     compiled["count_step.c"] = render_c_template("count_step.c", inputs=data.inputs)
-    return count_replay(compiled, trajectory, data.du_max, sources.tolerance)
+    return count_replay(compiled, trajectory, data.du_max, TOLERANCE)
 
 
 def _count_controller_structure_bytes(data: ControllerData, sources: SolverSources) -> int:
@@ -173,7 +201,7 @@ def render_c_sources(
         "m": data.qp.m,
         "origin": sources.origin,
         "heap": sources.heap,
-        "tolerance": format_number_for_c(sources.tolerance),
+        "tolerance": format_number_for_c(TOLERANCE),
         **facts,
     }
     defines = [f"THETA {theta}"]

@@ -2,25 +2,32 @@
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import dataclass
-from importlib import import_module
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
 
 from dpbench.codegen.c_tables import Table, format_number_for_c, make_c_table
 from dpbench.embedded.recipe import RECIPES, Recipe, fetch_sources
+from dpbench.embedded.recipes.osqp.generate import generate_c
+from dpbench.errors import InputError
 from dpbench.mpc.condensed_qp import CondensedQP
+from dpbench.qp.program import count_rows_per_block
+from dpbench.solvers.contract import Options, Settings
 from dpbench.solvers.own import compiling
 from dpbench.solvers.own.library import ActiveSet, Problem, load_own_c_library
+from dpbench.solvers.own_settings import format_each_option_as_toml, format_options_as_toml
+from dpbench.solvers.settings import resolve_settings_to_options
+from dpbench.solvers.table import get_native_adapter
 from dpbench.temporary_folders import make_temporary_folder_for_block, process_temporary_folder
 
-OSQP_SETTINGS = {"eps_abs": 1e-6, "eps_rel": 0.0, "rho": 0.25, "max_iter": 20_000}
-OSQP_TOLERANCE = 0.01
-"""Largest accepted difference between generated code and loop for OSQP, in maximum increments: the
-code keeps ρ, while OSQP in the loop adapts it."""
+TOLERANCE = 1e-6
+"""Largest accepted difference of a replay from dpbench's solver, in maximum increments."""
+
+_OF_GENERATED_OSQP = {"adaptive_rho": False, "rho_is_vec": False}
+"""Options of OSQP's generated C, which cannot factorise for another ρ: neither over time, nor for a
+row whose limits become equal, such as that of a lost thruster."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +36,8 @@ class SolverSources:
 
     header, source : templates of `solver.h` and `solver.c`, with their values; files : sources
     beside them, by name; memory : bytes of `solver_memory`; origin : where the files are from, with
-    their licence; heap : use of it; tolerance : difference allowed in a replay from dpbench's
-    solver at `settings`, in maximum increments; copies : whether a process may have several.
+    their licence; heap : use of it; options : those of the C code, and of dpbench's solver that a
+    replay compares it with; copies : whether a process may have several.
     """
 
     header: str
@@ -41,8 +48,7 @@ class SolverSources:
     memory: int
     origin: str
     heap: str = "none"
-    tolerance: float = 1e-6
-    settings: str = "default"
+    options: Options = field(default_factory=dict)
     copies: bool = True
 
     @property
@@ -51,8 +57,12 @@ class SolverSources:
         return sorted(name for name in self.files if name.endswith(".c"))
 
 
-def make_c_sources_of_active_set(qp: CondensedQP) -> SolverSources:
-    """Return the C sources of the paper's method with all constants of a QP's P and A."""
+def make_c_sources_of_active_set(qp: CondensedQP, settings: Settings = "default") -> SolverSources:
+    """Return the C sources of the paper's method with all constants of a QP's P and A.
+
+    SettingsError for any option, as the method has none.
+    """
+    resolve_settings_to_options(settings, get_native_adapter("paper_active_set"))
     problem = Problem(qp.n, qp.m)
     problem.P[:], problem.A[:] = qp.P, qp.A
     arrays = problem.P_pointer, problem.A_pointer
@@ -98,40 +108,55 @@ def round_up_to_multiple_of_8(count: int) -> int:
     return -(-count // 8) * 8
 
 
-def generate_c_sources_of_osqp(qp: CondensedQP) -> SolverSources:
-    """Return the C sources that OSQP's own generator writes for a QP, with ρ frozen."""
-    options = {"verbose": False, "adaptive_rho": False, **OSQP_SETTINGS}
-    rows = scipy.sparse.csc_matrix(np.vstack([np.eye(qp.n), qp.A]))
-    one = np.ones(qp.n + qp.m)
-    solver = import_module("osqp").OSQP()
-    P = scipy.sparse.csc_matrix(qp.P)
-    solver.setup(P, np.zeros(qp.n), rows, -one, one, **options)
+def generate_c_sources_of_osqp(qp: CondensedQP, settings: Settings | None = None) -> SolverSources:
+    """Return the C sources that OSQP's own generator writes for a QP, with ρ constant.
+
+    Without settings, those of its recipe.
+    """
+    options = _resolve_settings_of_osqp(settings)
+    rows, one = np.vstack([np.eye(qp.n), qp.A]), np.ones(qp.n + qp.m)
     with make_temporary_folder_for_block(process_temporary_folder()) as folder:
-        solver.codegen(str(folder / "c"), parameters="vectors", extension_name=None)
-        files = {
-            path.name: path.read_bytes()
-            for path in (folder / "c").rglob("*.[ch]")
-            if path.name != "emosqp.c"  # an example with a `main` of its own
-        }
-    settings = ", ".join(f"{name} {value:g}" for name, value in OSQP_SETTINGS.items())
-    origin = f"OSQP's sources are those of its code generator, Apache-2.0, with {settings}"
+        generate_c(qp.P, rows, (-one, one), folder, options)
+        files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    moved = count_rows_per_block(qp.n, qp.m, qp.block)
     return SolverSources(
         "solver_fixed.h",
         "solver_osqp.c",
-        {"library": "OSQP, generated"},
+        {"library": "OSQP, generated", "block": qp.block, "rows_of_block": moved},
         (),
         files,
         _count_static_solver_memory_bytes(qp),
-        origin,
+        "OSQP's sources are those of its code generator, Apache-2.0, with "
+        f"{format_options_as_toml(options)}",
         heap="none; OSQP's workspace is static memory besides",
-        tolerance=OSQP_TOLERANCE,
-        settings="high",
+        options=options,
         copies=False,
     )
 
 
-def fetch_c_sources_and_tables_of_daqp(qp: CondensedQP) -> SolverSources:
+def _resolve_settings_of_osqp(settings: Settings | None) -> Options:
+    """Return the options of OSQP's C code; an error for one that it does not support."""
+    if settings is None:
+        return {**Recipe(RECIPES / "osqp").file.settings, **_OF_GENERATED_OSQP}
+    options = dict(resolve_settings_to_options(settings, get_native_adapter("osqp")))
+    # Presets have OSQP adapt ρ, as its library does by default: only a wish for it is refused.
+    wanted = settings if not isinstance(settings, str) else {}
+    unsupported = {"polishing": options, "time_limit": options}
+    for name, chosen in {**unsupported, **dict.fromkeys(_OF_GENERATED_OSQP, wanted)}.items():
+        if chosen.get(name):
+            found = format_each_option_as_toml(chosen)[name]
+            allowed = "a configuration without it: OSQP's generated C cannot "
+            allowed += "change rho, polish its solution or limit its time"
+            raise InputError("settings of osqp", name, found, allowed)
+    options.pop("adaptive_rho_interval", None)
+    return options | _OF_GENERATED_OSQP
+
+
+def fetch_c_sources_and_tables_of_daqp(
+    qp: CondensedQP, settings: Settings = "default"
+) -> SolverSources:
     """Return DAQP's C files, downloaded once, and the QP's P and A as tables; or SituationError."""
+    options = resolve_settings_to_options(settings, get_native_adapter("daqp"))
     package = Recipe(RECIPES / "daqp").file.package
     assert package is not None, "its C is fetched"
     root = fetch_sources(package.name, package.version, package.sha256)
@@ -144,12 +169,13 @@ def fetch_c_sources_and_tables_of_daqp(qp: CondensedQP) -> SolverSources:
     return SolverSources(
         "solver_fixed.h",
         "solver_daqp.c",
-        {"library": f"DAQP {package.version}"},
+        {"library": f"DAQP {package.version}", "options": format_each_option_as_toml(options)},
         tables,
         files,
         _count_static_solver_memory_bytes(qp),
         f"DAQP's sources are those of its distribution {package.version}, MIT",
         heap="taken once by DAQP, in controller_start",
+        options=options,
         copies=False,
     )
 
@@ -159,9 +185,9 @@ def _count_static_solver_memory_bytes(qp: CondensedQP) -> int:
     return 8 * (2 * qp.n + 2 * (qp.n + qp.m)) + 8
 
 
-SOLVERS: dict[str, Callable[[CondensedQP], SolverSources]] = {
+SOLVERS: dict[str, Callable[..., SolverSources]] = {
     "paper_active_set": make_c_sources_of_active_set,
     "osqp": generate_c_sources_of_osqp,
     "daqp": fetch_c_sources_and_tables_of_daqp,
 }
-"""Makers of the C sources by the name of the solver."""
+"""Makers of the C sources by the name of the solver, from a QP and settings if there are any."""

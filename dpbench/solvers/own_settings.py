@@ -57,6 +57,15 @@ def parse_options_of_choice(choice: str) -> Options:
     return dict(options)
 
 
+def parse_choice_without_grid(choice: str, where: str, allowed: str) -> tuple[str, Options]:
+    """Return solver and options of a choice such as `osqp[rho=1.6]`; InputError for a grid."""
+    solver, _ = split_into_solver_and_options_text(choice)
+    points = expand_option_grid(parse_options_of_choice(choice), f"solver {solver}")
+    if len(points) != 1:
+        raise InputError(where, "", choice[:90], allowed)
+    return solver, points[0]
+
+
 def expand_option_grid(options: Options, where: str) -> list[Options]:
     """Return the options of each point of a grid, in which a list has one value for each point.
 

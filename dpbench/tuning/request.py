@@ -26,11 +26,7 @@ from dpbench.errors import InputError, PolicyError, ResultsError, require_intege
 from dpbench.report.formats import join_with_and
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, list_public_settings_attributes
 from dpbench.solvers.contract import DEFAULT, POLICIES, Options, Policy, Route
-from dpbench.solvers.own_settings import (
-    expand_option_grid,
-    parse_options_of_choice,
-    split_into_solver_and_options_text,
-)
+from dpbench.solvers.own_settings import parse_choice_without_grid
 from dpbench.solvers.settings import (
     has_preset_or_tolerance,
     list_tolerance_options,
@@ -143,7 +139,8 @@ def make_request(
     if solver_module is not None:
         load_plugin_solver_from_file(solver_module)
     _refuse_bad_numbers(trials, steps, seed, error_move)
-    solver, given = _parse_start(solver)
+    one = "one value per option; --range or --widen 'OPTION=[MIN,MAX]' for a range"
+    solver, given = parse_choice_without_grid(solver, "tune-solver", one)
     tuned = _choose_call_mode(
         solver, route, policy, Requirements(error_move=error_move), solver_module
     )
@@ -174,16 +171,6 @@ def make_request(
         _describe_searched_options(adapter, space),
         _list_remarks(policy, [*learned, *other], list_edges(solver, space, start or {})),
     )
-
-
-def _parse_start(choice: str) -> tuple[str, Options]:
-    """Return solver and options of a choice such as `osqp[rho=1.6]`; InputError for a grid."""
-    solver, _ = split_into_solver_and_options_text(choice)
-    points = expand_option_grid(parse_options_of_choice(choice), f"solver {solver}")
-    if len(points) != 1:
-        allowed = "one value per option; --range or --widen 'OPTION=[MIN,MAX]' for a range"
-        raise InputError("tune-solver", "", choice[:90], allowed)
-    return solver, points[0]
 
 
 def list_edges(solver: str, space: SearchSpace, options: Options) -> list[str]:

@@ -6,8 +6,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import osqp
 import pytest
+import scipy
 
+from dpbench import record_sequence
 from dpbench.cli.main import main
 from dpbench.codegen.controller_data import (
     ControllerData,
@@ -16,8 +19,10 @@ from dpbench.codegen.controller_data import (
     record_closed_loop_trajectory,
 )
 from dpbench.codegen.generate import generate_controller
+from dpbench.codegen.solver_sources import generate_c_sources_of_osqp
 from dpbench.errors import InputError, SituationError
 from dpbench.scenario.scenario import load_scenario
+from dpbench.solvers.contract import Settings
 from tests.codegen.c_controller import WARNINGS, CController, compile_c, needs_gcc, steer
 
 STEPS = 1000
@@ -196,3 +201,82 @@ def test_names_of_thrusters_become_identifiers() -> None:
         "stern_port",
         "bow_1_3",
     )
+
+
+@needs_gcc
+def test_the_c_of_osqp_solves_as_the_wheel_with_given_settings(tmp_path: Path) -> None:
+    """The workspace has the given rho and eps; the first command and its iterations are equal."""
+    own = "osqp[rho=1.6,eps_abs=1e-5]"
+    lines = generate_controller("paper", own, out=tmp_path, steps=20, counts=False)
+    judged = "osqp[adaptive_rho=false,eps_abs=1e-5,rho=1.6,rho_is_vec=false]"
+    assert lines[-1] == f"dpbench run standard --solver '{judged}' --route native --policy warm"
+    assert f"--solver '{own}'`" in (tmp_path / "README.md").read_text("utf-8")
+    text = (tmp_path / "workspace.c").read_text("ascii").partition("OSQPSettings settings = {")[2]
+    values = text.replace("(OSQPFloat)", "").split("}")[0].split(",")
+    # In the order of the structure: rho, adaptive_rho, max_iter, eps_abs, eps_rel.
+    assert [float(values[i]) for i in (8, 16, 20, 21, 22)] == [1.6, 0.0, 4000.0, 1e-5, 1e-3]
+
+    replay = compile_c(tmp_path, tmp_path / "replay", warnings=())
+    done = subprocess.run(
+        [replay, tmp_path / "trajectory.csv"], capture_output=True, text=True, check=True
+    )
+    assert float(done.stderr.split()[6]) < 1e-9
+    first = [float(text) for text in done.stdout.splitlines()[1].split(",")]
+    data = read_controller_data_of_scenario(load_scenario("paper"))
+    qp = record_sequence("paper").problem(0)
+    rows = scipy.sparse.csc_matrix(np.vstack([qp.A, np.eye(qp.n)]))
+    limits = np.concatenate([qp.l, qp.lb]), np.concatenate([qp.u, qp.ub])
+    solver = osqp.OSQP()
+    settings = {"rho": 1.6, "eps_abs": 1e-5, "adaptive_rho": False, "verbose": False}
+    solver.setup(scipy.sparse.csc_matrix(qp.P), 0 * qp.q, rows, *limits, **settings)
+    solver.update(q=qp.q)
+    answer = solver.solve(raise_error=False)
+    move = np.clip(answer.x[:3], -1.0, 1.0) * data.du_max
+    assert np.allclose(first[1:4], move, rtol=1e-9)
+    assert first[5] == answer.info.iter
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"adaptive_rho": True}, "adaptive_rho: found true"),
+        ({"polishing": True}, "cannot change rho, polish"),
+        ("high_polished", "cannot change rho, polish"),
+        ({"rhoo": 1.0}, "rhoo: found an unknown option; allowed: rho"),
+    ],
+)
+def test_settings_that_the_c_of_osqp_cannot_have_are_refused(
+    settings: Settings, words: str
+) -> None:
+    """With the option; an option of the library that is misspelt, too."""
+    qp = read_controller_data_of_scenario(load_scenario("paper")).qp
+    with pytest.raises(InputError, match=words):
+        generate_c_sources_of_osqp(qp, settings)
+
+
+def test_presets_of_osqp_have_a_constant_rho() -> None:
+    """Of the preset only the adaptation of rho is left out."""
+    qp = read_controller_data_of_scenario(load_scenario("paper")).qp
+    options = generate_c_sources_of_osqp(qp, "1e-4").options
+    constant = {"adaptive_rho": False, "rho_is_vec": False}
+    assert options == {**constant, "eps_abs": 1e-4, "eps_rel": 0.0, "max_iter": 200_000}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--solver", "osqp[rho=[1,2]]"], "one value per option"),
+        (["--solver", "osqp[rho=1]", "--settings", "high"], "no preset beside osqp[rho=1]"),
+        (["--solver", "paper_active_set[rho=1]"], "allowed: no settings"),
+        (["--solver", "daqp[primal=1]"], "primal: found an unknown option"),
+    ],
+)
+def test_other_settings_are_refused(
+    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In one line, and nothing is written."""
+    assert main(["codegen", "paper", *arguments, "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()

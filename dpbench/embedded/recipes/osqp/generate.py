@@ -1,4 +1,4 @@
-"""Generate OSQP's C for the matrices of a sequence by the installed wheel."""
+"""Generate OSQP's C by the installed wheel, for the matrices of a sequence or of a controller."""
 
 import re
 import shutil
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError
 from dpbench.qp.program import QPSequence
 
@@ -24,18 +25,32 @@ def write_sources(
 ) -> None:
     """Write OSQP's sources and its workspace for rows, then bounds, to `folder`."""
     qp = sequence.base.for_setup()
-    rows = scipy.sparse.csc_matrix(np.vstack([qp.A, np.eye(qp.n)]))
+    rows = np.vstack([qp.A, np.eye(qp.n)])
     low, high = (
         np.clip(np.concatenate(pair), -INFINITY, INFINITY)
         for pair in ((qp.l, qp.lb), (qp.u, qp.ub))
     )
-    solver = import_module("osqp").OSQP()
     if settings["adaptive_rho"]:
         raise InputError(
             "settings of osqp", "adaptive_rho", "1", "0: generated code has a fixed rho"
         )
+    generate_c(qp.P, rows, (low, high), folder, settings, single=single)
+
+
+def generate_c(
+    P: Matrix,
+    rows: Matrix,
+    limits: tuple[Vector, Vector],
+    folder: Path,
+    settings: Mapping[str, Any],
+    *,
+    single: bool = False,
+) -> None:
+    """Write OSQP's sources and its workspace for P, rows and limits, set up with q = 0."""
+    solver = import_module("osqp").OSQP()
     options = {"verbose": False, **settings, "adaptive_rho": False}
-    solver.setup(scipy.sparse.csc_matrix(qp.P), qp.q, rows, low, high, **options)
+    matrices = scipy.sparse.csc_matrix(P), np.zeros(len(P)), scipy.sparse.csc_matrix(rows)
+    solver.setup(*matrices, *limits, **options)
     generated = folder / "generated"
     solver.codegen(str(generated), parameters="vectors", extension_name=None, use_float=single)
     for path in generated.rglob("*"):
