@@ -196,7 +196,7 @@ def test_bars_have_the_width_of_a_phone(opened: Any) -> None:
           .map(([label, box]) => [label, (box.top + box.bottom) / 2])"""
     )
     for label, middle in marks:
-        (name,) = [row for row in rows if f"configuration: {row};" in label]
+        (name,) = [row for row in rows if f"configuration: {row}. " in label]
         box = boxes[name]
         assert box["y"] < middle and middle - (box["y"] + box["height"]) < 8
 
