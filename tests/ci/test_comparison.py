@@ -196,7 +196,7 @@ def test_other_growth_is_no_part_of_an_allowance() -> None:
 
 
 def test_a_larger_measure_names_its_step() -> None:
-    """Of steps 0, 3 and 6 the last but one takes four iterations more; other steps: no name."""
+    """A measure of which one step grows names that step; base and head of other steps name none."""
     base, head, others = (
         run_of(
             entry(
