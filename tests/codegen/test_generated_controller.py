@@ -255,7 +255,7 @@ def test_settings_that_the_c_of_osqp_cannot_have_are_refused(
 
 
 def test_presets_of_osqp_have_a_constant_rho() -> None:
-    """Of the preset only the adaptation of rho is left out."""
+    """Only the adaptation of rho differs from the preset."""
     qp = read_controller_data_of_scenario(load_scenario("paper")).qp
     options = generate_c_sources_of_osqp(qp, "1e-4").options
     constant = {"adaptive_rho": False, "rho_is_vec": False}
