@@ -7,7 +7,7 @@ controller meets the same seas: common random numbers.
 
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from itertools import product
@@ -431,13 +431,17 @@ def tune_controller(
     tuning = ControllerTuning(
         found, chosen, fresh, own_fresh, margin, seas_text, (), shortened=shortened
     )
-    return _write_tuning(tuning, bases, folder)
+    seeds = {sea.scenario.name: sea.seed for sea in reversed(other)}
+    return _write_tuning(tuning, bases, seeds, folder)
 
 
 def _write_tuning(
-    tuning: ControllerTuning, bases: Sequence[Scenario], folder: Path
+    tuning: ControllerTuning, bases: Sequence[Scenario], seeds: Mapping[str, int], folder: Path
 ) -> ControllerTuning:
-    """Write tuned scenarios, table of trials and figure; return the result with their paths."""
+    """Write tuned scenarios, table of trials and figure; return the result with their paths.
+
+    seeds : of the first test realisation, by the names of the scenarios.
+    """
     head, mark = "Controller found by `dpbench tune`.", "tuned"
     if tuning.is_unchanged:
         head, mark = "`dpbench tune` kept the scenario's own controller.", UNCHANGED
@@ -445,7 +449,9 @@ def _write_tuning(
     paths: dict[Path, None] = {}
     files: list[Path] = []
     for base in bases:
-        changed = change_controller(base, tuning.chosen.options).files
+        tuned = change_controller(base, tuning.chosen.options)
+        seed = {"environment.seed": seeds[base.name]}
+        changed = copy_scenario_with_values(tuned, seed, f"scenario {base.name}").files
         changed["scenario"]["title"] += f", {mark}"
         files.append(folder / f"{base.name.replace('@', '_')}_tuned.toml")
         paths |= dict.fromkeys(write_scenario_and_own_ship_files(changed, files[-1], comment))

@@ -104,6 +104,7 @@ def test_several_scenarios_are_written_with_one_controller(
     assert "search (2 scenarios, the weather of each" in " ".join(capsys.readouterr().out.split())
     tuned = [load_scenario(tmp_path / f"{name}_tuned.toml") for name in ("weather", "calm")]
     first, second = (one.files["scenario"] for one in tuned)
+    assert [one["environment"]["seed"] for one in (first, second)] == [2, 2]
     assert first["controller"] == second["controller"]
     assert second["environment"]["wind"] is None and first["environment"]["wind"]
 
@@ -148,7 +149,9 @@ def test_a_controller_that_no_trial_beats_is_called_unchanged(
     assert "before the end of the scenario (1.50 of 240 s)" in said
     file = tmp_path / "thrusters_loss_tuned.toml"
     kept, own = (load_scenario(at).files["scenario"] for at in (file, "thrusters_loss"))
-    assert kept == own | {"title": f"{own['title']}, {sentence}"}
+    # The search runs the scenario's own seed 7, the test seed 8.
+    fresh = {"environment": own["environment"] | {"seed": 8}}
+    assert kept == own | fresh | {"title": f"{own['title']}, {sentence}"}
     text = file.read_text()
     assert f"# {sentence}\n" in text and "found by `dpbench tune`" not in text
     assert "(1.50 of 240 s)" in text
@@ -222,6 +225,7 @@ def test_a_controller_is_found_tried_anew_and_written(
     assert table["output_weight"][2] == pytest.approx(3000.0 * float(chosen["heading_weight"]))
     own.files["scenario"].pop("controller")
     own.files["scenario"]["title"] += ", tuned"
+    own.files["scenario"]["environment"]["seed"] += 1
     assert found.files["scenario"] == own.files["scenario"]
     assert "<svg" in (tmp_path / "front.svg").read_text()
     kept = tmp_path / "trials.jsonl"
