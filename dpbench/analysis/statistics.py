@@ -49,6 +49,10 @@ class Interval:
         """Return whether the interval contains `number`; an undefined one contains every number."""
         return not (self.low > number or self.high < number)
 
+    def is_within_spread(self, spread: float) -> bool:
+        """Return whether an interval of a ratio overlaps 1/spread to spread."""
+        return self.low <= spread and self.high >= 1.0 / spread
+
 
 UNKNOWN = Interval(np.nan, np.nan, np.nan)
 

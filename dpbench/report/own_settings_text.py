@@ -7,9 +7,9 @@ from dpbench.analysis.records.run_record import group_by_key
 from dpbench.analysis.verdict.requirements import STATES
 from dpbench.analysis.verdict.verdict import (
     ACCURATE,
-    ALIKE,
     LEAST_POINTS,
     MOST_OWN,
+    BestSettings,
     Verdict,
     Verdicts,
     choose_best_settings,
@@ -40,6 +40,9 @@ from dpbench.solvers.settings import resolve_settings_with_fixed_options
 
 SIMILAR = 2.0
 """Factor below which largest errors differ little, so that a wider grid would hardly help."""
+NOT_RANKED = "times are not ranked, as the machine was disturbed"
+EQUALS = {"time": "equally fast within the noise", "iterations": "as many iterations"}
+"""Words on settings that are as good as the best, by the figure that it is best by."""
 MOST_EQUAL = 2
 """Settings that are named as equally fast; of the others their number is."""
 
@@ -207,33 +210,10 @@ def _differ_in_limit_alone(points: Sequence[Verdict]) -> bool:
     return any(varied == {limit} for limit in limits)
 
 
-def _changes_result(option: str, best: Verdict, points: Sequence[Verdict]) -> bool:
-    """Return whether another value of an option, all others equal, gives another result.
-
-    True also where no settings differ in this option alone.
-    """
-    others = [verdict for verdict in points if _list_differing_options(best, verdict) == {option}]
-    return not others or any(not _has_same_result(best, verdict) for verdict in others)
-
-
 def _list_differing_options(one: Verdict, other: Verdict) -> set[str]:
     """Return the names of the options in which two settings differ that set the same options."""
     own = format_options_by_name(one)
     return {name for name, value in format_options_by_name(other).items() if value != own[name]}
-
-
-def _has_same_result(one: Verdict, other: Verdict) -> bool:
-    """Return whether two verdicts have the same state and, but for noise, p99 or else error.
-
-    Accurate settings are compared by their time alone.
-    """
-    if one.state != other.state:
-        return False
-    if one.state in ACCURATE and list_equally_fast(one, [other]):
-        return True
-    if format_error(one.error_move) != format_error(other.error_move):
-        return False
-    return not abs(one.p99_ns - other.p99_ns) > ALIKE * one.p99_ns
 
 
 def format_options_by_name(verdict: Verdict) -> dict[str, str]:
@@ -241,12 +221,15 @@ def format_options_by_name(verdict: Verdict) -> dict[str, str]:
     return format_each_option_as_toml(decode_options_from_json(verdict.configuration.options))
 
 
-def _list_others_equally_fast(best: Verdict, points: Sequence[Verdict]) -> list[Verdict]:
-    """Return the other accurate settings that are as fast as the best."""
-    if best.state not in ACCURATE:
-        return []
-    rivals = [verdict for verdict in points if verdict.state == best.state]
-    return [verdict for verdict in list_equally_fast(best, rivals) if verdict is not best]
+def _list_others_as_good(best: Verdict, by: str, points: Sequence[Verdict]) -> list[Verdict]:
+    """Return the other settings of the same state that are as good as the best by its figure."""
+    rivals = [verdict for verdict in points if verdict.state == best.state and verdict is not best]
+    if by == "time":
+        return list_equally_fast(best, rivals)
+    if by == "iterations":
+        return [verdict for verdict in rivals if verdict.iterations == best.iterations]
+    error = format_error(best.error_move)
+    return [verdict for verdict in rivals if format_error(verdict.error_move) == error]
 
 
 def _name_first_of(names: Sequence[str]) -> str:
@@ -257,10 +240,6 @@ def _name_first_of(names: Sequence[str]) -> str:
 
 def _list_edges(best: Verdict, points: Sequence[Verdict], equals: Sequence[Verdict]) -> list[str]:
     """Return the options of which a wider grid may have a better value than the best has."""
-    alike = [*equals]
-    if best.state not in ACCURATE:
-        error = format_error(best.error_move)
-        alike = [v for v in points if (v.state, format_error(v.error_move)) == (best.state, error)]
     edges = []
     for option, value in format_options_by_name(best).items():
         numbers = (as_float(format_options_by_name(verdict)[option]) for verdict in points)
@@ -270,15 +249,19 @@ def _list_edges(best: Verdict, points: Sequence[Verdict], equals: Sequence[Verdi
         ends = {min(tried), max(tried)} if len(tried) >= LEAST_POINTS else set()
         is_bound = at == min(tried, default=at) <= 0.0
         # Another value that is as good shows that nothing is gained towards this end.
-        is_flat = any(_list_differing_options(best, other) == {option} for other in alike)
-        if at in ends and not is_bound and not is_flat and _changes_result(option, best, points):
+        is_flat = any(_list_differing_options(best, other) == {option} for other in equals)
+        if at in ends and not is_bound and not is_flat:
             edges.append(option)
     return edges
 
 
-def _describe_best_of_grid(points: Sequence[Verdict], best: Verdict) -> str:
+def _describe_best_of_grid(points: Sequence[Verdict], found: BestSettings) -> str:
     """Return a line on the best of a solver's settings, and whether it is at the grid's edge."""
-    equals = _list_others_equally_fast(best, points)
+    best, count = found.verdict, f"{len(points)} settings of {points[0].configuration.solver}"
+    if best is None:
+        accurate = sum(verdict.state in ACCURATE for verdict in points)
+        return f"{accurate} of {count} are accurate; {NOT_RANKED}."
+    equals = _list_others_as_good(best, found.by, points)
     edges = _list_edges(best, points, equals)
     edge = f", at the edge of the grid in {join_with_and(edges)}" if edges else ""
     errors = [verdict.error_move for verdict in points]
@@ -290,14 +273,22 @@ def _describe_best_of_grid(points: Sequence[Verdict], best: Verdict) -> str:
         edge += f"; all fail{similar * is_similar}; the best: {_describe_reasons(best)}"
     elif edges:
         edge += ": widen it"
-    if equals:
+    if equals and found.by in EQUALS:
         names = [_name_own_settings(verdict) for verdict in equals]
-        edge += f"; equally fast within the noise: {_name_first_of(names)}"
-    solver, by = best.configuration.solver, ""
-    if best.state not in ACCURATE:
-        by = f" by largest error ({format_error(best.error_move)})"
-    elif math.isfinite(best.p99_ns):
-        by = f" by p99 ({format_time(best.p99_ns)})"
-    elif math.isfinite(best.p50_ns):
-        by = f" by p50 ({format_time(best.p50_ns)})"
-    return f"Best of {len(points)} settings of {solver}{by}: {best.configuration.settings}{edge}."
+        edge += f"; {EQUALS[found.by]}: {_name_first_of(names)}"
+    edge += f"; {NOT_RANKED}" * (found.by == "iterations")
+    return (
+        f"Best of {count}{_describe_figure(found.by, best)}: {best.configuration.settings}{edge}."
+    )
+
+
+def _describe_figure(by: str, best: Verdict) -> str:
+    """Return the figure that settings are best by in words, with its value; "" if unknown."""
+    if by == "error":
+        return f" by largest error ({format_error(best.error_move)})"
+    if by == "iterations":
+        return f" by iterations (p50 {best.iterations[0]:g} in the replay of {best.timed_on})"
+    for name, time_ns in (("p99", best.p99_ns), ("p50", best.p50_ns)):
+        if math.isfinite(time_ns):
+            return f" by {name} ({format_time(time_ns)})"
+    return ""

@@ -23,7 +23,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
 from dpbench.analysis.statistics import bootstrap_error_of_mean
 from dpbench.analysis.times.machine import compute_round_spread, sum_disturbances_by_sequence
-from dpbench.analysis.times.paired_times import MACHINE_DISTURBED, is_within_spread
+from dpbench.analysis.times.paired_times import MACHINE_DISTURBED
 from dpbench.arrays import Floats, Ints
 from dpbench.bench.judge.rules import median_of_known
 from dpbench.bench.record.cell import sort_key_of_settings
@@ -247,7 +247,7 @@ def _judge_timing(timing: Timing, assessment: Assessment) -> ComparedTimes:
     ratio, is_difference = assessment.ratio, assessment.verdict in ("slower", "faster")
     if not math.isfinite(ratio.high):
         assessment = replace(assessment, verdict="not judged")
-    elif is_difference and timing.spread > 1.0 and is_within_spread(ratio, timing.spread):
+    elif is_difference and timing.spread > 1.0 and ratio.is_within_spread(timing.spread):
         assessment = replace(assessment, verdict=MACHINE_DISTURBED)
     elif assessment.verdict == "faster" and timing.pair.b.true_share != 1.0:
         assessment = replace(assessment, verdict="faster, not all verified")

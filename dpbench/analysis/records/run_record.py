@@ -105,6 +105,7 @@ class RunRecord:
     undecided_steps: Count
     infeasible_steps: Count
     failed_steps: Count
+    iterations_p50: float
     iterations_p99: float
     iterations_max: float
     # timing: `TIMING_COLUMNS`

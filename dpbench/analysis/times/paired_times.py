@@ -60,7 +60,7 @@ class PairedComparison:
     @property
     def is_within_spread(self) -> bool:
         """True if `spread` can explain the time ratio: its interval overlaps 1/spread to spread."""
-        return is_within_spread(self.ratio, self.spread)
+        return self.ratio.is_within_spread(self.spread)
 
     @property
     def is_unstable(self) -> bool:
@@ -98,11 +98,6 @@ class PairedComparison:
         size = {"variables": self.variables, "sequences": ";".join(self.sequences)}
         times = {"first_us": self.first_ns / 1e3, "second_us": self.second_ns / 1e3}
         return names | size | ratio | times | {"steps": self.steps, "finding": self.finding_text}
-
-
-def is_within_spread(ratio: Interval, spread: float) -> bool:
-    """Return whether an interval of a ratio overlaps 1/spread to spread."""
-    return ratio.low <= spread and ratio.high >= 1.0 / spread
 
 
 def match_times_by_step(first: StepTimes, second: StepTimes) -> tuple[Floats, Floats]:

@@ -18,6 +18,7 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import RunSteps, StepTimes
 from dpbench.analysis.statistics import UNKNOWN, Interval, estimate_percentile_interval
+from dpbench.analysis.times.machine import compute_round_spread
 from dpbench.analysis.verdict.lateness import (
     LateTimings,
     Uncertainty,
@@ -164,7 +165,7 @@ def judge_replay_times(
             continue
         times = records.get_step_times(run)
         if times is not None:
-            figures.append(_ReplayTimes.from_replay(run, times))
+            figures.append(_ReplayTimes.from_replay(records, run, times))
             findings += _compare_with_limits(
                 figures[-1], requirements, uncertainty.get_factor_of_run(run)
             )
@@ -187,6 +188,8 @@ def judge_replay_times(
         "p99_bound_run": bound.run,
         "timed_on": worst.run.sequence,
         "rounds_ns": worst.rounds_ns,
+        "iterations": worst.iterations,
+        "disturbed_spread": max(one.disturbed_spread for one in figures),
         "replay_p99_ns": worst.algo.p99_ns,
         "raw_p99_ns": worst.run.raw_p99_ns,
         "algo_max_ns": hardest.algo.max_ns,
@@ -197,6 +200,7 @@ def judge_replay_times(
                 "p50_ns": one.algo.p50_ns,
                 "timed_on": one.run.sequence,
                 "rounds_ns": one.rounds_ns,
+                "iterations": one.iterations,
                 "replay_p99_ns": one.algo.p99_ns,
                 "raw_p99_ns": one.run.raw_p99_ns,
             }
@@ -270,7 +274,7 @@ class _Percentiles:
 class _ReplayTimes:
     """Percentiles of one replay's step times, and those that the solver itself caused for sure.
 
-    timings : of the median step.
+    timings : of the median step; disturbed_spread : see `compute_round_spread`.
     """
 
     run: RunRecord
@@ -279,11 +283,12 @@ class _ReplayTimes:
     has_waits: bool
     raw_max_ns: float
     rounds_ns: tuple[float, float]
+    disturbed_spread: float
     timings: int
     steps: int
 
     @classmethod
-    def from_replay(cls, run: RunRecord, times: StepTimes) -> "_ReplayTimes":
+    def from_replay(cls, records: Records, run: RunRecord, times: StepTimes) -> "_ReplayTimes":
         """Return the percentiles and extremes of one replay's step times."""
         own_ns = find_own_times_ns(run, times)
         return cls(
@@ -293,9 +298,15 @@ class _ReplayTimes:
             own_ns is times.net_ns,
             times.raw_max_ns,
             (float(times.rounds_ns.min()), float(times.rounds_ns.max())),
+            compute_round_spread(records, run, times),
             int(np.median(times.timings)),
             len(times.k),
         )
+
+    @property
+    def iterations(self) -> tuple[float, float]:
+        """Median and largest iterations of a step; NaN if the solver does not count them."""
+        return self.run.iterations_p50, self.run.iterations_max
 
     @property
     def bound_ns(self) -> float:

@@ -19,7 +19,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -66,6 +66,8 @@ class Verdict:
         have in common, else that of the worst p99, or of the worst p50 where none supports a p99.
     rounds_ns, replay_p99_ns, raw_p99_ns : there, median of the fastest and of the slowest round,
         p99 of the algorithmic step time, and of the single timings.
+    iterations : there, median and largest of a step; NaN if the solver does not count them.
+    disturbed_spread : largest `compute_round_spread` of its replays; 1 if the machine was quiet.
     of_sequences : these times by sequence, of all that can be `timed_on`.
     algo_max_ns, raw_max_ns : largest step time, in the replay or window `max_run`, and largest
         single timing of all sequences.
@@ -94,6 +96,8 @@ class Verdict:
     p99_bound_run: RunRecord | None = None
     timed_on: str = ""
     rounds_ns: tuple[float, float] = (math.nan, math.nan)
+    iterations: tuple[float, float] = (math.nan, math.nan)
+    disturbed_spread: float = 1.0
     replay_p99_ns: float = math.nan
     raw_p99_ns: float = math.nan
     algo_max_ns: float = math.nan
@@ -433,23 +437,50 @@ def _choose_most_usual_of_fastest(own: Sequence[Verdict]) -> Verdict:
     return min(list_equally_fast(own[0], own), key=_make_settings_sort_key)
 
 
-def choose_best_settings(verdicts: Verdicts, points: Sequence[Verdict]) -> Verdict:
+@dataclass(frozen=True)
+class BestSettings:
+    """Best of a solver's settings, and the figure that it is best by.
+
+    verdict : None if times are not ranked and the solver does not count iterations.
+    """
+
+    verdict: Verdict | None
+    by: Literal["time", "iterations", "error"]
+
+
+def choose_best_settings(verdicts: Verdicts, points: Sequence[Verdict]) -> BestSettings:
     """Return the best of a solver's settings; of accurate ones by the rule of `rank_solvers`.
+
+    By iterations if a disturbed machine can explain which one is the fastest.
 
     points : verdicts on custom settings of one solver.
     """
     best = min(points, key=make_sort_key_of_settings)
     if best.state not in ACCURATE:
-        return best
+        return BestSettings(best, "error")
+    rivals = sorted((v for v in points if v.state == best.state), key=_make_settings_sort_key)
+    if _is_ranking_withheld(rivals):
+        counted = all(math.isfinite(verdict.iterations[0]) for verdict in rivals)
+        fewest = min(rivals, key=lambda verdict: verdict.iterations)
+        return BestSettings(fewest if counted else None, "iterations")
     ranked = find_fastest_configuration(verdicts, best.configuration.solver)
     if ranked is not None and ranked.state == best.state:
         # Its call mode is the one recommended, which need not be that of the best verdict.
         key = ranked.configuration.options
         if key and any(verdict.configuration.options == key for verdict in points):
-            return ranked
-    rivals = [verdict for verdict in points if verdict.state == best.state]
-    fastest_first = sort_fastest_first(sorted(rivals, key=_make_settings_sort_key))
-    return _choose_most_usual_of_fastest(fastest_first)
+            return BestSettings(ranked, "time")
+    return BestSettings(_choose_most_usual_of_fastest(sort_fastest_first(rivals)), "time")
+
+
+def _is_ranking_withheld(rivals: Sequence[Verdict]) -> bool:
+    """Return whether the spread of disturbed rounds can explain which settings are the fastest."""
+    fastest, *others = sort_fastest_first(rivals)
+    for other in others:
+        spread = max(fastest.disturbed_spread, other.disturbed_spread)
+        ratio = _choose_ranking_time_ns(other) / _choose_ranking_time_ns(fastest)
+        if spread > 1.0 and Interval(ratio, ratio, ratio).is_within_spread(spread):
+            return True
+    return False
 
 
 def list_equally_fast(best: Verdict, own: Sequence[Verdict]) -> list[Verdict]:

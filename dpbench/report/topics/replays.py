@@ -26,7 +26,6 @@ from dpbench.analysis.times.paired_times import (
     MACHINE_DISTURBED,
     TimedReplay,
     compare_settings_of_solvers,
-    is_within_spread,
     match_times_by_step,
 )
 from dpbench.analysis.times.solver_tables import compare_own_settings_with_fastest
@@ -294,7 +293,7 @@ def _compare_race(records: Records, first: TimedReplay, second: TimedReplay) -> 
         return "", separate
     ratio = estimate_paired_time_ratio(*match_times_by_step(here, there))
     spread = max(compute_round_spread(records, *replay) for replay in (first, second))
-    is_disturbed = spread > 1.0 and is_within_spread(ratio, spread)
+    is_disturbed = spread > 1.0 and ratio.is_within_spread(spread)
     return _format_ratio(ratio), MACHINE_DISTURBED * is_disturbed
 
 

@@ -531,7 +531,8 @@ def test_the_figures_are_of_the_replay_with_the_worst_p99(records: Any) -> None:
     The largest step is that of the shorter replay, the largest p99 that of the window.
     """
     _even_replay(records, 10_000, 1000, sequence="paper", rounds=1, raw_p99_ns=1.0)
-    _even_replay(records, 20_000, 1000, sequence="calm", rounds=2, raw_p99_ns=2.0)
+    counts = {"iterations_p50": 3.0, "iterations_max": 9.0}
+    _even_replay(records, 20_000, 1000, sequence="calm", rounds=2, raw_p99_ns=2.0, **counts)
     _even_replay(records, 90_000, 300, sequence="rough", rounds=1, raw_p99_ns=3.0)
     _window(records, 450, 50_000, rounds=1, raw_p99_ns=4.0)
     steps = records._steps[1]
@@ -547,6 +548,8 @@ def test_the_figures_are_of_the_replay_with_the_worst_p99(records: Any) -> None:
     assert list(figures.pop("of_sequences")) == ["paper", "calm", "rough"]
     assert figures == {
         "p50_ns": 20e3,
+        "iterations": (3.0, 9.0),
+        "disturbed_spread": 1.0,
         "p99_ns": 50e3,
         "timed_on": "calm",
         "rounds_ns": (20e3, 25e3),
