@@ -43,7 +43,8 @@ NOTE = (
     "step with the maximum. Code includes constants; static includes the heap. Error: largest "
     "error of the first move, in maximum increments. On this machine: the same steps through the "
     "native interface at default settings, with a warm start where supported; solvers whose C code "
-    "runs at other settings have no rank."
+    "runs at other settings have no rank. The order of two p99 values within "
+    f"{100 * (APART - 1):.0f} % of each other is not compared."
 )
 """Meaning of the columns of the table of counts."""
 
@@ -197,7 +198,6 @@ def yield_ranking_sentences(
     sequences: Sequence[CountedSequence], requirements: Requirements
 ) -> Iterator[str]:
     """Yield sentences: where instructions and desk times rank solvers alike, where otherwise."""
-    near = f"p99 values within {100 * (APART - 1):.0f} % of each other are not ranked"
     alike = []
     for sequence in sequences:
         if len(sequence.desk_rank_by_solver) < 2:
@@ -218,17 +218,14 @@ def yield_ranking_sentences(
         where = _mark_sequence_and_core(sequence)
         yield (
             f"In {where}, instruction counts and times on this machine rank solvers differently: "
-            f"{join_with_and(named)}{more} ({near})."
+            f"{join_with_and(named)}{more}."
         )
     if alike:
         ranked = dict.fromkeys(name for s in sequences for name in s.desk_rank_by_solver)
         is_whole = not _list_unranked_settings(sequences)
         solvers = "the solvers" if is_whole else join_with_and([f"`{name}`" for name in ranked])
         where = "" if len(alike) == len(sequences) else f" in {join_with_and(alike)}"
-        yield (
-            f"Instruction counts and times on this machine rank {solvers} in the same order{where} "
-            f"({near})."
-        )
+        yield f"Instruction counts and times on this machine rank {solvers} alike{where}."
 
 
 def yield_unranked_sentences(sequences: Sequence[CountedSequence]) -> Iterator[str]:

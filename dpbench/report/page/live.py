@@ -66,13 +66,17 @@ def _explain_step_times(data: PageData) -> str:
     more = f" {left_out} more custom settings: `tables/verdicts.csv`." * (left_out > 0)
     return (
         "Step time of each solver in the replays and windows of hardest steps. Marker: p50 in the "
-        f"replay of {replay}{which}; bar: up to the limiting p99 (scaled to the closed "
-        "loop); line: up to the longest step (as measured, so it may be shorter); dashed line: up "
-        "to the largest single timing, closed loops included. Grey bar: call overhead (a call that "
-        "only copies its data), cut at the p50. Below 5 µs, differences may be due to the "
-        "bindings, not the methods."
-        f"{more}"
+        f"replay of {replay}{which}; bar: up to the limiting p99; line: up to the longest step; "
+        f"dashed line: up to the largest single timing; grey bar: call overhead.{more}"
     )
+
+
+BARS = (
+    "In the figure of step times, the limiting p99 is scaled up to the iterations of the closed "
+    "loop. It may therefore exceed the longest step, which is drawn as measured. Single timings "
+    "include those of closed loops. The call overhead is the time of a call that only copies its "
+    "data, cut at the p50. Below 5 µs, differences may be due to the bindings, not the methods."
+)
 
 
 def _draw_verdict_grids(data: PageData) -> Charts:
@@ -91,14 +95,14 @@ def _draw_verdict_grids(data: PageData) -> Charts:
 
 MATRIX = (
     "Each cell shows the verdict on a configuration (solver, call mode, settings) in one scenario "
-    "or replay. Fail: at least one step has an inaccurate solution, or none although its QP has "
-    "one, a step failed, or the process crashed. Late: accurate, but too slow."
+    "or replay."
 )
-FURTHER = (
-    "Borderline: a time is above or below its limit by less than the rounds differ from "
-    "each other. Inconclusive: no violation is shown, but a run is missing or could not be "
-    "measured, a step may be late, or steps that were not timed may exceed a time limit. The "
-    "verdict on a closed loop includes the timing of its "
+DEFINITIONS = (
+    "Fail: at least one step has an inaccurate solution, or none although its QP has one, a step "
+    "failed, or the process crashed. Late: accurate, but too slow. Borderline: a time is above or "
+    "below its limit by less than the rounds differ from each other. Inconclusive: no violation is "
+    "shown, but a run is missing or could not be measured, a step may be late, or steps that were "
+    "not timed may exceed a time limit. The verdict on a closed loop includes the timing of its "
     "window of hardest steps."
 )
 
@@ -111,11 +115,6 @@ def _explain_verdict_grid(data: PageData) -> str:
     wording = [MATRIX]
     if failures := describe_failures_in_si(data):
         wording.append(failures)
-    if elsewhere := _list_experiments_of_other_modes(tiles):
-        wording.append(
-            f"In {join_with_and(elsewhere)}, some solvers were run in a call mode other "
-            "than that of the first figure; the tooltip names it."
-        )
     if there != drawn:
         most = (
             f"The figure shows the {drawn} of {there} scenarios and replays with the fewest passes"
@@ -167,10 +166,15 @@ def _list_unscaled_experiments(data: PageData) -> list[str]:
 
 
 def _explain_further_verdicts(data: PageData) -> str:
-    """Return a text on less frequent verdicts, runs in SI units and the names of replays."""
-    wording = [FURTHER]
+    """Return a text on the verdicts, runs in SI units, other call modes and names of replays."""
+    wording = [DEFINITIONS]
     if _list_unscaled_experiments(data):
         wording.append("Runs in SI units (N, N·m) do not count towards the overall verdict.")
+    if elsewhere := _list_experiments_of_other_modes(tabulate_experiment_verdicts(data)):
+        wording.append(
+            f"In {join_with_and(elsewhere)}, some solvers were run in a call mode other "
+            "than that of the first figure; the tooltip names it."
+        )
     if notation := explain_range_of_steps(run.sequence for run in data.runs.values()):
         wording.append(notation)
     return " ".join(wording)
@@ -234,17 +238,12 @@ def _explain_accuracy(data: PageData) -> str:
 
 
 def _explain_other_replays(points: pd.DataFrame, names: str, usual: str) -> str:
-    """Return up to its verb a sentence on solvers timed on other replays than usual, and why."""
+    """Return up to its verb a sentence on solvers timed on other replays than usual."""
     solvers = join_with_and(_mark_names(points["solver"][points["timed_on"] == names]))
-    time = f"For {solvers}, the step time is "
     has_p99 = points["p99_us"].notna()
     if has_p99[points["timed_on"] == names].any() or not has_p99[points["timed_on"] == usual].all():
-        return time
-    replays = join_with_and([describe_range_of_steps(name) for name in usual.split("; ")])
-    return (
-        f"There is no p99 of {solvers}, because fewer than 1 000 steps of {replays} were "
-        "completed; the p50 is "
-    )
+        return f"For {solvers}, the step time is "
+    return f"For {solvers}, without a p99 here, the p50 is "
 
 
 def _mark_names(names: Iterable[str]) -> list[str]:
@@ -308,6 +307,7 @@ SECTIONS = (
         _draw_deadline_charts,
         ("ladder",),
         text=_explain_step_times,
+        folded_text=lambda _: BARS,
         always=True,
     ),
     Section(

@@ -91,4 +91,4 @@ def tabulate_thruster_use(ships: Sequence[ShipResult]) -> Table | None:
         "ends when the ship leaves its station, or else with the run. Lost thrusters are left out."
     )
     title = "Use of each thruster in the reference loop"
-    return Table.from_rows(rows, title, note=note, text_columns=3) if rows else None
+    return Table.from_rows(rows, title, note=note, text_columns=3, folded=True) if rows else None

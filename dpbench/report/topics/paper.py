@@ -29,13 +29,13 @@ from dpbench.report.page.section import Figure, Topic
 from dpbench.report.words import fill_template, read_words
 
 DRAWN = (
-    ("path", draw_path, "Simulation of Fig. 4 of the paper: path of the ship and the 1 m circle."),
-    ("errors", draw_pose_errors, "Simulation of Fig. 5 of the paper: position and heading errors."),
-    ("forces", draw_forces, "Simulation of Fig. 6 of the paper: forces and their limits."),
+    ("path", draw_path, "Simulated Fig. 4: path of the ship and the 1 m circle."),
+    ("errors", draw_pose_errors, "Simulated Fig. 5: position and heading errors."),
+    ("forces", draw_forces, "Simulated Fig. 6: forces and their limits."),
     (
         "increments",
         draw_increments,
-        "Simulation of Fig. 7 of the paper: control moves and the maximum increments.",
+        "Simulated Fig. 7: control moves and the maximum increments.",
     ),
 )
 """Figures 4 to 7: name, function, caption."""
@@ -65,7 +65,7 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
     return Topic(
         id="paper",
         title="The paper",
-        lines=(". ".join(wording) + ".", _WORDS["notes"]["curves"]),
+        lines=(". ".join(wording) + ".",),
         paste=PAPER_CITATION,
         figures=tuple(
             Figure(f"paper-{name}", draw(laws, scenario), caption) for name, draw, caption in DRAWN

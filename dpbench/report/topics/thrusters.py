@@ -91,9 +91,10 @@ def _describe_thruster_load(
     names = join_with_and([f"`{name}`" for name in sorted(best)])
     all_runs = " of all these scenarios" * (len(best) > 1)
     return (
-        f"Of the accurate closed loops of `{hardest.scenario}`, that with `{hardest.solver}` is "
-        "nearest to the reference loop. In it, at least one thruster is at its thrust limit in "
-        f"{100.0 * hardest.at_limit_thrusters:.0f} % of the {plural(hardest.steps_done, 'step')}. "
+        "At least one thruster is at its thrust limit in "
+        f"{100.0 * hardest.at_limit_thrusters:.0f} % of the {plural(hardest.steps_done, 'step')} "
+        f"of `{hardest.scenario}` (closed loop of `{hardest.solver}`, the nearest to the reference "
+        "loop of those accurate on every step). "
         f"{whole} of the {plural(len(configurations), 'configuration')} run in {names} "
         f"{'is' if whole == 1 else 'are'} accurate on every step{all_runs}."
     )

@@ -70,7 +70,8 @@ def _describe_round_spread(records: Records, *, is_quiet: bool) -> list[str]:
     beyond = "" if is_quiet else " and the ratio exceeds the spread of their rounds"
     return [
         "Within this run, a difference in step time is significant only if the 95 % interval of "
-        f"the ratio excludes 1{beyond}. {spread}"
+        f"the ratio excludes 1{beyond}.",
+        spread,
     ]
 
 
@@ -95,7 +96,7 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
     )
 
 
-def _describe_machine_load(records: Records, timed: Sequence[RunRecord]) -> str:
+def _describe_machine_load(timed: Sequence[RunRecord]) -> str:
     """Return a text on whether other work disturbed the machine while it timed solvers.
 
     Like the line on the machine, it judges each command; single replays may be worse.
@@ -112,22 +113,21 @@ def _describe_machine_load(records: Records, timed: Sequence[RunRecord]) -> str:
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     return (
         f"Over all replays{windows}, the machine was quiet: "
-        f"{_describe_disturbed_rounds(disturbance)}.{_describe_worse_replays(records, timed)} "
-        "These counts do not include closed loops."
+        f"{_describe_disturbed_rounds(disturbance)}."
     )
 
 
 def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str:
     """Return a sentence on single replays that exceed a limit of a quiet machine; "" for none."""
     worse = len(find_disturbed_replays(records))
-    if not worse:
+    if not worse or timed[0].mode != "replay":
         return ""
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
-        f" Individually, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
+        f"Individually, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
         f"exceeded the limit of {' or '.join(kinds)}. Small differences in step time are not "
-        "ranked there."
+        "ranked there. These counts do not include closed loops."
     )
 
 
@@ -158,16 +158,20 @@ def build_trust_topic(records: Records) -> Topic | None:
     if not disturbance.seconds > 0 and not waits:
         return None
     is_quiet = not timed or describe_machine_states(timed).startswith("quiet")
-    lines = _describe_round_spread(records, is_quiet=is_quiet)
+    spread = _describe_round_spread(records, is_quiet=is_quiet)
+    lines, notes = spread[:1], spread[1:]
     figures = []
     if waits:
-        lines.append(_describe_measured_waits(waits, find_shortest_wait_ns(records.calibration)))
+        is_exact = all(is_within_tolerance(n, p50) is not False for n, p50 in waits.items())
+        text = _describe_measured_waits(waits, find_shortest_wait_ns(records.calibration))
+        (notes if is_exact and lines else lines).append(text)
         requested = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
         table = pd.DataFrame(requested, columns=["name", "x", "y"])
         chart = draw_dots(table, "Waits of known length", "requested [µs]", "p50 of timings [µs]")
         figures.append(Figure("calibration", chart, "Measured wait against requested wait."))
     if disturbance.seconds > 0:
-        lines.append(_describe_machine_load(records, timed))
+        lines.append(_describe_machine_load(timed))
+        notes.append(_describe_worse_replays(records, timed))
     # The count of throttle events replaces whether they are visible.
     data = {
         **dict(list_machine_facts(records.machine)),
@@ -183,6 +187,12 @@ def build_trust_topic(records: Records) -> Topic | None:
         lines=(*lines, COVERED.format(f"{others} and tunings")),
         figures=tuple(figures),
         tables=(
-            Table(("property", "value"), tuple(data.items()), "Machine", COMPARED, folded=True),
+            Table(
+                ("property", "value"),
+                tuple(data.items()),
+                "Machine and accuracy of its times",
+                " ".join(filter(None, [*notes, COMPARED])),
+                folded=True,
+            ),
         ),
     )

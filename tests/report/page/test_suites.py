@@ -175,7 +175,9 @@ def test_a_suite_shows_what_it_has_alone(records: Any, tmp_path: Path, kind: str
     first = report.topics[0] if lead else None
     opening = first.lines[0] if first else report.recommendation.verdict
     ship = report.recommendation.ship
-    shown_first = " ".join(escape(line.replace("`", "")) for line in (ship.text, opening) if line)
+    shown_first = " ".join(
+        escape(line.replace("`", "")) for line in (ship.headline, opening) if line
+    )
     assert answer.startswith(f"Summary {shown_first}") and opening in text and ship.text in text
     assert (first is None) == (lead == "") and (first is None or first.leads)
     drawn = {path.stem for path in (out / "figures").iterdir()}

@@ -134,7 +134,7 @@ async function drawOne() {
   text.replaceChildren(...coded([
     state.window === null ? "" : "A window has no chart of its own, so its closed loop is shown.",
     resultOf(run),
-    judged ? `Overall verdict, without runs in SI units: ${C().verdict[state.c]}${C().why[state.c] ? `, because ${C().why[state.c]}` : ""}.` : "",
+    judged && C().verdict[state.c] !== "pass" ? `Overall verdict, without runs in SI units: ${C().verdict[state.c]}${C().why[state.c] ? `, because ${C().why[state.c]}` : ""}.` : "",
     solver.method ? `Method: ${solver.method}.` : "",
   ].filter(Boolean).join(" ")));
   drawHard(run);
@@ -146,7 +146,7 @@ async function drawOne() {
   const thinned = drawn && facts.arrays[run.t][4] !== undefined;
   $("strips-kept").hidden = !thinned;
   if (thinned) $("strips-kept").replaceChildren(...coded(
-    `${grouped(rowsOf(run).length)} of the ${grouped(run.steps)} steps are shown, including the hardest; \`steps.parquet\` contains all.`));
+    `${grouped(rowsOf(run).length)} of the ${grouped(run.steps)} steps are shown (all: \`steps.parquet\`).`));
   if (!drawn) { drawShip(null); return; }
   const view = await figureOf("strips");
   if (view) {
@@ -164,14 +164,13 @@ async function drawOne() {
   drawShip(run);
 }
 
-// Of the chosen configuration the steps that took longest (m = 0), with the most iterations (1) or
-// the largest error (2) over all experiments of a mode that enter its verdict, the worst first. Times of
-// replays are those of the fastest round, of loops single timings.
-function worstAnywhere(m, mode) {
-  const known = facts.experiments.flatMap((experiment, p) => (experiment.trial || (mode && experiment.mode !== mode) ? []
+// Of the chosen configuration the steps that took longest in replays (m = 0), with the most iterations
+// (1) or the largest error (2) over all experiments that enter its verdict, the worst first.
+function worstAnywhere(m) {
+  const known = facts.experiments.flatMap((experiment, p) => (experiment.trial || (m === 0 && experiment.mode !== "replay") ? []
     : cell(state.c, p)?.hard?.[m] ?? []).map(([k, value]) => ({ p, k, value })));
   // Windows of hardest steps have no experiment of their own: their steps are shown in the loop.
-  if (m === 0 && mode === "replay") known.push(...C().longest_in_windows[state.c].map(([p, k, value]) => ({ p, k, value })));
+  if (m === 0) known.push(...C().longest_in_windows[state.c].map(([p, k, value]) => ({ p, k, value })));
   const rank = (x) => (x === "inf" ? Infinity : x);
   return known.sort((a, b) => rank(b.value) - rank(a.value))
     .filter(({ p, k }, i) => known.findIndex((other) => other.p === p && other.k === k) === i).slice(0, 5);
@@ -182,6 +181,17 @@ function varies(c) {
   const known = facts.experiments.flatMap((_, p) => cell(c, p)?.hard?.[1] ?? []).map(([, value]) => value);
   const usual = facts.experiments.flatMap((_, p) => array(cell(c, p)?.i)).filter((x) => x !== null);
   return known.length > 0 && usual.some((x) => x !== known[0]);
+}
+
+// The lists of steps that are open: a list that the reader has opened or closed stays so.
+const opened = { all: true, one: false };
+function foldHard(kind, where, lines) {
+  const list = document.createElement("details"), title = document.createElement("summary");
+  title.replaceChildren(...coded(`Longest and hardest steps ${where}`));
+  list.append(title, ...lines.filter((line) => line?.children.length > 1));
+  list.open = opened[kind];
+  list.addEventListener("toggle", () => { opened[kind] = list.open; });
+  return list.children.length > 1 ? [list] : [];
 }
 
 function drawHard(run) {
@@ -211,17 +221,12 @@ function drawHard(run) {
   // Of a single experiment its own lines are enough.
   const several = facts.experiments.filter((_, p) => cell(state.c, p)?.hard).length > 1;
   const most = varies(state.c) ? [1] : [], worst = most.length && !["late", "fail"].includes(C().verdict[state.c]) ? [] : [2];
-  const everywhere = [[0, "longest steps of replays and windows, each in its fastest round", "replay"],
-    ...[...worst, ...most].map((m) => [m, names[m]]),
-    [0, "largest single timings of all closed loops, including interruptions by other work", "closed_loop"]];
-  const all = document.createElement("details"), title = document.createElement("summary"), heading = document.createElement("h3");
-  title.textContent = "Longest and hardest steps of all scenarios and replays, without runs in SI units";
-  heading.replaceChildren(...coded(`Longest and hardest steps of \`${facts.experiments[state.p].label}\``));
-  all.open = $("hard").querySelector("details")?.open ?? true;
-  all.append(title, ...(several ? everywhere : []).map(([m, name, mode]) => row(name, worstAnywhere(m, mode).map(said(m))))
-    .filter((line) => line.children.length > 1));
-  const own = order.map((m) => here[m]).filter((line) => line?.children.length > 1);
-  $("hard").replaceChildren(...(all.children.length > 1 ? [all] : []), ...(own.length ? [heading, ...own] : []));
+  const everywhere = [[0, "longest steps of replays and windows, each in its fastest round"],
+    ...[...worst, ...most].map((m) => [m, names[m]])];
+  const place = `\`${facts.experiments[state.p].label}\``;
+  const anywhere = several ? everywhere.map(([m, name]) => row(name, worstAnywhere(m).map(said(m)))) : [];
+  $("hard").replaceChildren(...(several ? foldHard("all", "of all scenarios and replays, without runs in SI units", anywhere) : []),
+    ...foldHard(several ? "one" : "all", `of ${place}`, order.map((m) => here[m])));
   drawStep(run);
 }
 
