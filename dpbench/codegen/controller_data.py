@@ -16,6 +16,7 @@ from dpbench.bench.run.closed_loop import record_closed_loop
 from dpbench.errors import InputError
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.mpc.thruster_rows import ThrusterRows
+from dpbench.qp.solution import Status
 from dpbench.scenario.controllers.controller import (
     FIXED_MODEL,
     Controller,
@@ -245,12 +246,14 @@ class Trajectory:
     """Inputs (K, n_in) and commands (K, n_u) of a controller at K samples; sample time [s].
 
     changes : the samples at which limits change or thrusters are lost.
+    unsolved : number of steps with another status than solved.
     """
 
     inputs: Matrix
     commands: Matrix
     sample_s: float
     changes: tuple[int, ...] = ()
+    unsolved: int = 0
 
     def format_as_csv(self, names: list[str]) -> str:
         """Format the trajectory as CSV text; `names` are those of inputs and commands."""
@@ -284,4 +287,5 @@ def record_closed_loop_trajectory(
     commands = controller.select_applied_commands(log.tau, log.thrust).copy()
     changes = 1 + np.flatnonzero(np.diff(state, axis=0).any(axis=1))
     inputs = np.hstack([measured, reference, state])
-    return Trajectory(inputs, commands, scenario.sample_s, tuple(changes.tolist()))
+    unsolved = int(np.count_nonzero(log.status[0] != Status.SOLVED))
+    return Trajectory(inputs, commands, scenario.sample_s, tuple(changes.tolist()), unsolved)

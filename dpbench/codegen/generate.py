@@ -26,10 +26,11 @@ from dpbench.codegen.solver_sources import (
 from dpbench.embedded.toolchain import has_extra
 from dpbench.errors import InputError
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe, write_file_set_into_folder
-from dpbench.report.formats import format_count
+from dpbench.report.formats import format_count, plural
 from dpbench.scenario.scenario import Scenario, resolve_to_scenario
 from dpbench.solvers.contract import DEFAULT
 from dpbench.solvers.own_settings import format_options_as_toml, parse_choice_without_grid
+from dpbench.solvers.table import find_solver_record
 
 MOST_REPLAYED = 1000
 """Steps of the recorded trajectory."""
@@ -100,9 +101,15 @@ def generate_controller(
         f"{format_count(sizes['constants'])} bytes and working memory takes "
         f"{format_count(sizes['memory'])} bytes"
         + ("." if sources.copies else f", without the static memory of {name}."),
+        *_describe_unsolved_steps(name, sources, trajectory),
         *_describe_settings(name, sources),
     ]
     lines += [f"{cost.summary}." for cost in costs]
+    if counts and not costs:
+        lines.append(
+            "Instructions were not counted: install dpbench[embedded] and generate again, or count "
+            "those of single QPs with dpbench embedded."
+        )
     if fmu is not None:
         whole = build_fmu_bytes(data, files, fmi)
         write_bytes_to_file_or_pipe(Path(fmu), whole)
@@ -112,6 +119,19 @@ def generate_controller(
             f"with libraries for {systems}."
         )
     return lines
+
+
+def _describe_unsolved_steps(
+    solver: str, sources: SolverSources, trajectory: Trajectory
+) -> list[str]:
+    """Return a line on the steps of the recorded loop without the status solved, if any."""
+    if not trajectory.unsolved:
+        return []
+    limit = find_solver_record(solver).iteration_limit
+    at = f" ({limit} = {sources.options[limit]})" if limit in sources.options else ""
+    whole = plural(len(trajectory.commands), "step")
+    count = f"{format_count(trajectory.unsolved)} of {whole} of the recorded loop"
+    return [f"{count} ended without the status solved{at}: judge the settings with dpbench run."]
 
 
 def _describe_settings(solver: str, sources: SolverSources) -> list[str]:

@@ -15,6 +15,7 @@ from dpbench.errors import InputError
 from dpbench.mpc.condensed_qp import CondensedQP
 from dpbench.qp.program import count_rows_per_block
 from dpbench.solvers.contract import Options, Settings
+from dpbench.solvers.libraries.osqp import make_default_settings_of_library
 from dpbench.solvers.own import compiling
 from dpbench.solvers.own.library import ActiveSet, Problem, load_own_c_library
 from dpbench.solvers.own_settings import format_each_option_as_toml, format_options_as_toml
@@ -139,6 +140,7 @@ def _resolve_settings_of_osqp(settings: Settings | None) -> Options:
     if settings is None:
         return {**Recipe(RECIPES / "osqp").file.settings, **_OF_GENERATED_OSQP}
     options = dict(resolve_settings_to_options(settings, get_native_adapter("osqp")))
+    options.setdefault("max_iter", make_default_settings_of_library().max_iter)
     # Presets have OSQP adapt ρ, as its library does by default: only a wish for it is refused.
     wanted = settings if not isinstance(settings, str) else {}
     unsupported = {"polishing": options, "time_limit": options}

@@ -106,5 +106,7 @@ def test_without_the_extra_the_readme_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(generate, "has_extra", lambda: False)
-    generate_controller("paper", out=tmp_path, steps=2)
+    lines = generate_controller("paper", out=tmp_path, steps=2)
+    assert lines[-1].startswith("Instructions were not counted: install dpbench[embedded]")
+    assert lines[-1].endswith(" with dpbench embedded.")
     assert "install `dpbench[embedded]`" in (tmp_path / "README.md").read_text()

@@ -208,7 +208,7 @@ def test_the_c_of_osqp_solves_as_the_wheel_with_given_settings(tmp_path: Path) -
     """The workspace has the given rho and eps; the first command and its iterations are equal."""
     own = "osqp[rho=1.6,eps_abs=1e-5]"
     lines = generate_controller("paper", own, out=tmp_path, steps=20, counts=False)
-    judged = "osqp[adaptive_rho=false,eps_abs=1e-5,rho=1.6,rho_is_vec=false]"
+    judged = "osqp[adaptive_rho=false,eps_abs=1e-5,max_iter=4000,rho=1.6,rho_is_vec=false]"
     assert lines[-1] == f"dpbench run standard --solver '{judged}' --route native --policy warm"
     assert f"--solver '{own}'`" in (tmp_path / "README.md").read_text("utf-8")
     text = (tmp_path / "workspace.c").read_text("ascii").partition("OSQPSettings settings = {")[2]
@@ -234,6 +234,21 @@ def test_the_c_of_osqp_solves_as_the_wheel_with_given_settings(tmp_path: Path) -
     move = np.clip(answer.x[:3], -1.0, 1.0) * data.du_max
     assert np.allclose(first[1:4], move, rtol=1e-9)
     assert first[5] == answer.info.iter
+
+
+@pytest.mark.parametrize(("limit", "unsolved"), [(1, "3 of 3 steps"), (10_000, "")])
+def test_steps_that_stop_at_the_iteration_limit_are_counted(
+    limit: int, unsolved: str, tmp_path: Path
+) -> None:
+    """With one iteration no step is solved; with many, all are."""
+    own = f"osqp[eps_abs=1e-3,max_iter={limit}]"
+    lines = generate_controller("paper", own, out=tmp_path, steps=3, counts=False)
+    found = [line for line in lines if "without the status solved" in line]
+    words = (
+        f"{unsolved} of the recorded loop ended without the status solved (max_iter = {limit}): "
+    )
+    assert found == [f"{words}judge the settings with dpbench run."] * bool(unsolved)
+    assert f"max_iter={limit}" in (tmp_path / "README.md").read_text("utf-8")
 
 
 @pytest.mark.parametrize(
