@@ -25,9 +25,10 @@ from dpbench.analysis.compare.evidence import (
     remove_factor_shared_by_group,
 )
 from dpbench.analysis.statistics import Interval
+from dpbench.analysis.times.machine import GROSS
 from dpbench.ci import MARGIN, Allowance
 from dpbench.ci.benchmarks import WRONG_ANSWERS, Benchmark, BenchmarkRun
-from dpbench.ci.gross_slowdown import is_grossly_slower
+from dpbench.ci.gross_slowdown import find_unmet_condition
 from dpbench.report.formats import (
     Table,
     escape_markdown_paragraph,
@@ -112,6 +113,7 @@ class Row:
 
     not_judged : DISTURBED or NO_KERNEL where the times have no verdict, "" otherwise.
     disturbed_ratio : ratio of the times that load left without a verdict, NaN for others.
+    not_gross : the first unmet condition of a gross slowdown, where there is such a ratio.
     measures : kinds of the exact measures that both revisions have.
     allowed : number of exact measures that grew and may.
     """
@@ -123,6 +125,7 @@ class Row:
     not_judged: str = ""
     measures: tuple[str, ...] = ()
     disturbed_ratio: float = np.nan
+    not_gross: str = ""
     allowed: int = 0
 
     @property
@@ -231,7 +234,8 @@ class RunComparison:
             return lines
         worst = max(unjudged, key=lambda row: row.disturbed_ratio)
         ratio = significant(worst.disturbed_ratio)
-        lines.append(f"largest ratio not judged: × {ratio} ({worst.name})")
+        why = f"; not judged as gross: {worst.not_gross}" * (worst.disturbed_ratio > GROSS)
+        lines.append(f"largest ratio not judged: × {ratio} ({worst.name}){why}")
         lines.append(EXACT_JUDGED)
         if not self.exit_code(disturbed):
             lines.append(f"disturbed times pass; {option} CODE selects another exit code")
@@ -359,14 +363,13 @@ def _judge_benchmark(
     exact = min((find_exact_changes(*pair, allow) for pair in both), key=len)
     allowed = min((find_allowed_changes(*pair, allow) for pair in both), key=len)
     ratio: Interval | None = time.ratio
-    verdict, remarks, not_judged, disturbed_ratio = NO_CHANGE, [*exact, *allowed], "", np.nan
+    verdict, remarks, not_judged, not_gross = NO_CHANGE, [*exact, *allowed], "", ""
     if complaints:
-        disturbed_ratio = time.ratio.value
-        verdict = not_judged = DISTURBED
         remarks += complaints
-        if is_grossly_slower(both, time.ratio):
-            verdict, not_judged, disturbed_ratio = GROSSLY_SLOWER, "", np.nan
-        elif all(any(one.complaints for one in pair) for pair in both):
+        not_gross = find_unmet_condition(both, time.ratio)
+        not_judged = DISTURBED if not_gross else ""
+        verdict = not_judged or GROSSLY_SLOWER
+        if not_gross and all(any(one.complaints for one in pair) for pair in both):
             # Without one quiet pair they show nothing of the noise that load makes.
             ratio = None
     elif not np.isfinite(time.ratio.high):
@@ -379,7 +382,8 @@ def _judge_benchmark(
         verdict = WORSE
     common = {name for was, now in both for name in was.exact.keys() & now.exact.keys()}
     kinds = tuple(MEASURES.get(one, (one,))[0] for one in common)
-    row = Row(name, verdict, ratio, tuple(remarks), not_judged, kinds, disturbed_ratio)
+    disturbed_ratio = time.ratio.value if not_gross else np.nan
+    row = Row(name, verdict, ratio, tuple(remarks), not_judged, kinds, disturbed_ratio, not_gross)
     return replace(row, allowed=len(allowed))
 
 

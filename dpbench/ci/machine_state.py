@@ -10,7 +10,6 @@ import numpy as np
 
 from dpbench.bench.judge.rules import mask_disturbed_rounds
 from dpbench.bench.record.disturbance import (
-    MAX_STEAL_SHARE,
     MAX_SWITCHES_PER_S,
     Disturbance,
     read_disturbance_counters,
@@ -19,8 +18,6 @@ from dpbench.bench.run.replay import time_speed_and_load_tests
 
 LEAST_PROCESSOR_SHARE = 0.95
 """Least share of the wall time that a process computes, unless it gives up the processor itself."""
-MAX_PROCESSOR_SHARE = 1.05
-"""Largest share of the wall time that a single thread computes, with the error of the clocks."""
 KEY = "machine"
 """Key of the state in `extra_info`."""
 
@@ -62,8 +59,7 @@ class MachineState:
         )
         lines = counted.complaints()
         share = self.processor_s / self.wall_s
-        gives_up = self.voluntary_switches > MAX_SWITCHES_PER_S * self.wall_s
-        if share < LEAST_PROCESSOR_SHARE and not gives_up:
+        if share < LEAST_PROCESSOR_SHARE and not self.waits_itself:
             lines.append(f"a processor for only {100 * share:.0f} % of the time")
         kernels = np.array([[self.kernel_before_ns, self.kernel_after_ns]])
         if mask_disturbed_rounds(kernels)[0]:
@@ -72,16 +68,9 @@ class MachineState:
         return lines
 
     @property
-    def least_own_share(self) -> float:
-        """Least share of a pass that the process has computed, at most 1; NaN if unknown.
-
-        It bounds the shortest pass: that one is no longer than the mean one, of which the process
-        has computed this share. Of several threads, of stolen time and of a throttled processor
-        the clock of the process is no bound.
-        """
-        share = self.processor_s / self.wall_s
-        is_known = not (self.steal_s > MAX_STEAL_SHARE * self.wall_s or self.throttle_events > 0)
-        return min(share, 1.0) if is_known and share <= MAX_PROCESSOR_SHARE else np.nan
+    def waits_itself(self) -> bool:
+        """True if the process often gives up the processor itself: it sleeps or waits."""
+        return self.voluntary_switches > MAX_SWITCHES_PER_S * self.wall_s
 
 
 @contextmanager

@@ -33,32 +33,39 @@ def test_a_gross_slowdown_fails_on_a_disturbed_machine() -> None:
 
 
 @pytest.mark.parametrize(
-    "machine",
+    ("machine", "condition"),
     [
-        {"processor_s": 0.5},
-        {"processor_s": 1.9},
-        {"steal_s": 0.1},
-        {"throttle_events": 1.0},
-        {"kernel_after_ns": 4.6e4},
-        {"kernel_before_ns": float("nan")},
+        ({"processor_s": 0.5}, "× 1.30 ≤ 1.5 after deducting the time in which the head {}"),
+        ({"processor_s": 1.9}, "busy threads of the head 1.90 > 1.05"),
+        ({"steal_s": 0.014}, "stolen time of the head 1.40 % > 1 %"),
+        ({"throttle_events": 1.0}, "processor of the head throttled"),
+        ({"kernel_after_ns": 6.2e4}, "reference kernel changed by 55.0 % > 10 %"),
+        ({"kernel_before_ns": float("nan")}, "reference kernel not timed"),
     ],
-    ids=["preempted", "threads", "stolen", "throttled", "slower processor", "no kernel"],
 )
+@pytest.mark.parametrize(("waits", "lost"), [(0.0, "had no processor"), (99.0, "waited itself")])
 def test_load_that_may_explain_a_slowdown_leaves_it_without_verdict(
-    machine: dict[str, float],
+    machine: dict[str, float], condition: str, waits: float, lost: str
 ) -> None:
-    """One such pair among three is enough."""
-    found = compare((2.6, LOUD), (2.6, LOUD | machine), (2.6, LOUD))
+    """One such pair among three is enough, and the output names the condition."""
+    doubtful = LOUD | machine | {"voluntary_switches": waits}
+    found = compare((2.6, LOUD), (2.6, doubtful), (2.6, LOUD))
     assert (found.verdict, found.worse) == ("disturbed", False)
+    line = f"largest ratio not judged: × 2.60 (t); not judged as gross: {condition.format(lost)}"
+    assert found.describe_unjudged(0)[0] == line
     assert compare((2.6, LOUD), (2.6, LOUD), (2.6, LOUD)).worse
 
 
 def test_a_single_pair_or_one_that_differs_shows_nothing() -> None:
     """Load that hits one run of the head alone is a single pair."""
-    assert not compare((9.0, LOUD)).worse
+    found = compare((9.0, LOUD))
+    assert not found.worse
+    assert found.describe_unjudged(0)[0].endswith("; not judged as gross: 1 pair of runs < 2")
     assert not compare((2.6, LOUD), (1.1, LOUD), (2.6, LOUD)).worse
     # Each pair is beyond 1.5, their interval is not.
-    assert not compare((1.7, QUIET), (9.0, QUIET | {"steal_s": 0.009}), (1.7, LOUD)).worse
+    found = compare((1.7, QUIET), (9.0, QUIET | {"steal_s": 0.009}), (1.7, LOUD))
+    assert not found.worse
+    assert "gross: lower end of the interval " in found.describe_unjudged(0)[0]
 
 
 @pytest.mark.slow
