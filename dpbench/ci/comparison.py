@@ -71,14 +71,14 @@ MEANINGS = {
     NOT_RUN: "left out by the arguments of pytest",
 }
 NOT_COMPARED = {
-    WRONG_ANSWERS: "not accurate",
+    WRONG_ANSWERS: "with wrong answers",
     NOT_TIMED: "failed",
     GONE: "gone",
     NEW: "new",
     NO_BASELINE: "without baseline",
     NOT_RUN: "not run",
 }
-"""Words for benchmarks that only one revision has timed, by verdict."""
+"""Words behind the number of benchmarks that only one revision has timed, by verdict."""
 NOT_JUDGED = {DISTURBED: "machine disturbed", NO_KERNEL: "too few other solvers"}
 """Reasons why a compared time has no verdict."""
 EXACT_JUDGED = (
@@ -248,7 +248,8 @@ class RunComparison:
         counts = Counter(row.verdict for row in self.rows)
         text = f"{self.verdict}{f' ({meaning})' if meaning else ''}"
         if len(counts) > 1:
-            return f"{text}: {', '.join(f'{counts[one]} {one}' for one in ORDER if counts[one])}"
+            parts = [f"{counts[one]} {NOT_COMPARED.get(one, one)}" for one in ORDER if counts[one]]
+            return f"{text}: {', '.join(parts)}"
         return f"{text}: {plural(len(self.rows), 'benchmark')}"
 
     @property

@@ -256,7 +256,10 @@ def test_what_was_compared_is_counted() -> None:
     found = compare_runs([(base, _without(head, "u", "v"))])
     line = "1 of 4 benchmarks compared (1 failed, 2 not run); 3 in base, 2 in now"
     assert found.describe_scope("base", "now") == line
-    assert found.headline.endswith(": 1 failed, not timed, 1 no difference shown, 2 not run")
+    assert found.headline.endswith(": 1 failed, 1 no difference shown, 2 not run")
+    found = compare_runs([(base, _without(run_of(entry("t"), u="wrong answers: 3"), "v"))])
+    counts = "1 with wrong answers, 1 no difference shown, 1 not run"
+    assert found.headline.endswith(f" (answers beyond the requirements of the test): {counts}")
     found = compare_runs([(base, _without(run_of(entry("t")), "u", "v"))])
     assert not found.worse and found.verdict == "no difference shown"
     assert compare_runs([(base, _without(run_of(entry("t")), "u"))]).worse
