@@ -454,8 +454,12 @@ def _count_active_sets(arguments: argparse.Namespace) -> None:
 def _tune_controller(arguments: argparse.Namespace) -> int:
     """Search a scenario's weights and horizons (`dpbench tune`); return the exit code."""
     from dpbench.cli.terminal import ProgressBar, print_wrapped
+    from dpbench.locks import find_machine_lock_holders
     from dpbench.tuning.tune_controller import tune_controller
 
+    if holders := find_machine_lock_holders():
+        others = " and ".join(map(str, holders))
+        print(f"dpbench: this search may disturb the step times of {others}", file=sys.stderr)
     with ProgressBar() as bar:
         tuning = tune_controller(**_collect_options(arguments), progress=bar)
     print_wrapped(tuning.lines)

@@ -1,6 +1,7 @@
 """`dpbench capability`: the table within 80 columns, JSON, solvers judged, and bad input."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from dpbench.bench.sequences.sequence_file import load_sequence
 from dpbench.cli.ship.capability import format_wind_table
 from dpbench.scenario.problem_files import find_problem_path
 from dpbench.scenario.scenario import load_vessel
+from dpbench.ship.thrusters import ThrusterSet
 from dpbench.solvers import table
 from dpbench.solvers.table import Availability
 from tests.cli.conftest import Say
@@ -84,7 +86,10 @@ def test_many_groups_are_told_by_the_worst() -> None:
 
 
 def test_what_controllers_plan_with_is_beside_each_case_within_80_columns() -> None:
-    """Four cases in winds of two digits; a zero is explained."""
+    """Four cases in winds of two digits; a zero is explained.
+
+    No columns where the controllers plan with the whole circle of each azimuth.
+    """
     held, half = (
         {case: tuple(WindLimit(wind, 0) for _ in FROM_DEG) for case in ("intact", *"abc")}
         for wind in (32.66, 10.68)
@@ -92,12 +97,24 @@ def test_what_controllers_plan_with_is_beside_each_case_within_80_columns() -> N
     no_loss = dict.fromkeys(held, ())
     plots = (Capability("osv", None, winds, no_loss, ()) for winds in (held, half))
     capability, planned = plots
-    lines = format_wind_table(capability, load_vessel("osv"), planned)
+    osv = load_vessel("osv")
+    plain = format_wind_table(capability, osv, planned)
+    (row,) = (line for line in plain if line.startswith("   0°"))
+    assert row.split()[1:] == ["32.6", "0"] * 4
+    assert osv.thrusters is not None
+    wide = [
+        replace(one, sector_rad=(0.0, 4.0)) if one.kind == "azimuth" else one
+        for one in osv.thrusters.thrusters
+    ]
+    ship = replace(osv, thrusters=ThrusterSet(tuple(wide)))
+    lines = format_wind_table(capability, ship, planned)
     assert max(map(len, lines)) <= 80
     (row,) = (line for line in lines if line.startswith("   0°"))
     assert row.split()[1:] == ["32.6", "0", "10.6"] * 4
     text = " ".join(lines)
-    assert "planned: the same, as no azimuth has a sector wider than half a turn." in text
+    assert "planned: the wind held with the half turn of each azimuth" in text
+    same = "planned: the same, as controllers plan with all directions of each azimuth."
+    assert same in " ".join(plain)
     assert "Number 0: not even number 1 is held, a wind of 1.5 m/s" in text
 
 

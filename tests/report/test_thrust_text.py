@@ -9,7 +9,11 @@ from dpbench.analysis.verdict.ship_results import ShipResult, find_ship_results
 from dpbench.errors import ResultsError
 from dpbench.report.report import Report
 from dpbench.report.ship.ship_text import summarise_ships
-from dpbench.report.ship.thrust_text import list_thruster_uses, tabulate_thruster_use
+from dpbench.report.ship.thrust_text import (
+    explain_departure,
+    list_thruster_uses,
+    tabulate_thruster_use,
+)
 from dpbench.scenario.scenario import load_scenario
 
 LOST = {"exact_left_s": 150.0, "exact_offset_max_m": 37.0, "exact_offset_end_m": 36.0}
@@ -52,6 +56,21 @@ def test_a_ship_that_leaves_with_thrust_to_spare(
     assert warning.endswith(
         f"No thruster is at a limit of thrust or sector in most steps: {reason}"
     )
+
+
+@pytest.mark.parametrize("rate", [0.34, 0.09])
+def test_without_a_loss_all_thrust_counts_and_the_rate_limit_is_named(
+    records: Any, rate: float
+) -> None:
+    """The window begins at the start: no thruster is remaining. A rate limit below 10 % is none."""
+    of = {name: [0.1, 0.3, 0.1, rate * (name == NAMES[0])] for name in NAMES}
+    use = {"window_s": [0.0, 150.0], "thrust": [0.2, 0.98], "thrusters": of}
+    records.loop("daqp", "thrusters", steps=600, exact_thruster_use=json.dumps(use), **LOST)
+    (ship,) = find_ship_results(Report.from_results(records.results()).data.records)
+    named = f", but `{NAMES[0]}` is at its rate limit in 34 %" * (rate > 0.1)
+    text = explain_departure(ship)
+    assert text.startswith("From 0 to 150 s in `thrusters`, it uses 98 % of the thrust at most,")
+    assert f"limit of thrust or sector in most steps{named}: the thrusters " in text
 
 
 def test_each_thruster_has_a_row_and_its_part_of_a_line(records: Any) -> None:

@@ -64,13 +64,15 @@ def describe_capability(arguments: argparse.Namespace) -> str:
         if name != "all":
             require_solver_available(name)
     vessel = load_vessel(arguments.vessel)
-    frontier = CapabilityPlot(vessel, arguments.sides)
+    frontier, is_partial = CapabilityPlot(vessel, arguments.sides), bool(_list_half_turns(vessel))
     quiet = arguments.json
     with ProgressBar(transient=True, quiet=quiet) as bar:
         capability = compute_capability(frontier, bar)
-        planned = _compute_planned(frontier, bar) if arguments.planned else None
+        planned = capability if arguments.planned else None
+        if planned is not None and is_partial:
+            planned = _compute_planned(frontier, bar)
     if figure is not None:
-        save_rose_figure(capability, vessel, figure, planned)
+        save_rose_figure(capability, vessel, figure, planned if is_partial else None)
     answers: list[Answers] = []
     out = Path(arguments.out or f"results/capability-{vessel.id}")
     if arguments.solver:
@@ -142,9 +144,11 @@ def format_wind_table(
 ) -> list[str]:
     """Return the largest wind held, by direction and lost thrusters, as lines of 80 columns.
 
-    planned : the same with the half turns that controllers plan with, in a column beside each.
+    planned : the same with the half turns that controllers plan with, in a column beside each; no
+    columns where the controllers plan with all directions.
     """
-    columns = _list_columns(capability)
+    columns, explained = _list_columns(capability), _explain_planned(planned, vessel)
+    planned = planned if _list_half_turns(vessel) else None
     room = _CELL - 2 - (0 if planned is None else _SPARE)
     heads = _format_heads([*columns], room, "" if planned is None else f"{'planned':<{_PLANNED}}")
     parts = [[_format_wind_limit(held) for held in column] for column in columns.values()]
@@ -164,7 +168,7 @@ def format_wind_table(
         "standard's table."
     )
     assumed = list_assumptions_on_vessel(vessel)
-    notes = [*_explain_planned(planned, vessel), *caution_on_rudders(vessel)]
+    notes = [*explained, *caution_on_rudders(vessel)]
     notes += _explain_notation(capability, vessel)
     notes += [f"Assumed: {'; '.join(assumed)}."] if assumed else []
     if own_areas := describe_own_wind_areas(vessel):
@@ -214,17 +218,24 @@ def _explain_planned(planned: Capability | None, vessel: Vessel) -> list[str]:
     """Return notes on the half turns that controllers plan with; none unless they are shown."""
     if planned is None or vessel.thrusters is None:
         return []
-    halves = [
-        f"{thruster.name} {format_sector(convex)} of {format_sector(thruster.sector_rad)}"
-        for thruster in vessel.thrusters.thrusters
-        if thruster.sector_rad is not None
-        and (convex := thruster.convex_sector_rad) not in (None, thruster.sector_rad)
-    ]
+    halves = _list_half_turns(vessel)
     if not halves:
-        return ["planned: the same, as no azimuth has a sector wider than half a turn."]
+        return ["planned: the same, as controllers plan with all directions of each azimuth."]
     return [
         f"planned: the wind held with the half turn of each azimuth that controllers plan with, "
         f"as their QPs need convex sets of forces: {', '.join(halves)}; {planned.notation}."
+    ]
+
+
+def _list_half_turns(vessel: Vessel) -> list[str]:
+    """Return the directions of controllers of azimuths for which the capability plot has more."""
+    every = () if vessel.thrusters is None else vessel.thrusters.thrusters
+    return [
+        f"{thruster.name} {format_sector(convex)} of "
+        + ("360°" if thruster.sector_rad is None else format_sector(thruster.sector_rad))
+        for thruster in every
+        if (convex := thruster.convex_sector_rad) is not None
+        and (convex != thruster.sector_rad or thruster.barred_protects)
     ]
 
 

@@ -70,6 +70,7 @@ from dpbench.report.verdict.verdict_text import (
     describe_selection,
     describe_stopped_runs,
     format_p99_interval,
+    format_settings_with_other_states,
 )
 from dpbench.report.words import render_document
 from dpbench.scenario.own_thrusters import (
@@ -246,7 +247,8 @@ def _fill_statement(
         caption=caption,
         unmet=describe_unmet(ships, known),
         compared=[
-            f"{solver} {versions[solver]} {v.state}, p99 {format_time(v.p99_ns)}"
+            f"{solver} {versions[solver]}{format_settings_with_other_states(data.verdicts, v)} "
+            f"{v.state}, p99 {format_time(v.p99_ns)}"
             + format_p99_interval(v.p99_interval)
             + (f" ({Recommendation.why(v)})" if _needs_reason(v, data.requirements) else "")
             for v in list_best_verdict_of_each_solver(data.verdicts)
@@ -453,9 +455,11 @@ def _list_thrusters_with_thrust(
 
 
 def _name_thruster(thruster: Mapping[str, Any]) -> str:
-    """Return a thruster's name, kind, position, power, thrust and push, where they are known."""
+    """Return a thruster's name and, where known, kind, propeller, place, power, thrust and push."""
     sector_deg = thruster.get("sector_deg")
     facts = [thruster["kind"]] if "kind" in thruster else []
+    if thruster.get("propeller") not in (None, *facts):
+        facts.append(f"propeller: {thruster['propeller']}")
     if "x_m" in thruster:
         facts.append(f"x {thruster['x_m']:g} m, y {thruster.get('y_m', 0.0):g} m")
     for key, unit in (("power_kW", "kW"), ("thrust_kN", "kN")):

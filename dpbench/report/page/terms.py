@@ -11,6 +11,7 @@ from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.run_matrix import Experiment
 from dpbench.report.formats import bind_units, format_share, plural
 from dpbench.report.page.data import PageData
+from dpbench.report.ship.ship_text import list_losses
 from dpbench.report.words import term_meanings, topics
 
 _OWN_PHRASES = (
@@ -190,4 +191,6 @@ def _describe_replay(data: PageData, run: RunRecord, loop_steps: int) -> str:
     if kept is None:
         return f"Replay of {window}its {loop}."
     share = format_share(float(np.mean(kept.steps.n_active > 0)))
-    return f"Replay of {window}its {loop}; limits are active in {share} of the steps."
+    end_s = (first + run.steps_planned) * run.sample_s
+    lost = ", with those of lost thrusters" * any(at_s < end_s for at_s, _ in list_losses(run))
+    return f"Replay of {window}its {loop}; limits are active in {share} of the steps{lost}."

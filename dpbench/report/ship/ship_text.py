@@ -41,9 +41,10 @@ POINT_PREFIXES = ("environment.", "controller.")
 class ShipSummary:
     """First lines of a report: a warning where the controller does not hold a ship, and results.
 
-    warning : begins with `BANNER`, or with `LOST` where the loops of all lost ships are unstable
-    without limits; "" where no ship is lost. state : where the ship is on station, has not settled
-    or has no result; "" without any ship. limits : the share of steps with active limits.
+    warning : begins with `BANNER`, or with `LOST` where some ships are held or the loops of all
+    lost ones are unstable without limits; "" where no ship is lost.
+    state : where the ship is on station, has not settled or has no result; "" without any ship.
+    limits : the share of steps with active limits.
     details : moves to a new setpoint, losses, offsets that still grow.
     caution : of ships on station with little margin, still moving away, farther off since a
     loss, or lost with an accurate solver, and in a report of losses that no closed loop shows to
@@ -82,7 +83,7 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
     if not known:
         return ShipSummary(state=NOT_RUN)
     lost = [ship for ship in known if ship.has_left_station]
-    warning = " ".join(filter(None, _warn_of_lost(lost)))
+    warning = " ".join(filter(None, _warn_of_lost(lost, known)))
     state = [_describe_kept(known), _name_unsettled(known), *_describe_rest(ships)]
     details = [
         *_describe_kinds_of_limits(known),
@@ -100,13 +101,14 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
     )
 
 
-def _warn_of_lost(lost: Sequence[ShipResult]) -> Iterator[str]:
+def _warn_of_lost(lost: Sequence[ShipResult], known: Sequence[ShipResult]) -> Iterator[str]:
     """Yield a sentence on ships that the weather drives off, and on those of unstable loops."""
     unstable = [ship for ship in lost if not math.isnan(ship.unstable_radius)]
     driven = [ship for ship in lost if ship not in unstable]
     if driven:
         sensors = " with these sensors" * any(map(_has_noise_or_estimator, driven))
-        opening = f"{BANNER}{sensors}{_name_failures(driven)}, whatever the solver"
+        where = f"{_count_held(driven, known) or BANNER}{sensors}{_name_failures(driven)}"
+        opening = f"{where}, whatever the solver"
         yield f"{opening}: {_describe_lost(driven)}."
         yield from map(explain_departure, [one for one in driven if not one.run.study][:MOST_NAMED])
     if unstable:
@@ -115,6 +117,20 @@ def _warn_of_lost(lost: Sequence[ShipResult]) -> Iterator[str]:
         loop = describe_unstable_loop(horizon, worst.unstable_radius)
         opening = "Elsewhere its loop is" if driven else f"{LOST}: its loop is"
         yield f"{opening} {loop}, whatever weather and solver: {_describe_lost(unstable)}."
+
+
+def _count_held(driven: Sequence[ShipResult], known: Sequence[ShipResult]) -> str:
+    """Return `LOST` with how many ships the weather drives off and how many stay; "" if none do."""
+    if not (held := sum(ship.state == "on station" for ship in known)):
+        return ""
+    counts = f"{len(driven)} of {len(known)} {_name_kind(known)} (it holds it in {held})"
+    return f"{LOST} in the weather of {counts}"
+
+
+def _name_kind(known: Sequence[ShipResult]) -> str:
+    """Return whether ships are those of scenarios, realisations of studies, or both."""
+    kinds = {"realisations" if ship.run.study else "scenarios" for ship in known}
+    return " and ".join(sorted(kinds, reverse=True))
 
 
 def _has_noise_or_estimator(ship: ShipResult) -> bool:
@@ -174,12 +190,19 @@ def _describe_departure(ship: ShipResult) -> str:
     back = " and returns" if ship.is_inside_at_end else ""
     moving = ", still moving away when the run ends" if ship.is_moving_away else ""
     return (
-        f"in `{ship.name}` it leaves its station ({_format_station_limits(ship)}) at "
-        f"{significant(run.exact_left_s)} s{back}; largest offset "
-        f"{significant(run.exact_offset_max_m)} m at {significant(run.exact_offset_max_s)} s"
+        f"in `{ship.name}`{_format_wind(run)} it leaves its station "
+        f"({_format_station_limits(ship)}) at {significant(run.exact_left_s)} s{back}; largest "
+        f"offset {significant(run.exact_offset_max_m)} m at {significant(run.exact_offset_max_s)} s"
         f"{_format_farther_loop(ship)}, last offset {significant(run.exact_offset_end_m)} m"
         f"{moving}{turned}"
     )
+
+
+def _format_wind(run: RunRecord) -> str:
+    """Return the mean wind of a run's scenario in brackets; "" without wind."""
+    scenario = (run.scenario_documents or {}).get("scenario", {})
+    wind = (scenario.get("environment") or {}).get("wind") or {}
+    return f" (wind {wind['speed_mps']:g} m/s)" if wind.get("speed_mps") else ""
 
 
 def _format_farther_loop(ship: ShipResult) -> str:
@@ -205,6 +228,8 @@ def describe_ship(ship: ShipResult) -> str:
         f"{_format_farther_loop(ship)}, last {significant(run.exact_offset_end_m)} m; "
         f"limits active in {format_share(run.exact_active_share)} of "
         f"{plural(run.exact_steps, 'step')}"
+        + ", without those of lost thrusters"
+        * bool(list_losses(run))
     )
 
 
@@ -284,13 +309,11 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     if not kept:
         return ""
     farthest = max(kept, key=lambda ship: ship.run.exact_offset_max_m / ship.run.station_radius_m)
-    run, of_study = farthest.run, any(ship.run.study for ship in known)
+    run = farthest.run
     if len(known) == 1:
         where, there = f"in `{farthest.name}`", ""
     else:
-        alone = "realisations" if all(ship.run.study for ship in known) else "scenarios"
-        kind = alone if alone == "realisations" or not of_study else f"{alone} and realisations"
-        where = f"in {len(kept)} of {len(known)} {kind}"
+        where = f"in {len(kept)} of {len(known)} {_name_kind(known)}"
         there = f" at {_locate_ship(farthest)}" if run.study else f" in `{farthest.name}`"
     from_deg = find_weather_direction(ship.run for ship in known)
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"

@@ -11,13 +11,20 @@ from dpbench.ship.characteristics import compute_mean_weather_force
 
 MOSTLY = 0.5
 """Share of steps from which on a thruster is named as being at a limit."""
+NOTICED = 0.1
+"""Share of steps at the rate limit from which on it is named where no other limit is."""
 AT_LIMIT = "at a limit of thrust or sector"
 
 
 def describe_thrust_used(use: ThrusterUse) -> str:
     """Return words on the share of the thrust left that a reference loop uses."""
     mean, most = (f"{100.0 * share:.0f} %" for share in use.thrust)
-    return f"{most} of the remaining thrust at most, {mean} on average"
+    return f"{most} of the {_name_remaining(use)}thrust at most, {mean} on average"
+
+
+def _name_remaining(use: ThrusterUse) -> str:
+    """Return "remaining " where the window of a use begins at a loss; "" elsewhere."""
+    return "remaining " * (use.window_s[0] > 0.0)
 
 
 def explain_departure(ship: ShipResult) -> str:
@@ -36,12 +43,20 @@ def explain_departure(ship: ShipResult) -> str:
     ]
     if busy:
         return f"{used}; {AT_LIMIT}: {join_with_and(busy)}."
+    rates = {name: rate for name, (*_, rate) in use.thrusters.items()}
+    fastest = max(rates, key=rates.__getitem__, default="")
+    at_rate = ""
+    if rates and rates[fastest] >= NOTICED:
+        at_rate = f", but `{fastest}` is at its rate limit in {100.0 * rates[fastest]:.0f} %"
     reason = (
-        "the remaining thrusters balance the mean load, but the loop does not settle"
+        "balance the mean load, but the loop does not settle"
         if _is_mean_load_balanced(ship, use)
-        else "the remaining thrusters cannot balance the mean load in all axes at once"
+        else "cannot balance the mean load in all axes at once"
     )
-    return f"{used}. No thruster is {AT_LIMIT} in most steps: {reason}."
+    return (
+        f"{used}. No thruster is {AT_LIMIT} in most steps{at_rate}: the {_name_remaining(use)}"
+        f"thrusters {reason}."
+    )
 
 
 def _is_mean_load_balanced(ship: ShipResult, use: ThrusterUse) -> bool:

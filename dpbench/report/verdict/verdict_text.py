@@ -14,6 +14,7 @@ from dpbench.analysis.times.machine import find_shortest_wait_ns
 from dpbench.analysis.times.paired_times import PairedComparison
 from dpbench.analysis.verdict.requirements import (
     LATE,
+    STATES,
     Finding,
     Requirements,
     State,
@@ -124,11 +125,29 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
 
 
 def _name_solver_with_settings(verdicts: Verdicts, verdict: Verdict) -> str:
-    """Return a solver's name, with the settings of a verdict where custom ones were run, too."""
+    """Return a solver's name, with the settings of a verdict where others have another one."""
     c = verdict.configuration
     if not any(v.configuration.options for v in verdicts.of.get(c.solver, ())):
-        return f"`{c.solver}`"
+        return f"`{c.solver}`{format_settings_with_other_states(verdicts, verdict)}"
     return f"`{c.solver}` with default settings" if c.settings == DEFAULT else c.marked_label
+
+
+def format_settings_with_other_states(verdicts: Verdicts, verdict: Verdict) -> str:
+    """Return the settings of a solver's best verdict in brackets; "" where all have its state.
+
+    If that is no pass, also the states with the other settings.
+    """
+    c = verdict.configuration
+    by_settings = group_by_key(verdicts.of.get(c.solver, ()), lambda v: v.configuration.settings)
+    others = {
+        settings: min((v.state for v in own), key=STATES.index)
+        for settings, own in by_settings.items()
+        if settings != c.settings
+    }
+    if set(others.values()) <= {verdict.state}:
+        return ""
+    clauses = [f"with {settings}: {state}" for settings, state in others.items()]
+    return f" ({'; '.join((c.settings, *(clauses if verdict.state != 'pass' else ())))})"
 
 
 def _describe_passes_outside_default(

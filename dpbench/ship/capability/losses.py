@@ -160,7 +160,8 @@ def caution_on_wash(thrusters: ThrusterSet) -> list[str]:
     return [
         f"CAUTION: closed loops do not model the wash of one azimuth on another ({apart}); {plot}. "
         "For closed loops, set barred_deg in the vessel file, or the columns barred_from_deg and "
-        "barred_to_deg in the CSV file."
+        "barred_to_deg in the CSV file. A barred zone leaves the controller at most half a turn, "
+        "on one side of it, which may not hold the ship after a loss."
     ]
 
 

@@ -19,7 +19,7 @@ from dpbench.bench.record.schema import convert_to_run_columns, convert_to_step_
 from dpbench.cli.main import main
 from dpbench.report.compare.comparison import _merge_verdicts
 from dpbench.report.compare.page import describe_verdict, make_lead_sentences, write_comparison
-from dpbench.report.ship.ship_text import BANNER
+from dpbench.report.ship.ship_text import LOST
 from tests.conftest import MadeRecords
 from tests.report.conftest import run_row
 from tests.result_folder import StepsInMemory, write_results
@@ -169,8 +169,9 @@ def test_a_lost_ship_comes_before_any_comparison(records: Any, tmp_path: Path) -
     a = records.write(tmp_path / "a")
     records.loop("daqp", "rough", exact_left_s=9.0)
     found = compare(a, records.write(tmp_path / "b"))
-    assert found.lines[0].startswith(f"B: {BANNER}, whatever the solver: in `rough`")
-    assert found.lines[1].startswith("A: ") and BANNER not in "".join(found.lines[1:])
+    held = "in the weather of 1 of 2 scenarios (it holds it in 1)"
+    assert found.lines[0].startswith(f"B: {LOST} {held}, whatever the solver: in `rough`")
+    assert found.lines[1].startswith("A: ") and LOST not in "".join(found.lines[1:])
 
 
 @pytest.mark.slow

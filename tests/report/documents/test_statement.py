@@ -7,6 +7,7 @@ import re
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -32,6 +33,7 @@ from dpbench.report.report import Report
 from dpbench.report.ship.controller_text import describe_controllers, list_model_gaps
 from dpbench.report.ship.open_losses import OpenLosses
 from dpbench.report.ship.ship_text import BANNER
+from dpbench.report.verdict.verdict_text import format_settings_with_other_states
 from dpbench.scenario.own_thrusters import (
     describe_own_wind_areas,
     list_assumptions_on_vessel,
@@ -107,7 +109,7 @@ def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, writte
         "This statement replaces none of these",
         "Conditions of ",
         "sensors, estimators, lags, delays and mismatches other than those stated above",
-        "Compared, with the largest p99 of all replays: daqp 1.0 pass",
+        "Compared, with the largest p99 of all replays: daqp 1.0 (default) pass",
         *("ecos 1.0 fail", "Author ___", "Date ___", "Signature ___"),
         "Conditions that no closed loop contains: a problem without a feasible point, a loss of ",
     ):
@@ -126,6 +128,26 @@ def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, writte
             assert experiment.label in text
 
 
+def test_a_verdict_names_its_settings_where_others_have_another() -> None:
+    """The best of two settings is late, the other one fails; a pass names its settings alone."""
+
+    def judge(settings: str, state: str) -> Any:
+        return SimpleNamespace(
+            configuration=SimpleNamespace(solver="osqp", settings=settings), state=state
+        )
+
+    best = judge("high", "late")
+    for others, expected in (
+        ([judge("default", "fail")], " (high; with default: fail)"),
+        ([judge("default", "late")], ""),
+        ([], ""),
+    ):
+        verdicts: Any = SimpleNamespace(of={"osqp": [*others, best]})
+        assert format_settings_with_other_states(verdicts, best) == expected
+    verdicts = SimpleNamespace(of={"osqp": [best, judge("low", "pass")]})
+    assert format_settings_with_other_states(verdicts, verdicts.of["osqp"][1]) == " (low)"
+
+
 def test_a_sector_is_listed_with_its_thruster() -> None:
     """Both what it pushes towards and what is barred; without power and sector the name alone."""
     azimuth: dict[str, Any] = {
@@ -139,6 +161,10 @@ def test_a_sector_is_listed_with_its_thruster() -> None:
     assert said == f"A: azimuth (1200 kW, {sector}), bow"
     planned = azimuth | {"sector_deg": [240.0, 60.0], "controller_sector_deg": [240.0, 60.0]}
     assert describe_thrusters([planned]).endswith(", controllers plan with 240° to 60°)")
+    bow = {"name": "bow", "kind": "tunnel", "propeller": "tunnel", "group": "A"}
+    assert describe_thrusters([bow | {"kind": "azimuth", "propeller": "nozzle"}, bow]) == (
+        "A: bow (azimuth, propeller: nozzle), bow (tunnel)"
+    )
     main = {"name": "port", "kind": "main", "x_m": -34.0, "y_m": -4.5, "thrust_kN": 353.96}
     assert describe_thrusters([main | {"group": "B"}]) == (
         "B: port (main, x -34 m, y -4.5 m, 354 kN)"

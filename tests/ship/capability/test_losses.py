@@ -148,6 +148,7 @@ def test_azimuths_that_may_hit_each_other_are_cautioned_of() -> None:
     port, starboard = azimuth(-30.0, -3.0), azimuth(-30.0, 3.0)
     (caution,) = caution_on_wash(ThrusterSet((port, starboard, azimuth(30.0, 0.0))))
     assert "(at -30.0 -3.0 and at -30.0 3.0, 6 m apart); the capability plot bars" in caution
+    assert "at most half a turn, on one side of it, which may not hold the ship" in caution
     push_to_starboard = replace(port, sector_rad=(0.0, math.pi))
     push_to_port = replace(starboard, sector_rad=(math.pi, 2.0 * math.pi))
     assert caution_on_wash(ThrusterSet((push_to_starboard, starboard)))
