@@ -181,8 +181,8 @@ def test_how_far_rounds_lie_apart_is_said_of_a_quiet_run_alone(
             steps.loc[steps["repeat"] == repeat, "total_ns"] = total_ns
     assert compute_repetition_spread(records.view()) == (2.0, 2.0, configurations)
     topic = build_trust_topic(records.view())
-    assert topic is not None and said in topic.lines[0]
-    assert ("factor of 2.00" in topic.lines[0]) == (configurations == switches == 4)
+    assert topic is not None and said in topic.tables[0].note
+    assert ("factor of 2.00" in topic.tables[0].note) == (configurations == switches == 4)
 
 
 def test_one_disturbed_command_among_quiet_ones_is_not_called_quiet(records: Any) -> None:
@@ -210,5 +210,6 @@ def test_a_replay_that_is_worse_than_the_limits_alone_is_counted(records: Any) -
         line for line in topic.lines if line.startswith("Over all replays, the machine was quiet: ")
     )
     assert "quiet: 4 of 32 rounds were repeated because other work disturbed them, and 1 " in load
-    assert "remained disturbed (3.1 %, limit 5 %). Individually, 1 of 4 replays " in load
-    assert "exceeded the limit of 5 % disturbed rounds. Small differences" in load
+    assert load.endswith("remained disturbed (3.1 %, limit 5 %).")
+    assert "Individually, 1 of 4 replays " in topic.tables[0].note
+    assert "exceeded the limit of 5 % disturbed rounds. Small differences" in topic.tables[0].note
