@@ -377,7 +377,8 @@ class Written:
         self.terminal = " ".join(capsys.readouterr().out.split())
         self.markdown = (self.out / "report.md").read_text(encoding="utf-8")
         page = (self.out / "report.html").read_text(encoding="utf-8")
-        self.page = re.sub(r"<[^>]*>", "", page.partition("<main>")[2].partition("<script")[0])
+        shown = page.partition("<main>")[2].partition("<script")[0]
+        self.page = re.sub(r"<[^>]*>", "", shown).replace("\xa0", " ")
 
 
 @pytest.mark.slow

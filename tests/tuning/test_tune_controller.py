@@ -11,6 +11,7 @@ import pytest
 from dpbench.bench.run.exact_loop import compute_station_metrics, solve_loop_exactly
 from dpbench.cli.main import main
 from dpbench.errors import InputError
+from dpbench.locks import Holder
 from dpbench.scenario.scenario import load_scenario
 from dpbench.scenario.variation import copy_scenario_with_values, write_scenario_and_own_ship_files
 from dpbench.tuning.search import Trial
@@ -234,6 +235,18 @@ def test_a_controller_is_found_tried_anew_and_written(
     assert main(command) == 0
     assert kept.read_text().splitlines(keepends=True) == lines
     assert _read_rows(tmp_path) == rows
+
+
+def test_a_search_names_the_runs_that_it_may_disturb(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    busy = Holder("results/other", 0.0, 7)
+    (tmp_path / "trials.jsonl").write_text('{"search": "another"}\n')
+    for holders in ([busy], []):
+        monkeypatch.setattr("dpbench.locks.find_machine_lock_holders", lambda: holders)  # noqa: B023
+        assert main(["tune", "weather", *SMALL, "--out", str(tmp_path)]) == 2
+        said = f"dpbench: this search may disturb the step times of {busy}"
+        assert (said in capsys.readouterr().err) == bool(holders)
 
 
 def test_the_trials_of_another_search_are_refused(
