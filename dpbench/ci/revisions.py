@@ -8,7 +8,8 @@ where there is one. Pairs of runs that other load disturbed are repeated, each o
 such pairs in a row end the measurement. Exit 0: no regression shown, or a base without benchmarks;
 1: a regression, wrong answers, a benchmark that failed or is gone; 2: bad input, a tree without
 dpbench or with imports of files of the other, or no benchmark in either; the code of
---disturbed-exit: disturbed by other load, no regression shown.
+--disturbed-exit: disturbed by other load, no regression shown; 128 and the number of the signal:
+interrupted, the complete pairs are compared.
 """
 
 import argparse
@@ -18,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -61,6 +62,7 @@ exit codes:
   1     a regression: longer times, more iterations, larger errors, or a failed or missing benchmark
   2     bad input
   CODE  of --disturbed-exit: times disturbed, no regression shown
+  130   interrupted by Ctrl-C (143: SIGTERM); the complete pairs are compared
 
 examples:
   python -m dpbench.ci.revisions ../base . --markdown compare.md -- test_slsqp.py
@@ -183,8 +185,8 @@ def _has_source(name: str, *folders: Path) -> bool:
 
 def measure_by_turns(
     trees: tuple[Path, Path], count: int, arguments: Sequence[str], attempts: int | None = None
-) -> list[tuple[Measured, Measured]]:
-    """Measure two trees alternately until so many pairs are undisturbed; return all pairs.
+) -> Iterator[tuple[Measured, Measured]]:
+    """Measure two trees alternately until so many pairs are undisturbed; yield each pair.
 
     attempts : largest number of pairs; by default twice `count`, and two disturbed pairs in a row
         are the last ones.
@@ -226,9 +228,9 @@ def measure_by_turns(
             print(f"{pair} disturbed: {again}", file=sys.stderr)
         elif end:
             print(end, file=sys.stderr)
+        yield base, head
         if end:
             break
-    return pairs
 
 
 def _describe_time_left(run_s: float, runs: int, missing: int) -> str:
@@ -277,6 +279,21 @@ def _count_undisturbed_pairs(pairs: Sequence[tuple[Measured, Measured]]) -> int:
     return sum(base.is_quiet and head.is_quiet for base, head in pairs)
 
 
+def _collect_pairs(
+    measured: Iterator[tuple[Measured, Measured]],
+) -> tuple[list[tuple[Measured, Measured]], bool]:
+    """Return the complete pairs, and whether a signal ended the measurement after at least one."""
+    pairs: list[tuple[Measured, Measured]] = []
+    try:
+        for pair in measured:
+            pairs.append(pair)
+    except KeyboardInterrupt:
+        if not pairs:
+            raise
+        return pairs, True
+    return pairs, False
+
+
 def compare_trees(
     trees: tuple[Path, Path],
     count: int,
@@ -290,9 +307,10 @@ def compare_trees(
 ) -> tuple[RunComparison, list[str]]:
     """Compare two working trees; return the comparison and lines on how it was measured.
 
-    InputError where the head has no benchmark and the base has none either.
+    InputError where the head has no benchmark and the base has none either. A signal ends the
+    measurement: the complete pairs are compared; KeyboardInterrupt if there is none.
     """
-    pairs = measure_by_turns(trees, count, arguments, attempts)
+    pairs, is_interrupted = _collect_pairs(measure_by_turns(trees, count, arguments, attempts))
     disturbed = len(pairs) - _count_undisturbed_pairs(pairs)
     found = compare_runs(
         [(base.run, head.run) for base, head in pairs],
@@ -313,8 +331,10 @@ def compare_trees(
     end = describe_early_end(pairs, count, attempts)
     end = ADVICE if end == STOPPED else end * (found.verdict != NO_BASELINE)
     lines += [line for line in (end, base.reason and f"base: {base.reason}") if line]
-    lines += found.describe_unjudged(disturbed_exit)
-    return found, [*lines, found.describe_exit(disturbed_exit)]
+    # Disturbed times of an interrupted measurement do not pass.
+    lines += found.describe_unjudged(1 if is_interrupted else disturbed_exit)
+    interrupted = f"interrupted after {plural(len(pairs), 'pair')} of runs"
+    return found, [*lines, interrupted if is_interrupted else found.describe_exit(disturbed_exit)]
 
 
 def _name_tree(side: str, tree: Path) -> str:
@@ -394,11 +414,13 @@ def main(argv: list[str] | None = None) -> int:
 def run() -> int:
     """Run `main` and return its exit code; at a signal end pytest first: 128 and its number."""
     with first_signal_only() as interruption:
-        try:
-            return main()
-        except KeyboardInterrupt:
+        code = 0
+        with suppress(KeyboardInterrupt):  # the signal selects the exit code
+            code = main()
+        if interruption.signal:
             print("revisions: interrupted", file=sys.stderr)
-            return 128 + interruption.signal
+            code = 128 + interruption.signal
+        return code
 
 
 if __name__ == "__main__":

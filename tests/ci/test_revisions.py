@@ -66,7 +66,7 @@ def test_turns_alternate_and_one_disturbed_pair_is_repeated(
 ) -> None:
     """Three undisturbed pairs are wanted; load that stays ends the measurement after two."""
     order = stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=2)
-    assert len(measure_by_turns(trees, 3, [])) == 4
+    assert len([*measure_by_turns(trees, 3, [])]) == 4
     assert order[:4] == ["base", "head", "head", "base"]
     lines = capsys.readouterr().err.splitlines()
     assert lines[2] == "pair 1 disturbed: repeated"
@@ -102,7 +102,7 @@ def test_the_remaining_time_falls_and_ends(
     stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
     clock = iter(range(0, 1000, 10))
     monkeypatch.setattr(revisions.time, "monotonic", lambda: next(clock))
-    assert len(measure_by_turns(trees, 2, [], attempts=3)) == 3
+    assert len([*measure_by_turns(trees, 2, [], attempts=3)]) == 3
     found = [line.partition("10 s")[2] for line in capsys.readouterr().err.splitlines()]
     assert found == [
         *(", about 50 s left", ", about 40 s left", ""),
@@ -119,9 +119,9 @@ def test_attempts_go_on_after_disturbed_pairs(
     """Until enough pairs are undisturbed, or for so many pairs."""
     times = {"base": 1.0, "head": 1.0}
     stub_runs(monkeypatch, seconds=times, loud=8)
-    assert len(measure_by_turns(trees, 2, [], attempts=9)) == 6
+    assert len([*measure_by_turns(trees, 2, [], attempts=9)]) == 6
     stub_runs(monkeypatch, seconds=times, loud=99)
-    assert len(measure_by_turns(trees, 2, [], attempts=5)) == 5
+    assert len([*measure_by_turns(trees, 2, [], attempts=5)]) == 5
     assert capsys.readouterr().err.splitlines()[-1] == "pair 5 disturbed: no repeat left"
     stub_runs(monkeypatch, seconds=times, loud=99)
     assert main([*map(str, trees), "--pairs", "3", "--attempts", "1"]) == 0
@@ -302,6 +302,35 @@ def test_a_disturbed_comparison_fails_on_request(
     """A check that must end with a verdict does not pass without one."""
     stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
     assert main([*map(str, trees), "--pairs", "1", *options]) == code
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_keeps_the_complete_pairs(
+    monkeypatch: pytest.MonkeyPatch,
+    trees: tuple[Path, Path],
+    capsys: pytest.CaptureFixture[str],
+    number: signal.Signals,
+) -> None:
+    """In the second run of the third pair: two pairs are compared, on the screen and in a file."""
+    order = stub_runs(monkeypatch, seconds={"base": 1.0, "head": 2.0})
+    measure = revisions.measure_tree
+
+    def measure_five(tree: Path, arguments: list[str]) -> Measured:
+        if len(order) == 5:
+            signal.raise_signal(number)
+        return measure(tree, arguments)
+
+    monkeypatch.setattr(revisions, "measure_tree", measure_five)
+    markdown = trees[0].parent / "compare.md"
+    given = ["revisions", *map(str, trees), "--markdown", str(markdown)]
+    monkeypatch.setattr(sys, "argv", given)
+    assert revisions.run() == 128 + number
+    found = capsys.readouterr()
+    assert found.out.startswith("slower: 1 benchmark\n")
+    assert "; 2 pairs of runs, 0 of them disturbed" in found.out
+    assert found.out.splitlines()[-1] == "interrupted after 2 pairs of runs"
+    assert found.err.splitlines()[-1] == "revisions: interrupted"
+    assert markdown.read_text(encoding="utf-8").startswith("**dpbench: slower: 1 benchmark**")
 
 
 @pytest.mark.slow
