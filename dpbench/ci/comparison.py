@@ -348,7 +348,8 @@ def _is_allowed(measure: str, was: Benchmark, now: Benchmark, allow: Allowed) ->
     limits = [one.largest for one in allow if one.measure in names and one.solver == was.solver]
     # 1.13 times 100 is less than 113 in floating point.
     bounds = [(1.0 + limit) * (1.0 + 1e-9) * was.exact[measure] for limit in limits]
-    return any(now.exact[measure] <= bound for bound in bounds)
+    # Without a limit the bound of a measure of 0 is NaN.
+    return any(not now.exact[measure] > bound for bound in bounds)
 
 
 def _judge_benchmark(
@@ -394,10 +395,23 @@ def find_exact_changes(was: Benchmark, now: Benchmark, allow: Allowed = ()) -> l
     allow : measures that may grow, which are left out.
     """
     grown = _yield_grown_measures(was, now)
-    changes = [line for name, line in grown if not _is_allowed(name, was, now, allow)]
+    changes = [
+        line + _suggest_allowance(name, was, now)
+        for name, line in grown
+        if not _is_allowed(name, was, now, allow)
+    ]
     missing = sorted(was.exact.keys() - now.exact.keys())
     words_of = [MEASURES.get(name, ("", name, ""))[1] for name in missing]
     return changes + [f"{words}: no longer measured" for words in words_of]
+
+
+def _suggest_allowance(measure: str, was: Benchmark, now: Benchmark) -> str:
+    """Return the allowance that accepts the growth of a user's own measure; "" for others."""
+    if measure in MEASURES:
+        return ""
+    before, after = was.exact[measure], now.exact[measure]
+    limit = f"={np.ceil(100.0 * (after - before) / before):.0f}%" if before > 0.0 else ""
+    return f" (to accept: allow {measure}:{was.solver}{limit})"
 
 
 def find_allowed_changes(was: Benchmark, now: Benchmark, allow: Allowed) -> list[str]:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dpbench.ci import Allowance
+from dpbench.ci import Allowance, parse_allowance
 from dpbench.ci.benchmarks import BenchmarkRun, Selection
 from dpbench.ci.comparison import compare_runs, describe_end
 from dpbench.ci.machine_state import MachineState
@@ -185,6 +185,22 @@ def test_exact_measures_have_one_order_in_the_verdict() -> None:
     line = compare_runs([(run, more)], allow=allow).describe_verdict("b")
     exact_line = "iterations, errors and rows: no regression against b"
     assert line.endswith(f"; {exact_line}; 1 increase allowed")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "allowance"),
+    [(3799, 3874, "calls:slsqp=2%"), (10, 11, "calls:slsqp=10%"), (0, 4, "calls:slsqp")],
+)
+def test_a_larger_measure_of_the_user_names_its_allowance(
+    before: int, after: int, allowance: str
+) -> None:
+    """The growth of 3799 to 3874 is 1.97 %; that of 0 has no percentage. The allowance suffices."""
+    base, head = (
+        run_of(entry(solver="slsqp (native)", exact={"calls": x})) for x in (before, after)
+    )
+    (row,) = compare_runs([(base, head)]).rows
+    assert row.remarks[0].endswith(f" (to accept: allow {allowance})")
+    assert not compare_runs([(base, head)], allow=[parse_allowance(allowance)]).worse
 
 
 def test_other_growth_is_no_part_of_an_allowance() -> None:
