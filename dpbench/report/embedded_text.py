@@ -185,7 +185,7 @@ def describe_cheapest_solver(sequence: CountedSequence, requirements: Requiremen
     first, *others = right
     following = of_ranked = ""
     if others:
-        of_ranked = f"Of the {len(right)} accurate solvers, "
+        of_ranked = f"Of the {len(right)} counted solvers that are accurate, "
         p99, worst = format_count(others[0].p99), format_count(others[0].worst)
         following = f", followed by `{others[0].solver}` ({p99} and {worst})"
     return (
@@ -225,7 +225,9 @@ def yield_ranking_sentences(
         is_whole = not _list_unranked_settings(sequences)
         solvers = "the solvers" if is_whole else join_with_and([f"`{name}`" for name in ranked])
         where = "" if len(alike) == len(sequences) else f" in {join_with_and(alike)}"
-        yield f"Instruction counts and times on this machine rank {solvers} alike{where}."
+        yield (
+            f"Instruction counts and times on this machine rank {solvers} in the same order{where}."
+        )
 
 
 def yield_unranked_sentences(sequences: Sequence[CountedSequence]) -> Iterator[str]:

@@ -257,8 +257,8 @@ def test_a_qp_that_never_meets_a_limit_was_never_hard(records: Any) -> None:
     records.loop("daqp", "rough", exact_active_share=0.2)
     assert _summary(records).text.endswith(
         "Limits are active in 0 % (`calm`) to 20.0 % (`rough`) of the steps. In `calm` no limit "
-        "is ever active. Largest share of steps at each kind of limit, in closed loops without an "
-        "inaccurate step: rate limit 13.0 % (sway in `rough`)."
+        "is ever active. Largest share of steps at each kind of limit, over the solvers' closed "
+        "loops that are accurate on every step: rate limit 13.0 % (sway in `rough`)."
     )
 
 
@@ -529,19 +529,19 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     text = _summary(records).text
     assert text.startswith(
         "With exactly solved QPs, the controller holds the ship on station (5 m, 5°) in 2 of 2 "
-        "scenarios, except while it approaches a new setpoint. Apart from these approaches, the "
-        "largest offset is 1.77 m in "
+        "scenarios, except while the ship approaches a new setpoint. Apart from these approaches, "
+        "the largest offset is 1.77 m in "
         "`paper` at the start (0.0400 m at the end)."
     )
     assert text.endswith(
         "In `turn`, the ship is up to 17.0 m from the new setpoint during the approach and on "
-        "station from 73.8 s after the start."
+        "station from t = 73.8 s."
     )
     farther = {"exact_transfer_offset_max_m": 25.0, "exact_transfer_s": 40.2}
     records.loop("daqp", "move", **TURN | farther)
     assert (
         "In `turn` and `move`, the ship is up to 25.0 m from the new setpoint during the approach "
-        "and on station from 73.8 s after the start at the latest."
+        "and on station from t = 73.8 s at the latest."
     ) in _summary(records).text
 
 
@@ -561,7 +561,7 @@ def test_the_line_of_a_ship_after_a_transfer_states_both_offsets(records: Any) -
     (ship,) = find_ship_results(records.view())
     assert describe_ship(ship).startswith(
         "`turn`: up to 17.0 m from the new setpoint during the approach and on station from "
-        "73.8 s after the start; largest offset after it 0.831 m at 104 s, last 0.0400 m; "
+        "t = 73.8 s; largest offset after it 0.831 m at 104 s, last 0.0400 m; "
     )
 
 

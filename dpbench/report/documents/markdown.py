@@ -78,7 +78,8 @@ CALL_MODES = (
 )
 FAILED_STEPS = (
     "The failed steps of all closed loops, replays and windows are added up: a step counts once "
-    "in each run in which it fails, in a replay or window in any round, warm-up included."
+    "in each run in which it fails. In a replay or window, one failed round suffices, warm-up "
+    "included."
 )
 SINGLE_TIMINGS = "The p99 of single timings includes interference from other work."
 FEW_STEPS = "A p99 of step times needs at least 1 000 steps; a dash marks a shorter replay."

@@ -315,7 +315,7 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
         )
         error = _describe_larger_error(chosen, found.runner_up)
         measure = "p99" if isfinite(found.runner_up.p99_ns) else "p50"
-        text = f"The next fastest is {label}, in order of the {measure}. Its {time} {beside}{error}"
+        text = f"The next fastest is {label}, ordered by {measure}. Its {time} {beside}{error}"
         yield "next", text
     named = [*filter(None, (chosen, found.faster, found.runner_up))]
     if short := describe_short_times(data.records, named):
@@ -426,26 +426,27 @@ def _list_limiting_steps(
     """
     wait = describe_hardest_wait(data.records, margin.hardest.run)
     is_longest = margin.p99.time_ns == margin.hardest.time_ns
-    p99 = (
-        f"{format_time(margin.p99.time_ns)}{wait * is_longest}, the time of "
-        f"{_name_slow_step(margin.p99)} ({_describe_work(margin.p99)})"
-    )
+    step = f"the time of {_name_slow_step(margin.p99)} ({_describe_work(margin.p99)})"
+    measured = f"{format_time(margin.p99.time_ns)}{wait * is_longest}"
+    p99 = f"The {time} is {step}{wait * is_longest}."
     opening, beyond = "The longest step is", ""
     hardest = f"{format_time(margin.hardest.time_ns)}{wait} ({_describe_work(margin.hardest)})"
     if margin.p99.run.untimed_iterations > 1.0:
-        scaled = format_time(margin.limiting_p99_ns)
-        p99 = f"{scaled}, scaled up to the iterations of the closed loop from {p99}"
+        p99 = f"The {time} is scaled up from {measured}, {step}."
     if margin.limiting_p99_ns > measured_ns:
-        beyond = (
-            f" Being scaled, it exceeds the longest measured step ({format_time(measured_ns)})."
-        )
+        beyond = f" It therefore exceeds the longest measured step ({format_time(measured_ns)})."
     if margin.hardest.run.untimed_iterations_max > 1.0:
-        opening = "Scaled up in this way, the longest step is"
-        hardest = f"{format_time(margin.longest_ns)}, as measured {hardest}"
+        opening = "Scaled up by its own factor, that of the most iterations, the longest step is"
+        hardest = f"{format_time(margin.longest_ns)}, from {hardest}"
     requirements = data.requirements
+    if margin.deadline < margin.p99_limit:
+        p99 += (
+            f" It is {format_time(margin.limiting_p99_ns)} and reaches its limit of "
+            f"{requirements.p99_ms:g} ms at a slowdown of "
+            f"× {format_rounded_down(margin.p99_limit)}."
+        )
     return [
-        f"The {time} is {p99}. It reaches the limit of {requirements.p99_ms:g} ms at a slowdown of "
-        f"× {format_rounded_down(margin.p99_limit)}.{beyond}",
+        f"{p99}{beyond}",
         f"{opening} {_name_slow_step(margin.hardest)}: {hardest}. It reaches the deadline of "
         f"{requirements.deadline_ms:g} ms at a slowdown of × "
         f"{format_rounded_down(margin.deadline)}.",

@@ -246,7 +246,7 @@ def _describe_arrival(moved: Sequence[ShipResult]) -> str:
     latest = " at the latest" if len(moved) > 1 else ""
     return (
         f"up to {significant(off_m)} m from the new setpoint during the approach and on station "
-        f"from {significant(last_s)} s after the start{latest}"
+        f"from t = {significant(last_s)} s{latest}"
     )
 
 
@@ -319,7 +319,7 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     moves, largest = "", "The largest offset"
     if any(ship.has_transfer for ship in kept):
-        moves = ", except while it approaches a new setpoint"
+        moves = ", except while the ship approaches a new setpoint"
         largest = "Apart from these approaches, the largest offset"
     return (
         f"With exactly solved QPs, the controller holds the ship on station "
@@ -520,8 +520,8 @@ def _describe_kinds_of_limits(known: Sequence[ShipResult]) -> Iterator[str]:
             parts.append(f"{kind} {format_share(share)} ({axis}{_locate_ship(ship)})")
     if parts:
         yield (
-            "Largest share of steps at each kind of limit, in closed loops without an inaccurate "
-            f"step: {join_with_and(parts)}."
+            "Largest share of steps at each kind of limit, over the solvers' closed loops that are "
+            f"accurate on every step: {join_with_and(parts)}."
         )
 
 

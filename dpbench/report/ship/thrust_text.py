@@ -89,10 +89,10 @@ def tabulate_thruster_use(ships: Sequence[ShipResult]) -> Table | None:
     rows = [
         {
             "scenario": ship.name,
-            "window [s]": f"{use.window_s[0]:.0f} to {use.window_s[1]:.0f}",
+            "period [s]": f"{use.window_s[0]:.0f} to {use.window_s[1]:.0f}",
             "thruster": name,
             "mean thrust [%]": f"{100.0 * mean:.0f}",
-            "largest thrust [%]": f"{100.0 * most:.0f}",
+            "peak thrust [%]": f"{100.0 * most:.0f}",
             "steps at a limit [%]": f"{100.0 * limit:.0f}",
             "steps at the rate limit [%]": f"{100.0 * rate:.0f}",
         }
@@ -101,9 +101,10 @@ def tabulate_thruster_use(ships: Sequence[ShipResult]) -> Table | None:
         for name, (mean, most, limit, rate) in use.thrusters.items()
     ]
     note = (
-        "Commanded thrust in percent of the largest thrust ahead. A limit is that of the thrust or "
-        "the sector of an azimuth. The window begins at the last loss, or else at the start. It "
-        "ends when the ship leaves its station, or else with the run. Lost thrusters are left out."
+        "Commanded thrust in percent of the thruster's maximum thrust ahead. Limit: the thrust "
+        "limit, or the sector limit of an azimuth. The period begins at the last loss of a "
+        "thruster, or at the start if there is none. It ends when the ship leaves its station, or "
+        "at the end of the run. Lost thrusters are left out."
     )
     title = "Use of each thruster in the reference loop"
     return Table.from_rows(rows, title, note=note, text_columns=3, folded=True) if rows else None

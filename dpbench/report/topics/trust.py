@@ -63,7 +63,7 @@ def _describe_round_spread(records: Records, *, is_quiet: bool) -> list[str]:
     spread = (
         f"This run gives no estimate of how much times differ between days: {join_with_and(why)}."
         if why
-        else f"In 95 % of the configurations the rounds of this run agree within a factor of "
+        else "In 95 % of the configurations the step times of the rounds agree within a factor of "
         f"{significant(high)}, in half of them within {significant(usual)}. Runs on other days can "
         "differ by more."
     )
@@ -90,8 +90,8 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
     waits = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
     worst = max(abs(compute_excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
-        f"Waits of known length were measured as follows: {join_with_and(waits)} (largest p50 of "
-        "the replays). Absolute times of such lengths may therefore be wrong by up to "
+        f"Waits were measured outside the tolerance: {join_with_and(waits)} (largest p50 of the "
+        "calibration replays). Absolute times of similar length may be wrong by up to "
         f"{format_sample_share(worst)}.{below}"
     )
 

@@ -231,8 +231,8 @@ def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
     return (
         f"The time limit (`cell_limit_s`) stopped {len(late)} of "
         f"{plural(len(ran), 'started run')}: {name_counts(stopped.most_common(), others)}. "
-        "A configuration with such a run cannot pass, unless it is a replay of which all steps "
-        "were timed. Outcome in `tables/runs.csv`: `timed_out`."
+        "A configuration with such a run cannot pass, unless the run is a replay of which all "
+        "steps were timed. Outcome in `tables/runs.csv`: `timed_out`."
     )
 
 
@@ -330,8 +330,8 @@ def describe_scaled_p99(verdict: Verdict) -> str:
     if run is None or not verdict.p99_bound_ns > verdict.p99_ns:
         return ""
     return (
-        f" The closed loop of `{run.scenario}` needs more iterations than the replayed steps. "
-        f"Scaled up to its iterations, the p99 is {format_time(verdict.p99_bound_ns)}."
+        f" Its limiting p99 is {format_time(verdict.p99_bound_ns)}: the p99 in `{run.scenario}`, "
+        "scaled up to the iterations of that closed loop."
     )
 
 

@@ -78,7 +78,7 @@ def test_the_bar_is_1_us_or_a_hundredth(records: Any, off_us: float, missed: lis
     _with_calibration(records, off_us)
     verdict, _, figures = records.ending()["timing"].partition(" (")
     assert verdict == (
-        f"{join_with_and(missed)} not within tolerance"
+        f"{join_with_and(missed)} measured outside the tolerance"
         if missed
         else "known waits were measured within tolerance"
     )
@@ -158,7 +158,7 @@ def test_records_without_counters_say_nothing(records: Any) -> None:
         (
             4,
             4,
-            "rounds of this run agree within a factor of 2.00, in half of them within 2.00. Runs",
+            "the rounds agree within a factor of 2.00, in half of them within 2.00. Runs",
         ),
         (3, 4, "differ between days: only 3 configurations had two rounds."),
         (4, 900, "no estimate of how much times differ between days: the machine was disturbed."),

@@ -141,8 +141,8 @@ async function drawOne() {
   const drawn = run.t !== undefined && run.t !== null;
   $("figure-strips").hidden = $("strips-said").hidden = !drawn;
   $("strips-time").textContent = facts.experiments[state.p].mode === "replay"
-    ? "Dot: fastest round that counts; grey line: up to the largest timing. A replay has no plant, so no ship is shown."
-    : "Dot: one step, timed once, while other runs used the machine. Compare times in replays and windows only.";
+    ? "Step time, error and iterations of each step. Dot: fastest round that counts; grey line: up to the largest timing. A replay has no plant, so no ship is shown."
+    : "Step time, error, iterations and forces of each step. Dot: one step, timed once, while other runs used the machine. Compare times in replays and windows only.";
   const thinned = drawn && facts.arrays[run.t][4] !== undefined;
   $("strips-kept").hidden = !thinned;
   if (thinned) $("strips-kept").replaceChildren(...coded(
