@@ -131,6 +131,8 @@ class Opener:
         page.goto(f"{self.file.as_uri()}{fragment}")
         if scripts:
             wait_until_ready(page)
+            # Many tests read the table of the runs, which a reader opens with a click.
+            page.evaluate("document.querySelector('#rows')?.setAttribute('open', '')")
         return page
 
     def select(self, fragment: str = "") -> Any:

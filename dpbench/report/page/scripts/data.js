@@ -1,8 +1,7 @@
 // The table of all runs: found, sorted, chosen from, saved.
 "use strict";
 
-// Rows of all runs are turned over by pages of 20; of one configuration 5 show which columns there are.
-const pageRows = () => ($("table-of").value === "all" ? 20 : 5);
+const ROWS = 20;
 const sorting = { column: 0, down: false, from: 0 };
 function drawTable() {
   const table = facts.table, filter = $("table-filter").value.toLowerCase();
@@ -39,7 +38,7 @@ function drawTable() {
     const window = table.windows.includes(i) ? i : null;
     if (table.p[i] !== null) select({ c: table.c[i], p: table.p[i], k: null, window });
   };
-  const body = rows.slice(from, from + pageRows()).map((i) => {
+  const body = rows.slice(from, from + ROWS).map((i) => {
     const tr = document.createElement("tr");
     for (const [column, j] of shown) {
       const td = document.createElement("td"), value = table.values[j][i];
@@ -61,11 +60,11 @@ function drawTable() {
   });
   $("table-head").replaceChildren(head);
   $("table-body").replaceChildren(...body);
-  $("table-said").textContent = `${rows.length ? `rows ${grouped(from + 1)} to ${grouped(Math.min(from + pageRows(), rows.length))} of ${grouped(rows.length)}` : "no row matches"}${
+  $("table-said").textContent = `${rows.length ? `rows ${grouped(from + 1)} to ${grouped(Math.min(from + ROWS, rows.length))} of ${grouped(rows.length)}` : "no row matches"}${
     rows.length === table.rows ? "" : `${rows.length ? " selected" : ""}; ${grouped(table.rows)} in total`}${
     table.calibration_runs ? `, including ${many(table.calibration_runs, "calibration run")}` : ""}`;
   turnable($("table-back"), from > 0, $("table-next"));
-  turnable($("table-next"), from + pageRows() < rows.length, $("table-back"));
+  turnable($("table-next"), from + ROWS < rows.length, $("table-back"));
   state.rows = rows; state.shown = shown;
   drawQuery();
 }
@@ -123,8 +122,8 @@ SECTIONS.push({
     for (const [id, event] of [["filter", "input"], ["group", "change"], ["of", "change"]]) {
       on(`table-${id}`, event, () => { sorting.from = 0; drawTable(); });
     }
-    $("table-back").addEventListener("click", () => { sorting.from -= pageRows(); drawTable(); });
-    $("table-next").addEventListener("click", () => { sorting.from += pageRows(); drawTable(); });
+    $("table-back").addEventListener("click", () => { sorting.from -= ROWS; drawTable(); });
+    $("table-next").addEventListener("click", () => { sorting.from += ROWS; drawTable(); });
     $("table-csv").addEventListener("click", () => download("runs.csv", csv()));
   },
 });
