@@ -24,8 +24,8 @@ from dpbench.analysis.compare.evidence import (
     assess_time_ratios,
     remove_factor_shared_by_group,
 )
+from dpbench.analysis.records.machine import GROSS
 from dpbench.analysis.statistics import Interval
-from dpbench.analysis.times.machine import GROSS
 from dpbench.ci import MARGIN, Allowance
 from dpbench.ci.benchmarks import WRONG_ANSWERS, Benchmark, BenchmarkRun
 from dpbench.ci.gross_slowdown import find_unmet_condition

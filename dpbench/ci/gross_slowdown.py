@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dpbench.analysis.records.machine import GROSS
 from dpbench.analysis.statistics import Interval
-from dpbench.analysis.times.machine import GROSS
 from dpbench.bench.record.disturbance import MAX_STEAL_SHARE
 from dpbench.ci.benchmarks import Benchmark
 from dpbench.report.formats import plural, significant

@@ -3,9 +3,9 @@
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+from dpbench.analysis.records.machine import select_timed_replays, sum_disturbances_by_campaign
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
-from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances_by_campaign
 from dpbench.bench.record.machine import describe_version
 from dpbench.bench.record.result_folder import SuiteDescription
 from dpbench.report.formats import join_with_and, plural

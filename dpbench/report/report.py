@@ -12,18 +12,18 @@ from typing import Any
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
+from dpbench.analysis.records.machine import (
+    find_largest_median_by_test_solver,
+    select_delayed_loops,
+    select_timed_replays,
+    sum_disturbances,
+)
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.anytime import tabulate_limited_loops
 from dpbench.analysis.suites.capability import build_capability_results, build_consequence_analyses
 from dpbench.analysis.suites.study_tables import (
     tabulate_differences_from_reference,
     tabulate_study_points,
-)
-from dpbench.analysis.times.machine import (
-    find_largest_median_by_test_solver,
-    select_delayed_loops,
-    select_timed_replays,
-    sum_disturbances,
 )
 from dpbench.analysis.times.solver_tables import (
     tabulate_best_times,

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pandas as pd
 
+from dpbench.analysis.records.machine import GROSS
 from dpbench.analysis.statistics import MARKED_WIDENING
 from dpbench.analysis.suites.study import NOTHING, Study
 from dpbench.analysis.suites.study_effects import (
@@ -16,7 +17,6 @@ from dpbench.analysis.suites.study_effects import (
     compute_study_interactions,
     find_dominated_effects,
 )
-from dpbench.analysis.times.machine import GROSS
 from dpbench.report.formats import MISSING, Table, format_estimate_with_bounds, mark_solver, plural
 
 MOST_ROWS = 24

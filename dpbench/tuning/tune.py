@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from dpbench.analysis.records.machine import sum_disturbances
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.times.machine import sum_disturbances
 from dpbench.analysis.verdict.requirements import (
     LATE,
     Finding,

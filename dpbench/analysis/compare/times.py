@@ -19,10 +19,10 @@ from dpbench.analysis.compare.evidence import (
     remove_reference_factor,
 )
 from dpbench.analysis.compare.pairs import Pair, pick_identifying_columns
+from dpbench.analysis.records.machine import compute_round_spread, sum_disturbances_by_sequence
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
 from dpbench.analysis.statistics import bootstrap_error_of_mean
-from dpbench.analysis.times.machine import compute_round_spread, sum_disturbances_by_sequence
 from dpbench.analysis.times.paired_times import MACHINE_DISTURBED
 from dpbench.arrays import Floats, Ints
 from dpbench.bench.judge.rules import median_of_known

@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
+from dpbench.analysis.records.machine import separate_own_switches, sum_disturbances
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.statistics import (
@@ -28,7 +29,6 @@ from dpbench.analysis.statistics import (
     adjust_p_values_by_holm,
     bound_probability_after_no_event,
 )
-from dpbench.analysis.times.machine import separate_own_switches, sum_disturbances
 from dpbench.analysis.verdict.requirements import Requirements, is_right_on_every_step
 from dpbench.analysis.verdict.verdict import find_solver_record_or_none
 from dpbench.arrays import Floats

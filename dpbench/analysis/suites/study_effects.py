@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import is_numeric_dtype
 
+from dpbench.analysis.records.machine import GROSS
 from dpbench.analysis.statistics import MeanEstimate
 from dpbench.analysis.suites.study import (
     LEAST_PAIRS,
@@ -30,7 +31,6 @@ from dpbench.analysis.suites.study import (
     compute_paired_difference,
     estimate_mean_over_points,
 )
-from dpbench.analysis.times.machine import GROSS
 from dpbench.arrays import Floats
 
 INTERACTS = " × "

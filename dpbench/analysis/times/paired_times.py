@@ -11,11 +11,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from dpbench.analysis.records.machine import compute_round_spread
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
 from dpbench.analysis.records.run_steps import StepTimes
 from dpbench.analysis.statistics import UNKNOWN, Interval, estimate_pooled_ratio, select_long_series
-from dpbench.analysis.times.machine import compute_round_spread
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.arrays import Floats
 from dpbench.bench.judge.rules import percentile_or_nan

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from dpbench.analysis.records.machine import compute_round_spread, find_library_call_ns
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
 from dpbench.analysis.records.thinned_runs import ThinnedRun
-from dpbench.analysis.times.machine import compute_round_spread, find_library_call_ns
 from dpbench.analysis.times.paired_times import (
     PairedComparison,
     TimedReplay,

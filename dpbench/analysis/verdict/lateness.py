@@ -422,3 +422,14 @@ def _test_steps_past_deadline(
             p = machine.compute_tail_probability(late, float(own.base_ns.sum()))
         tests.append(LateTimings("past the deadline", run, late, samples, expected, p))
     return tests
+
+
+def compute_repetition_spread(records: Records) -> tuple[float, float, int]:
+    """Return median, 95 % quantile and number of configurations' slowest over fastest repetition.
+
+    NaN, NaN and 0 without two rounds.
+    """
+    slowest = list(estimate_uncertainty(records).slowest.values())
+    if not slowest:
+        return math.nan, math.nan, 0
+    return float(np.median(slowest)), compute_factor_quantile(slowest), len(slowest)

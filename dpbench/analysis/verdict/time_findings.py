@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from dpbench.analysis.records.machine import compute_round_spread
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import RunSteps, StepTimes
 from dpbench.analysis.statistics import UNKNOWN, Interval, estimate_percentile_interval
-from dpbench.analysis.times.machine import compute_round_spread
 from dpbench.analysis.verdict.lateness import (
     LateTimings,
     Uncertainty,

@@ -1,8 +1,8 @@
 """Descriptions of the two folders of a comparison: code, machine, load and options."""
 
 from dpbench.analysis.compare.pairs import Pairs
+from dpbench.analysis.records.machine import select_timed_replays, sum_disturbances
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances
 from dpbench.bench.record.machine import describe_version
 from dpbench.report.commands_text import describe_machine_states
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import vl_convert as vlc
 
+from dpbench.analysis.records.machine import select_timed_replays
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import group_by_key
 from dpbench.analysis.suites.capability import (
@@ -22,7 +23,6 @@ from dpbench.analysis.suites.capability import (
     build_capability_results,
     build_consequence_analyses,
 )
-from dpbench.analysis.times.machine import select_timed_replays
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.analysis.verdict.thruster_verdicts import copy_with_thruster_times

@@ -6,8 +6,8 @@ from typing import Any
 
 import pandas as pd
 
+from dpbench.analysis.records.machine import find_shortest_wait_ns
 from dpbench.analysis.suites.study import SMALL_M
-from dpbench.analysis.times.machine import find_shortest_wait_ns
 from dpbench.analysis.times.solver_tables import (
     compute_half_widths_of_pairs,
     tabulate_best_times,

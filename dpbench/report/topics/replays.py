@@ -6,6 +6,7 @@ from math import isfinite
 
 import numpy as np
 
+from dpbench.analysis.records.machine import compute_round_spread
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.records.run_steps import RunSteps
@@ -21,7 +22,6 @@ from dpbench.analysis.times.contrasts import (
     find_right_levels_by_solver,
     yield_matched_replays,
 )
-from dpbench.analysis.times.machine import compute_round_spread
 from dpbench.analysis.times.paired_times import (
     MACHINE_DISTURBED,
     TimedReplay,

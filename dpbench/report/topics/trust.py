@@ -4,10 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.times.machine import (
-    compute_repetition_spread,
+from dpbench.analysis.records.machine import (
     find_disturbed_replays,
     find_largest_median_by_test_solver,
     find_shortest_wait_ns,
@@ -15,6 +12,9 @@ from dpbench.analysis.times.machine import (
     select_timed_replays,
     sum_disturbances,
 )
+from dpbench.analysis.records.records import Records
+from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.verdict.lateness import compute_repetition_spread
 from dpbench.bench.judge.calibration import compute_excess_over_wait_ns, is_within_tolerance
 from dpbench.bench.record.disturbance import MAX_DISTURBED_SHARE, Disturbance
 from dpbench.report.charts.lines import draw_dots

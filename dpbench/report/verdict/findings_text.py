@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from math import isnan
 
 from dpbench.analysis.records.loop_ratios import LOOP_SIGNS
+from dpbench.analysis.records.machine import sum_disturbances
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
-from dpbench.analysis.times.machine import sum_disturbances
 from dpbench.analysis.verdict.requirements import PERHAPS_BY_MACHINE, Finding
 from dpbench.analysis.verdict.verdict import explain_outcome, find_solver_record_or_none
 from dpbench.bench.judge.answer_caching import CachingSign

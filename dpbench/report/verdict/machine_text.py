@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from math import isnan
 
+from dpbench.analysis.records.machine import find_largest_by_name
 from dpbench.analysis.records.run_record import RunRecord
-from dpbench.analysis.times.machine import find_largest_by_name
 from dpbench.bench.judge.calibration import is_within_tolerance
 from dpbench.bench.record.disturbance import Disturbance
 from dpbench.bench.record.result_folder import MachineDescription

@@ -8,9 +8,9 @@ import pytest
 
 from dpbench.analysis.compare.pairs import pair_runs_of_folders
 from dpbench.analysis.compare.times import compute_log_time_ratios, find_reference_indices
+from dpbench.analysis.records.machine import select_timed_replays, sum_disturbances_by_campaign
 from dpbench.analysis.records.run_record import SEPARATE
 from dpbench.analysis.times.contrasts import compare_routes, count_wins_of_formulations
-from dpbench.analysis.times.machine import select_timed_replays, sum_disturbances_by_campaign
 from dpbench.analysis.times.paired_times import (
     PairedComparison,
     compare_paired_times,

@@ -10,7 +10,6 @@ import numpy as np
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
 from dpbench.analysis.records.run_steps import StepTimes
-from dpbench.analysis.verdict.lateness import compute_factor_quantile, estimate_uncertainty
 from dpbench.bench.record.disturbance import MAX_SWITCHES_PER_S, Disturbance
 from dpbench.solvers.calibration import COPY_ONLY, WAITS_NS
 
@@ -21,17 +20,6 @@ each solve is put off its only core by that thread, where a busy machine would p
 neighbours too."""
 GROSS = 1.5
 """Ratio of step times on a disturbed machine beyond which other load does not explain it."""
-
-
-def compute_repetition_spread(records: Records) -> tuple[float, float, int]:
-    """Return median, 95 % quantile and number of configurations' slowest over fastest repetition.
-
-    NaN, NaN and 0 without two rounds.
-    """
-    slowest = list(estimate_uncertainty(records).slowest.values())
-    if not slowest:
-        return math.nan, math.nan, 0
-    return float(np.median(slowest)), compute_factor_quantile(slowest), len(slowest)
 
 
 def select_timed_replays(records: Records) -> list[RunRecord]:

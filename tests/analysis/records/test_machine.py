@@ -4,11 +4,11 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.times.machine import (
-    compute_repetition_spread,
+from dpbench.analysis.records.machine import (
     select_timed_replays,
     sum_disturbances,
 )
+from dpbench.analysis.verdict.lateness import compute_repetition_spread
 from dpbench.report.formats import format_sample_share, join_with_and
 from dpbench.report.topics.trust import build_trust_topic
 from dpbench.solvers.calibration import CALIBRATION, WAITS_NS
