@@ -237,16 +237,19 @@ def test_a_controller_is_found_tried_anew_and_written(
     assert _read_rows(tmp_path) == rows
 
 
+@pytest.mark.parametrize("holders", [[Holder("results/other", 0.0, 7)], []])
 def test_a_search_names_the_runs_that_it_may_disturb(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    holders: list[Holder],
 ) -> None:
-    busy = Holder("results/other", 0.0, 7)
     (tmp_path / "trials.jsonl").write_text('{"search": "another"}\n')
-    for holders in ([busy], []):
-        monkeypatch.setattr("dpbench.locks.find_machine_lock_holders", lambda: holders)  # noqa: B023
-        assert main(["tune", "weather", *SMALL, "--out", str(tmp_path)]) == 2
-        said = f"dpbench: this search may disturb the step times of {busy}"
-        assert (said in capsys.readouterr().err) == bool(holders)
+    monkeypatch.setattr("dpbench.locks.find_machine_lock_holders", lambda: holders)
+    assert main(["tune", "weather", *SMALL, "--out", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert ("dpbench: this search may disturb the step times of " in said) == bool(holders)
+    assert all(str(holder) in said for holder in holders)
 
 
 def test_the_trials_of_another_search_are_refused(
