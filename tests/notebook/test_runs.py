@@ -408,7 +408,9 @@ def test_a_replay_names_what_disturbed_it() -> None:
     quiet = {"rounds": 2, "disturbed_rounds": 0, "counting_disturbed": 0}
     still = run.steps.assign(waited_ns=0)
     calm = replace(run, steps=still, summary=pd.Series(run.summary.to_dict() | quiet))
-    assert "machine" not in repr(calm) and "waits" not in repr(calm)
+    # A late timing names the machine and its waits too, so the whole warnings are looked for.
+    for warning in ("the machine was disturbed", "of the timed span the solver waited"):
+        assert warning not in repr(calm)
     assert ">machine<" not in calm._repr_html_()
     busy = replace(calm, summary=pd.Series(calm.summary.to_dict() | {"disturbed_rounds": 3}))
     assert "the machine was disturbed in 3 of 5 rounds" in repr(busy)
