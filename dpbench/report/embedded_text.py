@@ -181,11 +181,11 @@ def describe_cheapest_solver(sequence: CountedSequence, requirements: Requiremen
     right = [one for one in sequence.solvers if one.error_move <= requirements.error_move]
     where = _mark_sequence_and_core(sequence)
     if not right:
-        return f"No counted solver stays within the required error in {where}."
+        return f"No solver whose instructions were counted is within the error limit in {where}."
     first, *others = right
     following = of_ranked = ""
     if others:
-        of_ranked = f"Of the {len(right)} counted solvers that are accurate, "
+        of_ranked = f"Of the {len(right)} accurate solvers whose instructions were counted, "
         p99, worst = format_count(others[0].p99), format_count(others[0].worst)
         following = f", followed by `{others[0].solver}` ({p99} and {worst})"
     return (

@@ -72,8 +72,9 @@ def _explain_step_times(data: PageData) -> str:
 
 
 BARS = (
-    "In the figure of step times, the limiting p99 is scaled up to the iterations of the closed "
-    "loop. It may therefore exceed the longest step, which is drawn as measured. Single timings "
+    "In the figure of step times, the limiting p99 is the largest p99 of all replays and windows, "
+    "scaled up to the iterations of the closed loop. It may therefore exceed the longest step, "
+    "which is drawn as measured. Single timings "
     "include those of closed loops. The call overhead is the time of a call that only copies its "
     "data, drawn up to the p50 at most. Below 5 µs, differences may be due to the bindings, not "
     "the methods."
@@ -101,10 +102,10 @@ MATRIX = (
 DEFINITIONS = (
     "Fail: at least one solution is inaccurate, or missing although the QP has one; at least one "
     "step failed; or the process crashed. Late: accurate, but too slow. Borderline: accurate, but "
-    "a time is closer to its limit than the rounds are to each other. Inconclusive: no violation "
-    "is shown, but a run is missing or could not be measured, a step may be late, or steps that "
-    "were not timed may exceed a time limit. The verdict on a closed loop includes the timing of "
-    "its window of hardest steps."
+    "a time is above or below its limit by less than the difference between rounds. "
+    "Inconclusive: no violation is shown, but a run is missing or could not be measured, a step "
+    "may be late, or steps that were not timed may exceed a time limit. The verdict on a closed "
+    "loop includes the timing of its window of hardest steps."
 )
 
 
@@ -244,7 +245,7 @@ def _explain_other_replays(points: pd.DataFrame, names: str, usual: str) -> str:
     has_p99 = points["p99_us"].notna()
     if has_p99[points["timed_on"] == names].any() or not has_p99[points["timed_on"] == usual].all():
         return f"For {solvers}, the step time is "
-    return f"There is no p99 of {solvers} in this replay; the p50 shown instead is "
+    return f"A p99 of {solvers} was not measured there; the p50 used in its place is "
 
 
 def _mark_names(names: Iterable[str]) -> list[str]:

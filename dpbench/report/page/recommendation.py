@@ -314,8 +314,8 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
             first, compare_paired_times(*pair), count_common_window_steps(*pair)
         )
         error = _describe_larger_error(chosen, found.runner_up)
-        measure = "p99" if isfinite(found.runner_up.p99_ns) else "p50"
-        text = f"The next fastest is {label}, ordered by {measure}. Its {time} {beside}{error}"
+        measure = "largest p99" if isfinite(found.runner_up.p99_ns) else "p50"
+        text = f"The next fastest is {label}, by {measure}. Its {time} {beside}{error}"
         yield "next", text
     named = [*filter(None, (chosen, found.faster, found.runner_up))]
     if short := describe_short_times(data.records, named):
@@ -436,7 +436,7 @@ def _list_limiting_steps(
     if margin.limiting_p99_ns > measured_ns:
         beyond = f" It therefore exceeds the longest measured step ({format_time(measured_ns)})."
     if margin.hardest.run.untimed_iterations_max > 1.0:
-        opening = "Scaled up by its own factor, that of the most iterations, the longest step is"
+        opening = "Scaled up to the most iterations of the closed loop, the longest step is"
         hardest = f"{format_time(margin.longest_ns)}, from {hardest}"
     requirements = data.requirements
     if margin.deadline < margin.p99_limit:

@@ -193,4 +193,7 @@ def _describe_replay(data: PageData, run: RunRecord, loop_steps: int) -> str:
     share = format_share(float(np.mean(kept.steps.n_active > 0)))
     end_s = (first + run.steps_planned) * run.sample_s
     lost = ", with those of lost thrusters" * any(at_s < end_s for at_s, _ in list_losses(run))
-    return f"Replay of {window}its {loop}; limits are active in {share} of the steps{lost}."
+    return (
+        f"Replay of {window}its {loop}; at least one limit is active in {share} of these "
+        f"steps{lost}."
+    )

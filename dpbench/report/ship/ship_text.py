@@ -320,7 +320,7 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     moves, largest = "", "The largest offset"
     if any(ship.has_transfer for ship in kept):
         moves = ", except while the ship approaches a new setpoint"
-        largest = "Apart from these approaches, the largest offset"
+        largest = "Outside these approaches, the largest offset"
     return (
         f"With exactly solved QPs, the controller holds the ship on station "
         f"({_format_station_limits(farthest)}){weather} {where}{moves}. {largest} is "
@@ -520,8 +520,8 @@ def _describe_kinds_of_limits(known: Sequence[ShipResult]) -> Iterator[str]:
             parts.append(f"{kind} {format_share(share)} ({axis}{_locate_ship(ship)})")
     if parts:
         yield (
-            "Largest share of steps at each kind of limit, over the solvers' closed loops that are "
-            f"accurate on every step: {join_with_and(parts)}."
+            "Largest share of steps that end at a limit, by kind, over the solvers' closed loops "
+            f"that are accurate on every step: {join_with_and(parts)}."
         )
 
 

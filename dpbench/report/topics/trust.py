@@ -112,7 +112,7 @@ def _describe_machine_load(timed: Sequence[RunRecord]) -> str:
         return "Other work did not disturb these closed loops."
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     return (
-        f"Over all replays{windows}, the machine was quiet: "
+        f"Over all replays{windows}, other work did not disturb the machine: "
         f"{_describe_disturbed_rounds(disturbance)}."
     )
 

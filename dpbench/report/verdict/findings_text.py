@@ -59,7 +59,9 @@ MOST_QUOTED = 100
 def shorten_findings(kinds: str) -> str:
     """Return kinds of findings, joined by commas as in the table of verdicts, in a few words."""
     words = (_SHORT_WORDS[kind] for kind in kinds.split(", ") if kind)
-    return ". ".join(text[0].upper() + text[1:] for text in words)
+    return ". ".join(
+        text if text.startswith("p9") else text[0].upper() + text[1:] for text in words
+    )
 
 
 def _describe_ending(status: str, run: RunRecord) -> str:

@@ -232,7 +232,7 @@ def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
         f"The time limit (`cell_limit_s`) stopped {len(late)} of "
         f"{plural(len(ran), 'started run')}: {name_counts(stopped.most_common(), others)}. "
         "A configuration with such a run cannot pass, unless the run is a replay of which all "
-        "steps were timed. Outcome in `tables/runs.csv`: `timed_out`."
+        "steps were timed. `tables/runs.csv` lists these runs with the outcome `timed_out`."
     )
 
 
@@ -417,7 +417,7 @@ def _describe_time_ratio(compared: PairedComparison, end: str) -> str:
         wording += f" (geometric mean of {plural(compared.steps, 'step')}, {few})"
     else:
         interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
-        wording += f" (95 % interval within this run: {interval})"
+        wording += f" (95 % interval, for this run only: {interval})"
         if compared.is_tied:
             return f"{wording}: no significant difference, {_describe_slower_steps(compared)}"
     if not compared.is_unstable:

@@ -115,7 +115,7 @@ def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None
     )
     window = (
         "Replay of steps 900 to 1399 of its reference loop of 2\u202f000 steps, beyond the closed "
-        "loops (steps 0 to 119); limits are active in 0 %"
+        "loops (steps 0 to 119); at least one limit is active in 0 %"
     )
     assert window in output["rough[900:1400] (replay)"]
     assert list(output) == [p.label for p in facts.experiments if p.name != "robot"]
@@ -175,7 +175,7 @@ def test_every_kind_of_finding_has_a_short_text() -> None:
     kinds += [kind for part in (Doubt, Near, Gap) for kind in get_args(part)]
     assert len(kinds) > 40 and all(shorten_findings(kind) for kind in kinds)
     assert shorten_findings("") == ""
-    assert shorten_findings("p99 late, failed") == "P99 above its limit. Failed steps"
+    assert shorten_findings("p99 late, failed") == "p99 above its limit. Failed steps"
 
 
 @pytest.mark.slow

@@ -592,7 +592,7 @@ def test_loops_without_times_and_stopped_runs_are_named(records: Any) -> None:
     assert notes["stopped"] == (
         "The time limit (`cell_limit_s`) stopped 1 of 4 started runs: 1 of `osqp` (qpsolvers "
         "fresh). A configuration with such a run cannot pass, unless the run is a replay of which "
-        "all steps were timed. Outcome in `tables/runs.csv`: `timed_out`."
+        "all steps were timed. `tables/runs.csv` lists these runs with the outcome `timed_out`."
     )
 
 
@@ -634,7 +634,7 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     assert (answer.first.solver, answer.second.solver) == ("daqp", "qtqp")
     notes = dict(answer.notes)
     assert "is not recommended: written in Python" in notes["faster"]
-    order = "scs (qpsolvers fresh), ordered by p99. Its largest p99 "
+    order = "scs (qpsolvers fresh), by largest p99. Its largest p99 "
     assert notes["next"].replace("`", "").startswith(f"The next fastest is {order}")
     assert records.ending()["next"].startswith(order)
     assert notes["deployment"] == (

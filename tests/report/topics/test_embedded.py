@@ -76,8 +76,8 @@ def test_the_topic_names_the_disagreement(judged: MadeRecords) -> None:
     (topic,) = (topic for topic in report.topics if topic.id == "embedded")
     assert topic.lines[0].startswith(
         "The solvers' C code was compiled for a Cortex-M7 and run in an emulator. "
-        "Of the 2 counted solvers that are accurate, `daqp` executes the fewest instructions in "
-        "steps 0 to 199 of `paper` on"
+        "Of the 2 accurate solvers whose instructions were counted, `daqp` executes the fewest "
+        "instructions in steps 0 to 199 of `paper` on"
     )
     (line,) = (line for line in topic.lines if "rank solvers differently" in line)
     assert "`daqp` executes fewer instructions than `quadprog`" in line

@@ -133,13 +133,13 @@ async function drawTwo() {
   $("two-figure").hidden = false;
   const ratio = Math.max(ratioOf(rows), 1 / ratioOf(rows)), reach = reachOf(state.c, second);
   const [slower, faster] = ratioOf(rows) >= 1 ? [second, state.c] : [state.c, second];
-  const interval = reach !== null ? `the 95 % interval is ${twoDigits(ratio / reach)} to ${twoDigits(ratio * reach)} within this run`
-    : ratio === 1 ? "both are one run, as the settings make no difference" : "there are too few steps for an interval";
+  const interval = reach !== null ? `The 95 % interval, for this run only, is ${twoDigits(ratio / reach)} to ${twoDigits(ratio * reach)}`
+    : ratio === 1 ? "Both are one run, as the settings make no difference" : "There are too few steps for an interval";
   const text = rows[0].separate
     ? `${marked(state.c)} takes ${time(meanOf(rows, "a"))} per step and ${marked(second)} `
     + `${time(meanOf(rows, "b"))}, ${rows[0].separate}, so there is no ratio: geometric means over `
     + `${commonSteps(rows)}.`
-    : `${judged(slower)} takes ${twoDigits(ratio)} times as long as ${judged(faster).replace(/,$/, "")}; `
+    : `${judged(slower)} takes ${twoDigits(ratio)} times as long as ${judged(faster).replace(/,$/, "")}. `
     + `${interval}. ${reach === null ? "" : slowerIn(rows, ratio / reach, slower === second)}The ratio is the geometric mean over ${commonSteps(rows)}.`
     + `${reach === null ? "" : whyUnranked(rows, ratio / reach)}${shortTimes(state.c, second)}`;
   said.replaceChildren(...coded(text));
