@@ -41,10 +41,10 @@ def name_core_and_precision(target: str, *, single: bool) -> str:
 NOTE = (
     "p50, p99 and maximum: instructions per step. Iterations and active limits are those of the "
     "step with the maximum. Code includes constants; static includes the heap. Error: largest "
-    "error of the first move, in maximum increments. On this machine: the same steps through the "
-    "native interface at default settings, with a warm start where supported; solvers whose C code "
-    "runs at other settings have no rank. The order of two p99 values within "
-    f"{100 * (APART - 1):.0f} % of each other is not compared."
+    "error of the first move, in maximum increments. The times on this machine are those of the "
+    "same steps through the native interface at default settings, with a warm start where "
+    "supported. Solvers whose C code runs at other settings have no rank. The order of two p99 "
+    f"values within {100 * (APART - 1):.0f} % of each other is not compared."
 )
 """Meaning of the columns of the table of counts."""
 
@@ -185,12 +185,12 @@ def describe_cheapest_solver(sequence: CountedSequence, requirements: Requiremen
     first, *others = right
     following = of_ranked = ""
     if others:
-        of_ranked = f"Of the {len(right)} accurate solvers whose instructions were counted, "
+        of_ranked = f" of the {len(right)} accurate solvers whose instructions were counted"
         p99, worst = format_count(others[0].p99), format_count(others[0].worst)
-        following = f", followed by `{others[0].solver}` ({p99} and {worst})"
+        following = f" `{others[0].solver}` follows (p99 {p99}, maximum {worst})."
     return (
-        f"{of_ranked}`{first.solver}` executes the fewest instructions in {where} (p99 "
-        f"{format_count(first.p99)} per step, maximum {format_count(first.worst)}){following}."
+        f"In {where}, `{first.solver}` has the smallest p99{of_ranked}: {format_count(first.p99)} "
+        f"instructions per step (maximum {format_count(first.worst)}).{following}"
     )
 
 
@@ -238,8 +238,8 @@ def yield_unranked_sentences(sequences: Sequence[CountedSequence]) -> Iterator[s
         options = ", ".join(f"{key} = {value}" for key, value in default.items())
         desk = f"with the default settings ({options or 'those of the library'})"
         yield (
-            f"`{name}` is not ranked, because its settings differ: the C code runs with {counted}, "
-            f"the solver on this machine {desk}."
+            f"`{name}` is not ranked, because its settings differ. The C code runs with {counted}. "
+            f"On this machine, the solver runs {desk}."
         )
 
 

@@ -78,8 +78,8 @@ CALL_MODES = (
 )
 FAILED_STEPS = (
     "The failed steps of all closed loops, replays and windows are added up: a step counts once "
-    "in each run in which it fails. In a replay or window, one failed round suffices, warm-up "
-    "included."
+    "in each run in which it fails. In a replay or window, a step that fails in any round "
+    "counts, warm-up included."
 )
 SINGLE_TIMINGS = "The p99 of single timings includes interference from other work."
 FEW_STEPS = "A p99 of step times needs at least 1 000 steps; a dash marks a shorter replay."
@@ -259,9 +259,10 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
     step = "scaled " * any(m.hardest.run.untimed_iterations_max > 1 for m in margins)
     return (
         f"The limiting p99 is the largest p99 of all replays and windows{scaled}. If there is no "
-        "p99, the longest step is used. Speed margin: factor by which the computer may be slower, "
-        f"the smaller of {requirements.p99_ms:g} ms divided by the limiting p99 and "
-        f"{requirements.deadline_ms:g} ms divided by the {step}longest step; rounded down."
+        "p99, the longest step is used. The speed margin is the factor by which the "
+        "computer may be slower, rounded down. It is the smaller of two ratios: "
+        f"{requirements.p99_ms:g} ms / limiting p99 and {requirements.deadline_ms:g} ms / "
+        f"{step}longest step."
     )
 
 

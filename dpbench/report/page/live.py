@@ -65,19 +65,20 @@ def _explain_step_times(data: PageData) -> str:
     left_out = len(list_best_verdict_of_own_settings(data.verdicts)) - MOST_OWN
     more = f" {left_out} more custom settings: `tables/verdicts.csv`." * (left_out > 0)
     return (
-        "Step time of each solver in the replays and windows of hardest steps. Marker: p50 in the "
-        f"replay of {replay}{which}; bar: up to the limiting p99; line: up to the longest step; "
-        f"dashed line: up to the largest single timing; grey bar: call overhead.{more}"
+        "Step time of each solver in the replays and windows of hardest steps. The marker shows "
+        f"the p50 in the replay of {replay}{which}. The bar ends at the limiting p99, the line at "
+        "the longest step and the dashed line at the largest single timing. The grey bar shows the "
+        f"call overhead.{more}"
     )
 
 
 BARS = (
-    "In the figure of step times, the limiting p99 is the largest p99 of all replays and windows, "
-    "scaled up to the iterations of the closed loop. It may therefore exceed the longest step, "
-    "which is drawn as measured. Single timings "
+    "In the figure of step times, the p99 of each replay and window is scaled up to the iterations "
+    "of the closed loop. The limiting p99 is the largest of these values. It may exceed the "
+    "longest step, which is drawn as measured. Single timings "
     "include those of closed loops. The call overhead is the time of a call that only copies its "
-    "data, drawn up to the p50 at most. Below 5 µs, differences may be due to the bindings, not "
-    "the methods."
+    "data. Its bar never extends beyond the p50. Below 5 µs, differences may be due to the "
+    "interfaces, not the algorithms."
 )
 
 
@@ -234,8 +235,8 @@ def _explain_accuracy(data: PageData) -> str:
     where = f" in {'both' if replays == 2 else f'all {replays}'} replays" if replays > 1 else ""
     return (
         f"Largest error of each solver{where} against its step time, in the call mode of the "
-        f"first figure. The step time is {_name_timed_replays(usual)}.{''.join(exceptions)} Fill: "
-        "overall verdict. Dashed line: largest error allowed."
+        f"first figure. The step time is {_name_timed_replays(usual)}.{''.join(exceptions)} The "
+        "fill shows the overall verdict. The dashed line is the largest error allowed."
     )
 
 
@@ -245,7 +246,7 @@ def _explain_other_replays(points: pd.DataFrame, names: str, usual: str) -> str:
     has_p99 = points["p99_us"].notna()
     if has_p99[points["timed_on"] == names].any() or not has_p99[points["timed_on"] == usual].all():
         return f"For {solvers}, the step time is "
-    return f"A p99 of {solvers} was not measured there; the p50 used in its place is "
+    return f"For {solvers}, too few steps were run for a p99, so the p50 is always shown. It is "
 
 
 def _mark_names(names: Iterable[str]) -> list[str]:
@@ -290,8 +291,9 @@ def _draw_counts(data: PageData) -> Charts:
 def _explain_counts(data: PageData) -> str:
     """Return a text on the chart of instructions: what its marks are."""
     return (
-        "Instructions per step of each solver's C code. Marker: p50; bar: up to the p99; line: up "
-        f"to the maximum. {explain_range_of_steps(one.sequence for one in data.counts.sequences)}"
+        "Instructions per step of each solver's C code. The marker shows the p50. The bar ends at "
+        "the p99 and the line at the maximum. "
+        f"{explain_range_of_steps(one.sequence for one in data.counts.sequences)}"
     )
 
 

@@ -184,8 +184,8 @@ def _describe_replay(data: PageData, run: RunRecord, loop_steps: int) -> str:
         window = f"steps {first} to {first + run.steps_planned - 1} of "
     if 0 < controlled <= first:
         loop = (
-            f"reference loop of {plural(loop_steps, 'step')}, beyond the closed loops (steps 0 to "
-            f"{controlled - 1})"
+            f"reference loop of {plural(loop_steps, 'step')}, after the end of the solvers' closed "
+            f"loops (step {controlled - 1})"
         )
     kept = data.thinned_runs.get(run.run_id)
     if kept is None:
@@ -194,6 +194,6 @@ def _describe_replay(data: PageData, run: RunRecord, loop_steps: int) -> str:
     end_s = (first + run.steps_planned) * run.sample_s
     lost = ", with those of lost thrusters" * any(at_s < end_s for at_s, _ in list_losses(run))
     return (
-        f"Replay of {window}its {loop}; at least one limit is active in {share} of these "
-        f"steps{lost}."
+        f"Replay of {window}its {loop}; at least one limit is active in {share} of the "
+        f"replayed steps{lost}."
     )

@@ -325,7 +325,7 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         f"With exactly solved QPs, the controller holds the ship on station "
         f"({_format_station_limits(farthest)}){weather} {where}{moves}. {largest} is "
         f"{significant(run.exact_offset_max_m)} m{there} {_format_time_of_offset(run)} "
-        f"({significant(run.exact_offset_end_m)} m at the end)."
+        f"({significant(run.exact_offset_end_m)} m at the end{' there' * bool(there)})."
     )
 
 
@@ -520,8 +520,8 @@ def _describe_kinds_of_limits(known: Sequence[ShipResult]) -> Iterator[str]:
             parts.append(f"{kind} {format_share(share)} ({axis}{_locate_ship(ship)})")
     if parts:
         yield (
-            "Largest share of steps that end at a limit, by kind, over the solvers' closed loops "
-            f"that are accurate on every step: {join_with_and(parts)}."
+            "Over the closed loops that are accurate on every step, the largest shares of steps "
+            f"with a force at its limit are: {join_with_and(parts)}."
         )
 
 

@@ -57,7 +57,8 @@ def build_embedded_topic(results: EmbeddedResults, requirements: Requirements) -
         f"Over {fewest} steps, a p99 is a rough estimate, as at most "
         f"{plural(fewest // 100, 'step')} can exceed it. "
     ) * (0 < fewest < 1000)
-    note = f"{NOTE} {rough}Compiled by {', '.join(compilers)} with -O2. {WORST} {CAVEAT}"
+    compiled = f"The C code was compiled by {', '.join(compilers)} with -O2."
+    note = f"{NOTE} {rough}{compiled} {WORST} {CAVEAT}"
     note = " ".join([note, *chain(*left_out)])
     looks: dict[str, Any] = {"text_columns": 3, "folded": True, "labels": LABELS}
     tables = (Table.from_rows(rows, TABLE, note=note, **looks),) if rows else ()

@@ -56,12 +56,12 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
     measured = [claim for claim in judged if claim.state != "not simulated"]
     if scenario is None or not laws or not measured:
         return None
-    others = {"Not reproduced": "not reproduced", "Contradicted by the simulation": "contradicted"}
+    others = {"does not reproduce": "not reproduced", "contradicts": "contradicted"}
     wording = [describe_count_reproduced(judged)]
-    for word, state in others.items():
+    for verb, state in others.items():
         names = [strip_markdown(claim.claim) for claim in measured if claim.state == state]
         claims = "the claim" if len(names) == 1 else "the claims"
-        wording += [f"{word}: {claims} “{'”, “'.join(names)}”"] if names else []
+        wording += [f"The simulation {verb} {claims} “{'”, “'.join(names)}”"] if names else []
     return Topic(
         id="paper",
         title="The paper",

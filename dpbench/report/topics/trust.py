@@ -40,8 +40,8 @@ from dpbench.solvers.calibration import WAITS_NS
 LEAST_CONFIGURATIONS = 4
 """Configurations with two rounds from which their spread is stated."""
 COVERED = (
-    "Not covered: other {}; times measured on an embedded core; and steps harder than those that "
-    "were run."
+    "The results do not cover other {}, times measured on an embedded core, or steps harder than "
+    "those that were run."
 )
 COMPARED = "To compare machines, run the suite on each of them."
 
@@ -112,7 +112,7 @@ def _describe_machine_load(timed: Sequence[RunRecord]) -> str:
         return "Other work did not disturb these closed loops."
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     return (
-        f"Over all replays{windows}, other work did not disturb the machine: "
+        f"The machine does not count as disturbed. Over all replays{windows}, "
         f"{_describe_disturbed_rounds(disturbance)}."
     )
 

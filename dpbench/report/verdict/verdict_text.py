@@ -229,7 +229,7 @@ def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
     stopped = Counter(c.marked_label if is_one else f"`{c.solver}`" for c in late)
     others = "configurations" if is_one else "solvers"
     return (
-        f"The time limit (`cell_limit_s`) stopped {len(late)} of "
+        f"The limit on the duration of a run (`cell_limit_s`) stopped {len(late)} of "
         f"{plural(len(ran), 'started run')}: {name_counts(stopped.most_common(), others)}. "
         "A configuration with such a run cannot pass, unless the run is a replay of which all "
         "steps were timed. `tables/runs.csv` lists these runs with the outcome `timed_out`."
@@ -387,8 +387,10 @@ def describe_paired_times(
     ratios = [_describe_time_ratio(one, end) for one, end in zip(shown, ends, strict=True)]
     ratios += [f"{plural(more, 'more size')} in the table `paired_ratios`"] * (more > 0)
     left_out = ". Windows of hardest steps are left out of this comparison" * (in_windows > 0)
-    joint = ", and " if than and not more else "; "
-    return joint.join(ratios) + left_out
+    if than and len(ratios) == 2 and not more:
+        second = _describe_time_ratio(shown[1], "")
+        return f"{ratios[0]}. At {shown[1].variables:.0f} variables, it takes {second}{left_out}"
+    return "; ".join(ratios) + left_out
 
 
 def _describe_time_ratio(compared: PairedComparison, end: str) -> str:

@@ -62,7 +62,7 @@ RECORD = SolverRecord(
         licence=("BSD-2-Clause", "HPIPM source, head of each file"),
         language=("C, on BLASFEO", "HPIPM reference guide, Introduction"),
         c_code=(
-            "yes (the solver itself)",
+            "yes (the solver's own source code)",
             "HPIPM reference guide, Introduction",
         ),
         allocation_free=(

@@ -34,7 +34,7 @@ PAPER_ACTIVE_SET = SolverRecord(
             "C99, without external libraries",
             "dpbench, solvers/own/active_set.h",
         ),
-        c_code=("yes (the solver itself)", "dpbench, solvers/own/active_set.h"),
+        c_code=("yes (the solver's own source code)", "dpbench, solvers/own/active_set.h"),
         allocation_free=("yes, the caller gives all memory", "dpbench, solvers/own/active_set.h"),
         single_precision=("yes, ACTIVE_SET_FLOAT", "dpbench, solvers/own/active_set.h"),
     ),

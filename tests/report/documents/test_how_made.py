@@ -101,7 +101,7 @@ def test_a_report_that_is_too_long_loses_conditions_before_its_legend(
     assert conditions in whole and conditions not in cut
     for needed in (
         "apply to this machine only",
-        "Speed margin: factor",
+        "The speed margin is the factor",
         "2 of 2 solvers pass",
         "All figures",
     ):

@@ -107,15 +107,17 @@ def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None
     records.replay("daqp", "robot", steps=30, scenario="", cell="{}")
     facts = _facts(records)
     output = {word.term: word.meaning for word in describe_experiments(facts).values()}
-    start = "Rough sea: sway thrust often at its limit. Mean and slowly varying forces of about DP"
-    assert output["rough"] == f"{start} capability number 6 to 7 (DNV-ST-0111)."
+    start = "Rough sea: sway force often at its limit. The mean and slowly varying forces of the"
+    assert output["rough"] == (
+        f"{start} weather correspond to DP capability numbers of about 6 to 7 (DNV-ST-0111)."
+    )
     assert output["rough (in N and N·m)"].startswith(start)
     assert output["rough (in N and N·m)"].endswith(
         "these runs do not count towards the overall verdict."
     )
     window = (
-        "Replay of steps 900 to 1399 of its reference loop of 2\u202f000 steps, beyond the closed "
-        "loops (steps 0 to 119); at least one limit is active in 0 %"
+        "Replay of steps 900 to 1399 of its reference loop of 2\u202f000 steps, after the end of "
+        "the solvers' closed loops (step 119); at least one limit is active in 0 %"
     )
     assert window in output["rough[900:1400] (replay)"]
     assert list(output) == [p.label for p in facts.experiments if p.name != "robot"]

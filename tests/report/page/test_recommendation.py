@@ -561,7 +561,7 @@ def test_the_table_has_the_times_that_give_each_speed_margin(records: Any) -> No
     columns = ("largest p99", "limiting p99", "longest step", "speed margin")
     assert [found["daqp"][name] for name in columns] == ["20.0 µs", "40.0 µs", "20.0 µs", "× 75.0"]
     assert [found["osqp"][name] for name in columns[1:]] == ["20.0 µs", "60.0 ms", "× 5.00"]
-    assert "the smaller of 3 ms divided by the limiting p99 and 300 ms divided by" in text
+    assert "the smaller of two ratios: 3 ms / limiting p99 and 300 ms / " in text
     facts = make_page_document(report.data, report.results, report.recommendation, {})
     limits = dict(zip(*(facts["configurations"][n] for n in ("solver", "limited_by")), strict=True))
     assert limits == {
@@ -590,9 +590,10 @@ def test_loops_without_times_and_stopped_runs_are_named(records: Any) -> None:
     notes = dict(_answer(records).notes)
     assert notes["margin"].endswith("Not timed, as no replay has their QPs: `calm` and `rough`.")
     assert notes["stopped"] == (
-        "The time limit (`cell_limit_s`) stopped 1 of 4 started runs: 1 of `osqp` (qpsolvers "
-        "fresh). A configuration with such a run cannot pass, unless the run is a replay of which "
-        "all steps were timed. `tables/runs.csv` lists these runs with the outcome `timed_out`."
+        "The limit on the duration of a run (`cell_limit_s`) stopped 1 of 4 started runs: 1 of "
+        "`osqp` (qpsolvers fresh). A configuration with such a run cannot pass, unless the run is "
+        "a replay of which all steps were timed. `tables/runs.csv` lists these runs with the "
+        "outcome `timed_out`."
     )
 
 

@@ -75,9 +75,9 @@ def test_the_topic_names_the_disagreement(judged: MadeRecords) -> None:
     report = Report.from_results(judged.results(), counted=counts())
     (topic,) = (topic for topic in report.topics if topic.id == "embedded")
     assert topic.lines[0].startswith(
-        "The solvers' C code was compiled for a Cortex-M7 and run in an emulator. "
-        "Of the 2 accurate solvers whose instructions were counted, `daqp` executes the fewest "
-        "instructions in steps 0 to 199 of `paper` on"
+        "The solvers' C code was compiled for a Cortex-M7 and run in an emulator. In steps 0 to "
+        "199 of `paper` on a Cortex-M7, `daqp` has the smallest p99 of the 2 accurate solvers "
+        "whose instructions were counted: "
     )
     (line,) = (line for line in topic.lines if "rank solvers differently" in line)
     assert "`daqp` executes fewer instructions than `quadprog`" in line
@@ -96,9 +96,9 @@ def test_unequal_settings_and_loops_without_counts_are_named(judged: MadeRecords
     report = Report.from_results(judged.results(), counted=pd.concat([counts(), tight]))
     (topic,) = (topic for topic in report.topics if topic.id == "embedded")
     assert (
-        "`osqp` is not ranked, because its settings differ: the C code runs with eps_abs = 1e-06 "
-        "and rho = 0.25, the solver on this machine with the default settings (adaptive_rho = 1, "
-        "adaptive_rho_interval = 50)."
+        "`osqp` is not ranked, because its settings differ. The C code runs with eps_abs = 1e-06 "
+        "and rho = 0.25. On this machine, the solver runs with the default settings (adaptive_rho "
+        "= 1, adaptive_rho_interval = 50)."
     ) in topic.tables[0].note
     uncounted = "Instructions were not counted for the QPs of `turn`, which may take more."
     assert uncounted in topic.tables[0].note and uncounted in notes(report)["counted"]

@@ -119,11 +119,11 @@ def test_repeated_rounds_of_a_quiet_machine_are_counted(records: Any) -> None:
     (quiet,) = (
         line
         for line in topic.lines
-        if line.startswith("Over all replays, other work did not disturb the machine: ")
+        if line.startswith("The machine does not count as disturbed. Over all replays, ")
     )
     assert (
-        "machine: 2 of 3 rounds were repeated because other work disturbed them, and none remained "
-        "disturbed (0 %, limit 5 %)." in quiet
+        "Over all replays, 2 of 3 rounds were repeated because other work disturbed them, and "
+        "none remained disturbed (0 %, limit 5 %)." in quiet
     )
 
 

@@ -88,8 +88,8 @@ function unverifiedOf(run) {
 function largestErrorOf(run) {
   const error = figure(run.error);
   return run.error === "inf" ? "At least one step has no solution, and therefore no error."
-    : error === "1" ? "The largest error of the first move was equal to the maximum increment."
-      : `The largest error of the first move was ${error} times the maximum increment.`;
+    : error === "1" ? "The largest error of the first move is equal to the maximum increment."
+      : `The largest error of the first move is ${error} times the maximum increment.`;
 }
 
 // The verdict on the selected configuration in the selected scenario or replay; of a study where it ran.
@@ -141,12 +141,12 @@ async function drawOne() {
   const drawn = run.t !== undefined && run.t !== null;
   $("figure-strips").hidden = $("strips-said").hidden = !drawn;
   $("strips-time").textContent = facts.experiments[state.p].mode === "replay"
-    ? "Step time, error and iterations of each step. Dot: fastest round that counts; grey line: up to the largest timing. A replay has no plant, so no ship is shown."
-    : "Step time, error, iterations and forces of each step. Dot: one step, timed once, while other runs used the machine. Compare times in replays and windows only.";
+    ? "Step time, error and iterations of each step. Each dot is the fastest round that counts. The grey line ends at the largest timing. A replay has no plant, so no ship is shown."
+    : "Step time, error, iterations and forces of each step. Each dot is one step, timed once while other runs used the machine. Compare times in replays and windows only.";
   const thinned = drawn && facts.arrays[run.t][4] !== undefined;
   $("strips-kept").hidden = !thinned;
   if (thinned) $("strips-kept").replaceChildren(...coded(
-    `${grouped(rowsOf(run).length)} of the ${grouped(run.steps)} steps are shown (all: \`steps.parquet\`).`));
+    `The figure shows ${grouped(rowsOf(run).length)} of the ${grouped(run.steps)} steps; \`steps.parquet\` contains all.`));
   if (!drawn) { drawShip(null); return; }
   const view = await figureOf("strips");
   if (view) {
