@@ -74,7 +74,16 @@ TERMINAL_NOTES = (
     "stopped",
 )
 """Notes of the recommendation on a terminal."""
-BESIDE = ("settings", "embedded", "slowdown", "anytime", "random", "capability", "consequence")
+BESIDE = (
+    "study",
+    "settings",
+    "embedded",
+    "slowdown",
+    "anytime",
+    "random",
+    "capability",
+    "consequence",
+)
 """Topics with a line of their own on a terminal where they are not the answer."""
 
 

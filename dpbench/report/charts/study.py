@@ -141,7 +141,7 @@ _MEAN_TIPS = (
     style.tooltip("mean_cm:Q", "mean [cm]"),
     style.tooltip("low_cm:Q", "from [cm]"),
     style.tooltip("high_cm:Q", "to [cm]"),
-    alt.Tooltip("pairs:Q", title="realisations"),
+    alt.Tooltip("pairs:Q", title="pairs of runs"),
 )
 
 

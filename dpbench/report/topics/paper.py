@@ -109,6 +109,9 @@ def _describe_basis(judged: "Sequence[Claim]") -> str:
     held = [claim.stated_in_paper for claim in judged if claim.state == "reproduced"]
     counted = {words: sum(mark in stated for stated in held) for mark, words in BASES.items()}
     counts = [f"{count} {words}" for words, count in counted.items() if count]
+    marked = sum(any(mark in stated for mark in BASES) for stated in held)
+    if marked < sum(counted.values()):
+        counts.append(f"together {marked} of the {len(held)}")
     return f" ({', '.join(counts)})" if counts else ""
 
 

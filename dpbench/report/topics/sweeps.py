@@ -64,7 +64,8 @@ def build_horizon_topic(records: Records, requirements: Requirements) -> Topic |
         *_describe_longest_horizons(all_sweeps, requirements),
         "The tables give the median step time at the fewest and the most variables, and the "
         "longest horizons at which every step is accurate and the time limit is met. ≥: longer "
-        "horizons have no p99; ?: the 95 % interval of a p99 includes the limit.",
+        "horizons have no p99; ?: the 95 % interval of a p99 includes the limit, or has no upper "
+        "end because few steps were run.",
         *_list_builds(all_sweeps),
     )
     return Topic("horizon", "Longer horizons", wording, tuple(figures), tuple(tables))

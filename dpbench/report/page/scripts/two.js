@@ -123,8 +123,9 @@ const twoDigits = (x) => (x >= 0.995 && x < 9.95 ? x.toFixed(1) : figure(x, 2));
 async function drawTwo() {
   const others = all().filter((c) => c !== state.c && C().p50[c] !== null)
     .sort((a, b) => label(a).localeCompare(label(b)));
-  // Unless one was asked for: the answer, and beside the answer the next.
-  const second = [state.b, facts.answer.first, facts.answer.second, others[0]]
+  // Unless one was asked for: the answer, beside the answer the next, or else another solver.
+  const another = others.find((c) => C().solver[c] !== C().solver[state.c]) ?? others[0];
+  const second = [state.b, facts.answer.first, facts.answer.second, another]
     .find((c) => others.includes(c));
   if (second === undefined) return;
   options("choose-other", others.map((c) => [c, label(c)]), second);
