@@ -185,7 +185,7 @@ def describe_cheapest_solver(sequence: CountedSequence, requirements: Requiremen
     first, *others = right
     following = of_ranked = ""
     if others:
-        of_ranked = f" of the {len(right)} accurate solvers whose instructions were counted"
+        of_ranked = f" of {len(right)} accurate solvers"
         p99, worst = format_count(others[0].p99), format_count(others[0].worst)
         following = f" `{others[0].solver}` follows (p99 {p99}, maximum {worst})."
     return (

@@ -104,10 +104,7 @@ def _describe_machine_load(timed: Sequence[RunRecord]) -> str:
     states, disturbance = describe_machine_states(timed), sum_disturbances(timed)
     if not states.startswith("quiet"):
         causes = states.replace("affected by other load: ", "")
-        return (
-            f"Other work disturbed the machine: {causes}. Times may be too long; run again when it "
-            "is idle."
-        )
+        return f"Other work disturbed the machine: {causes}. Times may be too long."
     if timed[0].mode != "replay":
         return "Other work did not disturb these closed loops."
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
@@ -184,7 +181,7 @@ def build_trust_topic(records: Records) -> Topic | None:
         id="trust",
         title="Measurement quality",
         short="Measurement",
-        lines=(*lines, COVERED.format(f"{others} and tunings")),
+        lines=(*lines, COVERED.format(f"{others} or tunings")),
         figures=tuple(figures),
         tables=(
             Table(

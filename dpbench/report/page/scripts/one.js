@@ -225,7 +225,7 @@ function drawHard(run) {
     ...[...worst, ...most].map((m) => [m, names[m]])];
   const place = `\`${facts.experiments[state.p].label}\``;
   const anywhere = several ? everywhere.map(([m, name]) => row(name, worstAnywhere(m).map(said(m)))) : [];
-  $("hard").replaceChildren(...(several ? foldHard("all", "of all scenarios and replays, without runs in SI units", anywhere) : []),
+  $("hard").replaceChildren(...(several ? foldHard("all", "of all runs except those in SI units", anywhere) : []),
     ...foldHard(several ? "one" : "all", `of ${place}`, order.map((m) => here[m])));
   drawStep(run);
 }
