@@ -529,18 +529,18 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     text = _summary(records).text
     assert text.startswith(
         "With exactly solved QPs, the controller holds the ship on station (5 m, 5°) in 2 of 2 "
-        "scenarios, except while the ship approaches a new setpoint. Outside these approaches, "
+        "scenarios, except while the ship approaches its setpoint from farther away. Otherwise, "
         "the largest offset is 1.77 m in "
         "`paper` at the start (0.0400 m at the end there)."
     )
     assert text.endswith(
-        "In `turn`, the ship is up to 17.0 m from the new setpoint during the approach and on "
+        "In `turn`, the ship is up to 17.0 m from its setpoint during the approach and on "
         "station from t = 73.8 s."
     )
     farther = {"exact_transfer_offset_max_m": 25.0, "exact_transfer_s": 40.2}
     records.loop("daqp", "move", **TURN | farther)
     assert (
-        "In `turn` and `move`, the ship is up to 25.0 m from the new setpoint during the approach "
+        "In `turn` and `move`, the ship is up to 25.0 m from its setpoint during the approach "
         "and on station from t = 73.8 s at the latest."
     ) in _summary(records).text
 
@@ -551,7 +551,7 @@ def test_a_transfer_of_an_earlier_release_is_named_without_numbers(records: Any)
         cell = json.dumps({"scenario": load_scenario(name).files})
         records.loop("daqp", name, cell=cell)
     assert (
-        "In `turn`, the ship is on station after the approach to a new setpoint."
+        "In `turn`, the ship is on station after the approach to its setpoint."
         in _summary(records).details
     )
 
@@ -560,7 +560,7 @@ def test_the_line_of_a_ship_after_a_transfer_states_both_offsets(records: Any) -
     records.loop("daqp", "turn", **TURN)
     (ship,) = find_ship_results(records.view())
     assert describe_ship(ship).startswith(
-        "`turn`: up to 17.0 m from the new setpoint during the approach and on station from "
+        "`turn`: up to 17.0 m from its setpoint during the approach and on station from "
         "t = 73.8 s; largest offset after it 0.831 m at 104 s, last 0.0400 m; "
     )
 

@@ -24,7 +24,7 @@ def relate_replays_to_closed_loops(runs: Sequence[RunRecord]) -> list[RunRecord]
     return [
         replace(
             run,
-            untimed_iterations=_compute_excess(run, loops[key].iterations_p99),
+            untimed_iterations=_compute_excess(run, loops[key]),
             untimed_iterations_max=_divide(loops[key].iterations_max, run.iterations_max),
         )
         if run.mode == "replay"
@@ -35,19 +35,21 @@ def relate_replays_to_closed_loops(runs: Sequence[RunRecord]) -> list[RunRecord]
     ]
 
 
-def _compute_excess(replay: RunRecord, of_loop: float) -> float:
+def _compute_excess(replay: RunRecord, loop: RunRecord) -> float:
     """Return the factor that bounds a replay's p99 by the iterations of a closed loop; at least 1.
 
-    of_loop : iterations that one in a hundred steps of the loop exceeds; NaN gives 1.
-
-    A solver without an iteration in the replay still makes a step there, which counts as one. If
-    the replay has a step with as many iterations as the loop, its longest step bounds the p99.
+    It is 1 if the iterations that one in a hundred steps of the loop exceeds are not known. The
+    p99 is at most the longest step, scaled up too unless the replay has a step with as many
+    iterations. A solver without an iteration in the replay still makes a step, which counts as one.
     """
-    excess = _divide(of_loop, replay.iterations_p99)
+    of_loop = loop.iterations_p99
+    p99s = (replay.window_p99_ns, replay.algo_p99_ns)
+    p99_ns = next(filter(math.isfinite, p99s), replay.algo_max_ns)
+    excess, longest = _divide(of_loop, replay.iterations_p99), replay.algo_max_ns / p99_ns
     if replay.iterations_max >= of_loop:
-        p99s = (replay.window_p99_ns, replay.algo_p99_ns)
-        p99_ns = next(filter(math.isfinite, p99s), replay.algo_max_ns)
-        excess = min(excess, replay.algo_max_ns / p99_ns)
+        excess = min(excess, longest)
+    elif math.isfinite(loop.iterations_max):
+        excess = min(excess, longest * _divide(loop.iterations_max, replay.iterations_max))
     return max(1.0, excess)
 
 

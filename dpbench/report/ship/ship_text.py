@@ -45,7 +45,7 @@ class ShipSummary:
     lost ones are unstable without limits; "" where no ship is lost.
     state : where the ship is on station, has not settled or has no result; "" without any ship.
     limits : the share of steps with active limits.
-    details : moves to a new setpoint, losses, offsets that still grow.
+    details : approaches to a setpoint, losses, offsets that still grow.
     caution : of ships on station with little margin, still moving away, farther off since a
     loss, or lost with an accurate solver, and in a report of losses that no closed loop shows to
     be held; "" without any.
@@ -240,12 +240,12 @@ def _describe_arrival(moved: Sequence[ShipResult]) -> str:
     """
     known = [ship.run for ship in moved if not math.isnan(ship.run.exact_transfer_s)]
     if not known:
-        return "on station after the approach to a new setpoint"
+        return "on station after the approach to its setpoint"
     last_s = max(run.exact_transfer_s for run in known)
     off_m = max(run.exact_transfer_offset_max_m for run in known)
     latest = " at the latest" if len(moved) > 1 else ""
     return (
-        f"up to {significant(off_m)} m from the new setpoint during the approach and on station "
+        f"up to {significant(off_m)} m from its setpoint during the approach and on station "
         f"from t = {significant(last_s)} s{latest}"
     )
 
@@ -319,8 +319,8 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     moves, largest = "", "The largest offset"
     if any(ship.has_transfer for ship in kept):
-        moves = ", except while the ship approaches a new setpoint"
-        largest = "Outside these approaches, the largest offset"
+        moves = ", except while the ship approaches its setpoint from farther away"
+        largest = "Otherwise, the largest offset"
     return (
         f"With exactly solved QPs, the controller holds the ship on station "
         f"({_format_station_limits(farthest)}){weather} {where}{moves}. {largest} is "

@@ -449,6 +449,19 @@ def test_a_step_with_the_iterations_of_the_loop_bounds_the_p99(
     assert _judged(records)[1]["p99_bound_ns"] == pytest.approx(bound_ns)
 
 
+def test_a_scaled_p99_is_at_most_the_scaled_longest_step(records: Any) -> None:
+    """The loop has 9 iterations and the replay 8: 600 µs times (1 + 9) / (1 + 8), not 800 µs."""
+    records.loop("daqp", "turn", iterations_p99=9.0, iterations_max=9.0)
+    columns = {"iterations_p99": 4.0, "iterations_max": 8.0, "slow": {7: 1.5}}
+    times = {"algo_p99_ns": 4e5, "algo_max_ns": 6e5}
+    _even_replay(
+        records, 400_000, 1000, sequence="turn[0:1000]", scenario="turn", **columns, **times
+    )
+    assert _judged(records)[1]["p99_bound_ns"] == pytest.approx(6e5 * 10 / 9)
+    (margin,) = compute_speed_margins(records.view(), REQUIREMENTS).values()
+    assert margin.limiting_p99_ns <= margin.longest_ns
+
+
 @pytest.mark.parametrize(
     ("most", "longest_ns", "kinds"),
     [(19.0, 1.6e6, []), (99.0, 8e6, []), (100.0, 8.08e6, ["longest step untimed"])],

@@ -24,13 +24,15 @@ function kept() {
   if (deadline_ms === null) return "Lateness is not judged, as no deadline is known.";
   // The summary above states the margin of the recommended configuration.
   const own = margin === null || (state.c === facts.answer.first && state.slow <= 1) ? "" : `\`${C().solver[state.c]}\` ${paceOf(state.c, margin)}. `;
+  const longest = state.slow * C().max[state.c];
+  const slowed = own && state.slow > 1 && longest > 0 ? `Its longest measured step then takes ${time(longest)}, ${figure(longest / deadline_ms / 1e4, 2)} % of the deadline. ` : "";
   const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
   const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");
-  if (!right.length) return own;
+  if (!right.length) return own + slowed;
   // A solver has further rows for custom settings.
   const solvers = right.sort((a, b) => b.margin - a.margin).filter((row, i) => right.findIndex((r) => r.solver === row.solver) === i);
   const safe = solvers.filter((row) => state.slow <= 1 || row.margin >= state.slow);
-  return `${own}At × ${figure(state.slow)}, ${safe.length} of ${solvers.length} ${passing.length ? "passing" : "borderline or inconclusive"
+  return `${own}${slowed}At × ${figure(state.slow)}, ${safe.length} of ${solvers.length} ${passing.length ? "passing" : "borderline or inconclusive"
   } solvers ${safe.length === 1 ? "meets" : "meet"} both limits (p99 ${p99_ms} ms, longest step ${deadline_ms} ms)${
     listed(safe, (row) => `\`${row.solver}\` (up to × ${roundedDown(row.margin)})`)}.`;
 }
