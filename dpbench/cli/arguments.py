@@ -250,7 +250,8 @@ COMMANDS: dict[str, CommandHelp] = {
             "compare results/before results/after --html compare.html",
             "compare results/mine --solver 'osqp[rho=1.6]' --solver daqp",
         ),
-        f"0 no significant regression; 1 a significant regression; {_BAD_INPUT}",
+        f"0 no significant regression; 1 a significant regression; {_BAD_INPUT}; "
+        "CODE of --disturbed-exit: times disturbed, no regression shown",
     ),
     "paper": CommandHelp(
         _BENCHMARK,

@@ -349,8 +349,15 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
         from dpbench.report.compare.page import write_comparison
 
         write_comparison(Path(arguments.html), compared)
-    _print_comparison(compared.markdown(), compared.tables, compared.lines, arguments.markdown)
-    return int(compared.worse)
+    code = 1 if compared.worse else arguments.disturbed_exit * compared.is_disturbed
+    lines, why = list(compared.lines), compared.note_on_times or "no regression"
+    if compared.is_disturbed and not compared.worse:
+        why = "disturbed"
+        hint = "disturbed times pass; --disturbed-exit CODE selects another exit code"
+        lines += [] if code else [hint]
+    lines.append(f"exit code {code} ({compared.headline if compared.worse else why})")
+    _print_comparison(compared.markdown(), compared.tables, lines, arguments.markdown)
+    return code
 
 
 def _compare_configurations(arguments: argparse.Namespace) -> None:

@@ -178,6 +178,9 @@ def add_compare_options(compare: Command) -> None:
     _option(compare, "--margin", "SHARE", margin, type=float, default=0.05)
     alpha = "family-wise error probability (default: 0.05)"
     _option(compare, "--alpha", "SHARE", alpha, type=float, default=0.05)
+    disturbed = "exit code if other load prevents a verdict and no regression is shown (default: 0)"
+    codes: dict[str, Any] = {"type": int, "choices": range(256), "default": 0}
+    _option(compare, "--disturbed-exit", "CODE", disturbed, **codes)
     output = compare.add_argument_group("output")
     _option(output, "--markdown", "FILE", "write Markdown to this file; - prints it")
     _option(output, "--html", "FILE", "write an HTML page with figures; not with --solver")

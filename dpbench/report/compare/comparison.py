@@ -32,6 +32,7 @@ from dpbench.analysis.compare.times import (
 )
 from dpbench.analysis.compare.verdicts import VerdictChange, find_verdict_changes
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.times.paired_times import MACHINE_DISTURBED
 from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.bench.record.result_folder import load_results
 from dpbench.display import make_html_table
@@ -330,13 +331,26 @@ class Comparison:
             return "worse accuracy or control" + (", slower" if "slower" in times else "")
         if self.worse:
             return "slower"
-        disturbed = any("disturbed" in one.unjudged for one in self.shared)
-        shown = "faster" if "faster" in times else ""
-        if any(figure.change == "better" for figure in self.figures):
-            shown = f"better accuracy or control{', ' if shown else ''}{shown}"
-        shown = shown or "no difference shown"
-        shown = ", ".join(filter(None, (shown, self.note_on_times)))
-        return f"{shown}, on a disturbed machine" if disturbed else shown
+        is_better = any(figure.change == "better" for figure in self.figures)
+        changed = ["better accuracy or control"] * is_better + ["faster"] * ("faster" in times)
+        machine = "on a disturbed machine" * self.is_disturbed
+        if self.note_on_times == "times not judged":
+            unjudged = " ".join(filter(None, (self.note_on_times, machine)))
+            return f"{unjudged}; {', '.join(changed) or 'no other difference'}"
+        shown = [*(changed or ["no difference shown"]), self.note_on_times, machine]
+        return ", ".join(filter(None, shown))
+
+    @property
+    def is_disturbed(self) -> bool:
+        """True if other load prevented a verdict on step times.
+
+        Examples
+        --------
+        >>> isinstance(compare("results/smoke", "results/smoke").is_disturbed, bool)
+        True
+        """
+        verdicts = {one.assessment.verdict for one in self.compared}
+        return MACHINE_DISTURBED in verdicts or any("disturbed" in s.unjudged for s in self.shared)
 
     @property
     def note_on_times(self) -> str:

@@ -54,11 +54,10 @@ def write_comparison(path: Path, comparison: Comparison) -> Path:
             "steps": draw_step_pairs("A: step time", "B: step time"),
         }
     others = [t for t in comparison.tables if "B/A without machine" not in t.heads]
-    verdict = "worse somewhere" if comparison.worse else "no regression shown"
     text = render_page(
         "compare",
         [read_page_file(f"scripts/{name}.js") for name in ("common", "compare")],
-        verdict=", ".join(filter(None, (verdict, comparison.note_on_times))),
+        verdict=comparison.headline,
         lead=make_lead_sentences(comparison),
         lines=[strip_markdown(line) for line in comparison.lines],
         figures={

@@ -202,7 +202,7 @@ def test_windows_of_hardest_steps_are_compared_by_accuracy_alone(
         assert float(row["B p99 [µs]"]) <= float(row["B largest [µs]"])
     assert found.headline == "no difference shown, accuracy only"
     page = write_comparison(tmp_path / "compare.html", found).read_text(encoding="utf-8")
-    assert "no regression shown, accuracy only" in page
+    assert "no difference shown, accuracy only" in page
     whole = compare(make("c", seed=1, **both), make("d", seed=2, **both))
     assert not any("of hardest steps" in line for line in whole.lines)
     assert not any("window" in table.heads for table in whole.tables)
@@ -262,6 +262,21 @@ def test_what_all_configurations_share_is_judged_on_a_quiet_machine_alone(
     assert set(compare(a, b).times["verdict"]) == {"equivalent"}
 
 
+@pytest.mark.parametrize(("code", "hints"), [(0, 1), (75, 0)])
+def test_the_exit_code_of_times_not_judged_is_selected(
+    make: Make, capsys: Any, code: int, hints: int
+) -> None:
+    both: dict[str, Any] = {"configurations": ("daqp", "piqp")} | STOLEN
+    folders = [str(make(name, seed=n, **both)) for n, name in enumerate("ab")]
+    assert main(["compare", *folders, "--disturbed-exit", str(code)]) == code
+    output = capsys.readouterr().out.splitlines()
+    assert output[-1] == f"exit code {code} (disturbed)"
+    assert output.count(f"{HINT} selects another exit code") == hints
+
+
+HINT = "disturbed times pass; --disturbed-exit CODE"
+
+
 @pytest.mark.slow
 def test_a_disturbed_kernel_stands_for_no_machine(make: Make) -> None:
     """Two configurations, both 1.5 times as slow while a disturbed kernel says 1.0."""
@@ -273,7 +288,7 @@ def test_a_disturbed_kernel_stands_for_no_machine(make: Make) -> None:
     at = [table.heads.index(head) for head in ("machine", "B/A without machine", "interval")]
     assert [[row[i] for i in at] for row in table.rows] == [["–"] * 3] * 2
     assert "step times: 2 not judged" in found.lines
-    assert found.headline == "no difference shown, times not judged, on a disturbed machine"
+    assert found.headline == "times not judged on a disturbed machine; no other difference"
     assert "machine's factor is unknown: not judged." in describe_verdict(found.compared[0])
     assert not found.worse
     a = make("c", seed=1, configurations=both)
