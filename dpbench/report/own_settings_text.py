@@ -258,15 +258,17 @@ def _list_edges(best: Verdict, points: Sequence[Verdict], equals: Sequence[Verdi
 def _describe_best_of_grid(points: Sequence[Verdict], found: BestSettings) -> str:
     """Return a line on the best of a solver's settings, and whether it is at the grid's edge."""
     best, count = found.verdict, f"{len(points)} settings of {points[0].configuration.solver}"
+    if best is None and found.by == "error":
+        return f"None of {count} finished its runs: {_describe_reasons(points[0])}."
     if best is None:
         accurate = sum(verdict.state in ACCURATE for verdict in points)
         return f"{accurate} of {count} are accurate; {NOT_RANKED}."
     equals = _list_others_as_good(best, found.by, points)
     edges = _list_edges(best, points, equals)
     edge = f", at the edge of the grid in {join_with_and(edges)}" if edges else ""
-    errors = [verdict.error_move for verdict in points]
-    least, largest = min(errors), max(errors)
     if _do_all_fail(points):
+        errors = [verdict.error_move for verdict in points if verdict.is_finished]
+        least, largest = min(errors), max(errors)
         is_similar = largest < SIMILAR * least
         similar = f", with similar errors ({format_error(least)} to {format_error(largest)})"
         edge += ": widen it" * (bool(edges) and not is_similar)

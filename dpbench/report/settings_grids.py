@@ -47,6 +47,8 @@ def _make_table_over_two_options(points: Sequence[Verdict], down: str, across: s
 
 def _describe_point(verdict: Verdict) -> str:
     """Return verdict and p99, or longest step, of settings as a cell; of others the error."""
+    if not verdict.is_finished:
+        return f"{verdict.state}, not finished"
     if verdict.state not in ACCURATE:
         return f"{verdict.state}, {format_error(verdict.error_move)}"
     has_p99 = not math.isnan(verdict.p99_ns)

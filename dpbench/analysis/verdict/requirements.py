@@ -145,6 +145,8 @@ PERHAPS_BY_MACHINE: tuple[Doubt, ...] = (
 """Doubts on the times of a solver that a disturbed machine may be the reason of."""
 OWN_DOING: tuple[Cause, ...] = ("crashed", "hung")
 """Outcomes of runs that the solver itself caused, and that contradict any requirements."""
+UNFINISHED = {*OWN_DOING, "stopped", "lost", "ended"}
+"""Kinds of findings on runs without an answer to every step."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,6 +33,7 @@ from dpbench.analysis.verdict.requirements import (
     NEAR,
     OWN_DOING,
     STATES,
+    UNFINISHED,
     Doubt,
     Finding,
     Requirements,
@@ -116,6 +117,11 @@ class Verdict:
     def is_rankable(self) -> bool:
         """True if the configuration was timed and no fault, doubt or missing run is known."""
         return not (self.causes or self.doubts or self.gaps) and self.timed_on != ""
+
+    @property
+    def is_finished(self) -> bool:
+        """True if no run crashed, hung, was lost or stopped early."""
+        return {f.kind for f in (*self.causes, *self.doubts)}.isdisjoint(UNFINISHED)
 
     @property
     def findings_that_bar_pass(self) -> tuple[Finding, ...]:
@@ -441,7 +447,8 @@ def _choose_most_usual_of_fastest(own: Sequence[Verdict]) -> Verdict:
 class BestSettings:
     """Best of a solver's settings, and the figure that it is best by.
 
-    verdict : None if times are not ranked and the solver does not count iterations.
+    verdict : None if times are not ranked and the solver does not count iterations, or if none is
+        accurate and none finished its runs.
     """
 
     verdict: Verdict | None
@@ -457,7 +464,8 @@ def choose_best_settings(verdicts: Verdicts, points: Sequence[Verdict]) -> BestS
     """
     best = min(points, key=make_sort_key_of_settings)
     if best.state not in ACCURATE:
-        return BestSettings(best, "error")
+        finished = [verdict for verdict in points if verdict.is_finished]
+        return BestSettings(min(finished, key=make_sort_key_of_settings, default=None), "error")
     rivals = sorted((v for v in points if v.state == best.state), key=_make_settings_sort_key)
     if _is_ranking_withheld(rivals):
         counted = all(math.isfinite(verdict.iterations[0]) for verdict in rivals)

@@ -254,6 +254,23 @@ def test_a_grid_that_is_best_at_zero_cannot_be_widened(records: Any) -> None:
     assert any(about == "options" and text.startswith(best) for about, text in rows)
 
 
+def test_crashed_and_stopped_settings_are_not_the_best_of_a_grid(records: Any) -> None:
+    """The finished settings with an error of 0.33 come before them; without it none is named."""
+    ends = {"none": "crashed", "one": "timed_out", "two": "crashed"}
+    for mode, outcome in ends.items():
+        options = {"settings": f"kind={mode}", "options": json.dumps({"kind": mode})}
+        records.loop("osqp", error=1e-14, outcome=outcome, steps=50, **options)
+        records.replay("osqp", **options)
+    rows = Report.from_results(records.results()).summary_rows()
+    assert any(text.startswith("None of 3 settings of osqp finished its runs") for _, text in rows)
+    options = {"settings": "kind=right", "options": json.dumps({"kind": "right"})}
+    records.loop("osqp", error=0.33, **options)
+    records.replay("osqp", **options)
+    report = Report.from_results(records.results())
+    best = "Best of 4 settings of osqp by largest error (0.33): kind=right"
+    assert any(text.startswith(best) for _, text in report.summary_rows())
+
+
 def test_own_settings_are_judged_by_the_call_modes_that_ran_most(records: Any) -> None:
     """A call mode without a closed loop hides none that fails; each one that fails has a reason."""
     own = {"settings": "mine", "options": '{"rho": 1.6}', "route": "native"}
