@@ -52,6 +52,9 @@ def check_file(name: str, progress: Progress | None = None, *, quick: bool = Fal
     # Unlike Path.exists, these are False for a name that is too long to exist.
     if os.path.isdir(name):
         return _check_folder(Path(name), progress)
+    if name.endswith(".py"):
+        command = f"dpbench run smoke --solver-module {name} --solver NAME"
+        raise SituationError(name, f"found a Python file; to test a solver, run `{command}`")
     if name.endswith(problems.SEQUENCE_SUFFIXES):
         return _check_sequence(Path(name), progress)
     if os.path.isfile(name):

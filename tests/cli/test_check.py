@@ -135,6 +135,12 @@ def test_the_tables_of_a_suite_are_named(place: Path, refuse: Say) -> None:
     assert tables in line and "[[thrusters]] (a vessel)" in line
 
 
+def test_a_plug_in_is_not_read_as_toml(refuse: Say) -> None:
+    found = refuse("check", "mysolv.py")
+    assert found.endswith("dpbench run smoke --solver-module mysolv.py --solver NAME`")
+    assert "TOML" not in found
+
+
 def test_a_vessel_with_a_hull_and_misspelt_limits_is_no_suite(place: Path, refuse: Say) -> None:
     """A vessel has one table [capability], a suite a list of them."""
     (place / "hull.toml").write_text("[limitz]\n[capability]\nbreadth_m = 18.0\n", encoding="utf-8")
