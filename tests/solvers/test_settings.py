@@ -155,6 +155,7 @@ def test_the_call_of_the_library_gives_the_answer_of_the_workspace(policy, setti
     result = names["m"].solve(raise_error=False)
     assert result.info.iter == answer.iterations
     assert result.x.tolist() == answer.z.tolist()
+    assert ("# New P or A: also update(Px=" in code) is (policy != "fresh")
     assert "scaled QP" in code and "adaptive_rho_interval=50" in code
 
 

@@ -146,6 +146,10 @@ def format_osqp_call(policy: Policy, options: Options) -> str:
         "# answer shifted by one control increment, m.solve(raise_error=False). The last blocks\n"
         "# of x, of y for the rows of A and of y for the bounds are then zero.",
     }[policy]
+    if policy != "fresh":
+        step += (
+            "\n# New P or A: also update(Px=..., Ax=...) with the same nonzeros, or a new setup."
+        )
     cost = "q" if policy == "fresh" else "0 * q"
     return f"import osqp\nm = osqp.OSQP()\nm.setup(P, {cost}, A, l, u, {arguments})\n{step}"
 
