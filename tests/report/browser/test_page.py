@@ -183,6 +183,7 @@ def test_the_hardest_steps_are_those_of_all_experiments_then_of_one(selected: An
     worst = page.evaluate("worstAnywhere(0)")
     assert worst == sorted(worst, key=lambda step: -step["value"])
     wanted = {"trial": False, "mode": "replay"}
+    assert page.evaluate("[written(1, 6525), written(2, 6525)]") == ["6\u202f525", "6\u202f530"]
     judged = [run["hard"][0][0][1] for run in runs if experiments[run["p"]] == wanted]
     assert worst[0]["value"] == max(judged)
     page.locator("#hard details button").first.click()

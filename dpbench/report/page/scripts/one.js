@@ -194,6 +194,9 @@ function foldHard(kind, where, lines) {
   return list.children.length > 1 ? [list] : [];
 }
 
+// A time (m = 0), a number of iterations (1), which is exact, or an error (2) of a step.
+const written = (m, value) => (m === 0 ? time(value) : m === 1 && value ? grouped(value) : figure(value));
+
 function drawHard(run) {
   const replayed = facts.experiments[state.p].mode === "replay";
   const names = [
@@ -212,12 +215,12 @@ function drawHard(run) {
     return line;
   };
   const here = (run.hard ?? []).map((list, m) => row(names[m], list.map(([k, value]) =>
-    ({ p: state.p, k, said: `step ${k}: ${m === 0 ? time(value) : figure(value)}` }))));
+    ({ p: state.p, k, said: `step ${k}: ${written(m, value)}` }))));
   // Where a step is one timing its time is jitter as well: it comes last; iterations that are alike
   // everywhere say nothing.
   const order = (replayed ? [0, 1, 2] : [1, 2, 0]).filter((m) => m !== 1 || varies(state.c));
   const said = (m) => ({ p, k, value }) => ({ p, k,
-    said: `${facts.experiments[p].label}, step ${k}: ${m === 0 ? time(value) : figure(value)}` });
+    said: `${facts.experiments[p].label}, step ${k}: ${written(m, value)}` });
   // Of a single experiment its own lines are enough.
   const several = facts.experiments.filter((_, p) => cell(state.c, p)?.hard).length > 1;
   const most = varies(state.c) ? [1] : [], worst = most.length && !["late", "fail"].includes(C().verdict[state.c]) ? [] : [2];
