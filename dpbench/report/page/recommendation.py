@@ -386,11 +386,11 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
     computer = "the computer" if is_of_own_plant else "the ship's computer"
     opening = f"{controller}{computer}"
     untimed = [*_yield_untimed_loops_sentences(data)]
-    also += " in the QPs that were replayed" * bool(untimed)
+    replayed = " in the QPs that were replayed" * bool(untimed)
     return [
         f"{opening[0].upper()}{opening[1:]} may be up to "
         f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this machine"
-        f"{also}. {_describe_margin_limit(margin, requirements, time)}",
+        f"{replayed}{also}. {_describe_margin_limit(margin, requirements, time)}",
         *_list_limiting_steps(data, margin, time, chosen.algo_max_ns),
         *_yield_longest_timing(data, chosen.configuration),
         *untimed,
