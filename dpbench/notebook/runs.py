@@ -5,6 +5,7 @@ that crashes, and no core is pinned. The assessment is the same.
 """
 
 import math
+import textwrap
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from dpbench.analysis.records.run_record import build_run_records
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.bench.judge.answer_caching import find_caching_sign
 from dpbench.bench.judge.evaluation import EvaluatedCell, evaluate_loop_log, evaluate_replay_log
-from dpbench.bench.judge.rows import make_run_row, make_step_columns, make_step_rows
+from dpbench.bench.judge.rows import STATE, make_run_row, make_step_columns, make_step_rows
 from dpbench.bench.judge.rules import UNCERTIFIED
 from dpbench.bench.record.cell import DEFAULT_FALLBACK, FORMULATIONS, Cell, Formulation, Outcome
 from dpbench.bench.record.raw_log import RawLog
@@ -30,7 +31,7 @@ from dpbench.bench.run.assemble import (
 )
 from dpbench.bench.run.backup import FALLBACKS
 from dpbench.bench.run.closed_loop import record_closed_loop
-from dpbench.bench.run.exact_loop import solve_loop_exactly
+from dpbench.bench.run.exact_loop import compute_track_metrics, solve_loop_exactly
 from dpbench.bench.run.formulation import Case
 from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver, list_failure_descriptions
@@ -50,7 +51,11 @@ from dpbench.report.formats import (
     plural,
     significant,
 )
-from dpbench.report.ship.ship_text import ShipSummary, summarise_ships
+from dpbench.report.ship.ship_text import (
+    ShipSummary,
+    describe_departure_with_solver,
+    summarise_ships,
+)
 from dpbench.report.verdict.findings_text import describe_caching_sign
 from dpbench.scenario.plants.contract import PlantMaker
 from dpbench.scenario.plants.linear_mpc import LinearMPC
@@ -61,6 +66,7 @@ from dpbench.solvers.own_settings import encode_options_as_json, format_options_
 from dpbench.solvers.table import Availability, find_solver_availability
 
 UNNAMED = ("", "default")  # Settings that a label leaves out
+MOST_LETTERS = 100  # Letters of a reason in the text form
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,12 +145,12 @@ class Run:
             f"{format_share(row['true_share'])} verified, "
             f"{f'{unverified} reported solved but not verified, ' if unverified else ''}"
             f"{f'{self._uncertified_text}, ' if self._uncertified_text else ''}"
-            f"{f'{format_count(failed)} failed, ' if failed else ''}"
+            f"{f'{format_count(failed)} failed{self._reason_text}, ' if failed else ''}"
             f"{f'{self._late_text}, ' if self._late_text else ''}"
             f"error_move ≤ {format_error(row['error_move_max'])}, p50 {time}{note and f' ({note})'}"
             f"{f'; {self._machine_text}' if self._machine_text else ''}"
             f"{f'; {self._caching_text}' if self.remembers else ''}"
-            f"{f'; {self._ship.warning}' if self._ship.warning else ''}>"
+            f"{''.join(f'; {line}' for line in self._ship_warnings)}>"
         )
 
     def _repr_html_(self) -> str:
@@ -153,6 +159,7 @@ class Run:
         time, note = self._time_text
         fields = {
             "warning": "inaccurate" if self._is_inaccurate else self._uncertified_text,
+            "ship": self._departure_text,
             "steps": self._steps_text,
             "answers verified": format_share(row["true_share"]),
             "reported solved but not verified": self._unverified_text or "0",
@@ -209,6 +216,12 @@ class Run:
         return f"{plural(count, 'step')} without a certified optimum" if count else ""
 
     @property
+    def _reason_text(self) -> str:
+        """Most frequent reason of failed steps in brackets, shortened; "" for none known."""
+        reason = str(self.summary["outcome_detail"]).split("; ")[0].partition(" × ")[2]
+        return f" ({textwrap.shorten(reason, MOST_LETTERS, placeholder=' …')})" if reason else ""
+
+    @property
     def _late_text(self) -> str:
         """Steps that missed their deadline, and fallbacks, as text; "" for none."""
         if not self._is_closed_loop:
@@ -255,10 +268,32 @@ class Run:
     @property
     def _ship(self) -> ShipSummary:
         """Results of the controller itself: the ship of the reference closed loop."""
-        if self.scenario is None:
-            return ShipSummary()
+        return ShipSummary() if self.scenario is None else summarise_ships([self._exact_ship])
+
+    @property
+    def _exact_ship(self) -> ShipResult:
+        """Ship of the reference closed loop."""
         (run,) = build_run_records(pd.DataFrame([self.summary]))
-        return summarise_ships([ShipResult(run.scenario, run)])
+        return ShipResult(run.scenario, run)
+
+    @property
+    def _departure_text(self) -> str:
+        """Sentence on a ship that this solver alone does not hold on station; "" for none."""
+        if self.scenario is None:
+            return ""
+        exact, state = self._exact_ship, self.steps[list(STATE)].to_numpy()
+        own: dict[str, Any] = compute_track_metrics(self.scenario, state)
+        ship = ShipResult(exact.name, replace(exact.run, **own))
+        return describe_departure_with_solver(exact, ship)
+
+    @property
+    def _ship_warnings(self) -> list[str]:
+        """Sentences of the text form on a ship that leaves its station or does not arrive."""
+        if self.scenario is None:
+            return []
+        has_arrived = self._exact_ship.state != "not arrived"
+        away = "" if has_arrived else f"reference loop: {self._ship.state}"
+        return [text for text in (self._departure_text, self._ship.warning, away) if text]
 
     def _describe_control(self) -> dict[str, str]:
         """Return a closed loop's position errors, fallbacks and reference loop, by field name."""

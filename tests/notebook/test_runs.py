@@ -21,6 +21,8 @@ from dpbench import (
     QPStep,
     QuadraticProgram,
     Run,
+    Solution,
+    Status,
     UnknownNameError,
     certify,
     condense,
@@ -33,6 +35,7 @@ from dpbench import (
     run_closed_loop,
     save_sequence,
 )
+from dpbench.solvers.function import opener
 
 STEPS = 12
 
@@ -145,6 +148,37 @@ def test_a_run_that_is_always_late_says_so() -> None:
     assert late.summary["deadline_misses"] == 4
     assert "100 % verified, deadline missed in 4 steps, " in repr(late)
     assert "deadline missed in 4 steps" in late._repr_html_()
+
+
+def test_a_ship_that_only_the_solver_loses_is_named() -> None:
+    """By the rule of the reference loop; an approach to a setpoint is no departure."""
+
+    def give_zeros(qp: QuadraticProgram) -> Solution:
+        return Solution(Status.SOLVED, np.zeros(qp.n), np.zeros(qp.m), np.zeros(qp.n))
+
+    zero = opener("zero", give_zeros)("fresh", {})
+    lost, near = (run_closed_loop("weather", zero, steps=steps) for steps in (400, 100))
+    far_m = f"{lost.summary['r_max_m']:.3g}"
+    words = rf"With this solver, the ship leaves its station \(5 m, 5°\) at .* offset {far_m} m"
+    for text in (repr(lost), lost._repr_html_()):
+        assert re.search(words, text)
+    assert "With this solver" not in repr(near) + near._repr_html_()
+    exact = replace(lost, steps=run_closed_loop("weather", "daqp", steps=400).steps)
+    assert "With this solver" not in repr(exact)
+    words = "With this solver, the ship is not at its setpoint at the end (offset 95.8 m, "
+    assert words in repr(run_closed_loop("move", zero))
+    text = repr(run_closed_loop("move", zero, steps=30))
+    assert "With this solver" not in text
+    assert "reference loop: The ship is not at its setpoint at the end of `move`" in text
+
+
+def test_a_function_that_fails_is_named_with_its_reason() -> None:
+    def fail(qp: QuadraticProgram) -> Solution:
+        raise ValueError(f"no answer to {qp.n} variables " + 99 * "long ")
+
+    run = replay("paper-30-5", opener("failing", fail)("fresh", {}), repeats=1)
+    words = r"75 failed \(ValueError: no answer to 15 variables long .{,70} …\), "
+    assert re.search(words, repr(run))
 
 
 def test_objects_say_what_they_are_in_a_line(loop: Run, replayed: Run) -> None:
@@ -429,7 +463,7 @@ def test_steps_without_a_certified_optimum_are_counted() -> None:
     none = np.zeros((3, 0))
     qp = QuadraticProgram(np.zeros((2, 2)), [0.0, 1.0])
     run = replay(QPSequence("open", qp, np.tile(qp.q, (3, 1)), none, none), "daqp", repeats=2)
-    assert "– verified, 3 steps without a certified optimum, 3 failed, " in repr(run)
+    assert "– verified, 3 steps without a certified optimum, 3 failed (not found), " in repr(run)
     cells = _Cells(run._repr_html_()).cells
     assert cells[cells.index("warning") + 1] == "3 steps without a certified optimum"
     assert "P is singular, and the QP may be unbounded" in repr(certify(qp))

@@ -45,7 +45,7 @@ SOLVER_COLUMNS = tuple(f"{phase}_ns" for phase in SOLVER_PHASES)
 """Columns of the phases of a solver."""
 _STATUS_NAMES = np.array([status.name for status in Status])
 _CERTIFICATE_NAMES = np.array(CERTIFICATES)
-_STATE = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
+STATE = ("u_mps", "v_mps", "r_radps", "n_m", "e_m", "psi_rad")
 _OF_THRUSTERS = ("thrust_share", "power_share", "undelivered_share")
 _OF_CELL = ("mode", *CONFIGURATION_COLUMNS, "slowdown", "seed")
 
@@ -160,7 +160,7 @@ def _ship_columns(columns: Columns) -> StepColumns:
     """Return pose, velocity, force and command of the ship in each step of a closed loop."""
     state, tau = columns["state"][:-1], columns["tau"].astype(np.float64)
     change = tau - shift_forces_by_one_step(tau)
-    ship = {name: state[:, i] for i, name in enumerate(_STATE)}
+    ship = {name: state[:, i] for i, name in enumerate(STATE)}
     for i, axis in enumerate(AXIS_FORCES):
         ship[f"tau_{axis}"] = tau[:, i]
         ship[f"dtau_{axis}"] = change[:, i]

@@ -394,16 +394,21 @@ def record_sequence(
 
 
 def compute_station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) -> dict[str, float]:
-    """Return how a ship in a reference loop keeps station, and how often limits act.
+    """Return how a ship in a reference loop keeps station, and how often limits act."""
+    K = min(steps, len(exact.tau))
+    active = {"exact_active_share": float(exact.active[:K].mean())}
+    return compute_track_metrics(scenario, exact.state[: K + 1]) | active
+
+
+def compute_track_metrics(scenario: Scenario, state: Matrix) -> dict[str, float]:
+    """Return the columns `exact_*` on station keeping, from a ship's states (K + 1, 6).
 
     The ship is on station within `RADIUS_M` and `HEADING_DEG` of its setpoint, lengths and times
     scaled for a model ship. Offsets count from its arrival on, or all if it never arrives; after a
     loss of thrusters or limits those from the arrival on. Those before are of a transfer.
     """
-    K = min(steps, len(exact.tau))
-    offset, heading, distance, arrived, radius_m = _measure_offsets_and_arrivals(
-        scenario, exact.state[: K + 1]
-    )
+    K = len(state) - 1
+    offset, heading, distance, arrived, radius_m = _measure_offsets_and_arrivals(scenario, state)
     left = arrived & ~(distance <= 1.0)
     counted = arrived if arrived.any() else ~arrived
     largest = int(np.argmax(np.where(counted, offset, -1.0)))
@@ -420,11 +425,10 @@ def compute_station_metrics(scenario: Scenario, exact: ExactLoop, steps: int) ->
         "exact_heading_end_deg": float(heading[-1]),
         "exact_loss_offset_max_m": _largest(offset[after_loss]),
         "exact_loss_heading_max_deg": _largest(heading[after_loss]),
-        "exact_loss_swing_m": _measure_undamped_swing_m(scenario, exact.state[: K + 1], after_loss),
+        "exact_loss_swing_m": _measure_undamped_swing_m(scenario, state, after_loss),
         "exact_left_s": float(np.argmax(left)) * scenario.sample_s if left.any() else np.nan,
         "exact_transfer_offset_max_m": _largest(offset[~arrived]),
         "exact_transfer_s": _find_transfer_end(distance, arrived) * scenario.sample_s,
-        "exact_active_share": float(exact.active[:K].mean()),
     }
 
 
@@ -465,7 +469,7 @@ def _first_loss_sample(scenario: Scenario) -> float:
 def compute_largest_offset_share(scenario: Scenario, state: Matrix) -> float:
     """Return the largest offset of a ship on station, in multiples of the station's limits.
 
-    state : (K + 1, 6) at the samples. Offsets count as in `compute_station_metrics`; NaN where
+    state : (K + 1, 6) at the samples. Offsets count as in `compute_track_metrics`; NaN where
     one is.
     """
     _, _, distance, arrived, _ = _measure_offsets_and_arrivals(scenario, state)

@@ -198,6 +198,28 @@ def _describe_departure(ship: ShipResult) -> str:
     )
 
 
+def describe_departure_with_solver(exact: ShipResult, own: ShipResult) -> str:
+    """Return a sentence on a ship that leaves, or does not arrive, with a solver; "" for none.
+
+    exact : the ship of the reference loop, where it is on station; own : that of the solver's loop.
+    """
+    run = own.run
+    if exact.state != "on station" or own.state == "not run":
+        return ""
+    if exact.has_transfer or not own.has_left_station:
+        return (
+            f"With this solver, the ship is not at its setpoint at the end (offset "
+            f"{significant(run.exact_offset_end_m)} m, heading error "
+            f"{significant(run.exact_heading_end_deg)}°)."
+        ) * (not own.is_inside_at_end)
+    turned = f", largest heading error {significant(run.exact_heading_max_deg)}°"
+    return (
+        f"With this solver, the ship leaves its station ({_format_station_limits(own)}) at "
+        f"{significant(run.exact_left_s)} s: largest offset {significant(run.exact_offset_max_m)} m"
+        f"{turned * (run.exact_heading_max_deg > HEADING_DEG)}."
+    )
+
+
 def _format_wind(run: RunRecord) -> str:
     """Return the mean wind of a run's scenario in brackets; "" without wind."""
     scenario = (run.scenario_documents or {}).get("scenario", {})
