@@ -293,14 +293,20 @@ def _draw_steps_together(runs: tuple[JudgedRun, ...], limit: float, backend: Bac
 
 
 def _convert_to_labelled_curves(runs: tuple[JudgedRun, ...]) -> list[Any]:
-    """Convert runs to labelled curves of a plot; name or number the cases of those alike."""
+    """Convert runs to labelled curves of a plot; name or number the cases of those alike.
+
+    Solver and mode are left out where all runs have the same.
+    """
     from dpbench.analysis.suites.paper import Law
     from dpbench.report.formats import drop_shared_options
 
     names = drop_shared_options([run.label for run in runs])
     cases = [run.case_text for run in runs]
+    if len({case.rpartition(" ")[0] for case in cases}) == 1:  # one mode
+        cases = [case.rpartition(" ")[2] for case in cases]
+    solver = "" if len(set(names)) == 1 else "{} in "
     names = [
-        f"{name} in {case}" if names.count(name) > 1 and len(set(cases)) > 1 else name
+        f"{solver.format(name)}{case}" if names.count(name) > 1 and len(set(cases)) > 1 else name
         for name, case in zip(names, cases, strict=True)
     ]
     labels = [

@@ -289,7 +289,12 @@ def test_runs_in_two_weathers_are_drawn_together() -> None:
     calm, rough = (run_closed_loop(scenario, "daqp") for scenario in (weather, storm))
     for chart in (calm.plot.errors(rough), calm.plot.forces(rough), calm.plot.ship(rough)):
         text = chart.to_json()
-        assert all(f"{run.label} in {run.case_text}" in text for run in (calm, rough))
+        labels = [str(run.summary["scenario"]) for run in (calm, rough)]
+        assert all(f'"{label}"' in text for label in labels)
+    quick = run_closed_loop(storm, open_workspace("daqp", route="native"))
+    text = quick.plot.ship(calm, rough).to_json()
+    assert all(f'"{rough.label} in {label}"' in text for label in labels)
+    assert '"labelLimit": 0' in text
     moved = run_closed_loop(weather.with_keys({"reference.north_m": 5.0}), "daqp")
     with pytest.raises(InputError, match="allowed: closed loops with one setpoint"):
         calm.plot.errors(moved)
@@ -333,7 +338,7 @@ def test_steps_of_several_runs_have_a_line_each(loop: Run, replayed: Run) -> Non
     chart.to_dict()
     times = chart.vconcat[0].data
     for run, mode in ((loop, "closed loop"), (replayed, "replay")):
-        own = times[times["law"] == f"{run.label} in {mode} {run.summary['scenario']}"]
+        own = times[times["law"] == f"{mode} {run.summary['scenario']}"]
         least = run.steps[run.steps["counts"]].groupby("k")["total_ns"].min()
         np.testing.assert_allclose(own["value"], least / 1e3)
     again = loop.plot.steps(loop).vconcat[0].data

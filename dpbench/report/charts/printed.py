@@ -1,6 +1,7 @@
 """Figures for print by Matplotlib, of the tables that the page's figures are drawn from."""
 
 import io
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -204,6 +205,7 @@ def _add_legend(figure: Figure, axes: Axes) -> Figure:
     """Add a legend below a figure, of what has a label in these axes; return the figure."""
     handles, labels = axes.get_legend_handles_labels()
     room = 18.0 * figure.get_figwidth()  # letters in a row
+    labels = [textwrap.fill(label, int(room) - 8) for label in labels]
     columns = max(1, min(len(labels), int(room / (8 + max(map(len, labels))))))
     options: dict[str, Any] = {"loc": "outside lower center", "frameon": False}
     figure.legend(handles, labels, ncols=columns, **options, **_SMALL)

@@ -128,7 +128,7 @@ def _draw_limits(values: Sequence[float]) -> Any:
 def _law_colour(laws: Sequence[Law]) -> alt.Color:
     """Return the colour encoding of a chart's control laws, with a legend."""
     labels = [law.label for law in laws]
-    return style.colour("law", labels, style.PALETTE[: len(laws)], labelLimit=260, columns=1)
+    return style.colour("law", labels, style.PALETTE[: len(laws)], labelLimit=0, columns=1)
 
 
 def _law_dash(laws: Sequence[Law]) -> alt.StrokeDash:
