@@ -60,6 +60,7 @@ if TYPE_CHECKING:
         load_scenario as load_scenario,
     )
     from dpbench.solvers.contract import Workspace as Workspace
+    from dpbench.solvers.function import opener as opener
     from dpbench.solvers.open import open_workspace as open_workspace
 
 _NAMES = {
@@ -85,6 +86,7 @@ _NAMES = {
     "scenario.plants.linear_mpc": "LinearMPC",
     "scenario.scenario": "Scenario condense load_scenario",
     "solvers.contract": "Workspace",
+    "solvers.function": "opener",
     "solvers.open": "open_workspace",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}

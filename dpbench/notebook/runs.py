@@ -464,7 +464,10 @@ def _open_workspace_if_named(given: object) -> Workspace:
         return open_workspace(given)
     if isinstance(given, Workspace):
         return given
-    allowed = "a Workspace of open_workspace, or the name of a solver"
+    allowed = (
+        "a Workspace of open_workspace, or the name of a solver; for a function of your own "
+        "`opener(name, function)('fresh', {})`"
+    )
     raise TypeError(f"workspace: found {shorten_found(given)}; allowed: {allowed}")
 
 

@@ -1,8 +1,10 @@
 """A plain function as a solver of policy `fresh`: the shortest plug-in."""
 
+import inspect
 from collections.abc import Callable
 from typing import Concatenate
 
+from dpbench.errors import InputError, shorten_found
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status, copy_checked_answer
 from dpbench.solvers.contract import (
@@ -77,5 +79,37 @@ class FunctionWorkspace(Workspace):
 
 
 def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:
-    """Return a plug-in solver's `open(policy, options)`, from a function that solves one QP."""
-    return lambda policy, options: FunctionWorkspace(name, policy, solve, options)
+    """Return a plug-in solver's `open(policy, options)`, from a function that solves one QP.
+
+    The only policy is "fresh"; options are keyword arguments of the function. `open` raises
+    InputError for others, and for what is no function.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from dpbench import Solution, Status, replay
+    >>> def minimise_without_limits(qp, scale=1.0):
+    ...     z = -scale * np.linalg.solve(qp.P, qp.q)
+    ...     return Solution(Status.SOLVED, z, np.full(qp.m, np.nan), np.full(qp.n, np.nan))
+    >>> workspace = opener("newton", minimise_without_limits)("fresh", {"scale": 0.9})
+    >>> replay("paper-30-5", workspace, repeats=1).label
+    'newton (native, fresh)'
+    """
+
+    def open_function(policy: Policy, options: Options) -> Workspace:
+        where = f"solver {name}"
+        if not callable(solve):
+            raise InputError(where, "", shorten_found(solve), "a function of one QP")
+        if policy != "fresh":
+            raise InputError(where, "policy", repr(policy), "'fresh', as for every function")
+        try:
+            inspect.signature(solve).bind(None, **options)
+        except TypeError:
+            known = [*inspect.signature(solve).parameters][1:]
+            allowed = ", ".join(known) or "none, as the function has none"
+            raise InputError(where, "options", shorten_found(dict(options)), allowed) from None
+        except ValueError:
+            pass  # A function in C may have no signature.
+        return FunctionWorkspace(name, policy, solve, options)
+
+    return open_function

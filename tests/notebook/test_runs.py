@@ -10,6 +10,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -29,13 +30,13 @@ from dpbench import (
     load_scenario,
     load_sequence,
     open_workspace,
+    opener,
     record_sequence,
     replay,
     run_campaign,
     run_closed_loop,
     save_sequence,
 )
-from dpbench.solvers.function import opener
 
 STEPS = 12
 
@@ -119,6 +120,27 @@ def test_names_are_taken_where_objects_are(loop: Run, replayed: Run) -> None:
         load_sequence(3)
     with pytest.raises(TypeError, match="solver: found 3; allowed: the name of a solver"):
         open_workspace(3)  # type: ignore[arg-type] # the mistake that is tested
+
+
+@pytest.mark.parametrize(
+    ("function", "policy", "options", "words"),
+    [
+        (3, "fresh", {}, "found 3; allowed: a function of one QP"),
+        (len, "banana", {}, "policy: found 'banana'; allowed: 'fresh', as for every function"),
+        (len, "warm", {}, "policy: found 'warm'; allowed: 'fresh', as for every function"),
+        (lambda qp, tol=1: tol, "fresh", {"tl": 1}, "options: found {'tl': 1}; allowed: tol"),
+        (lambda qp: qp, "fresh", {"a": 1}, "options: found {'a': 1}; allowed: none, as the fun"),
+    ],
+)
+def test_a_function_is_opened_with_what_it_has(
+    function: Any, policy: Any, options: dict[str, object], words: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        opener("mine", function)(policy, options)
+    assert str(caught.value).startswith(f"solver mine: {words}")
+    assert opener("any", lambda qp, **others: qp)("fresh", {"a": 1}).policy == "fresh"
+    with pytest.raises(TypeError, match=r"for a function of your own `opener\(name, function\)\("):
+        replay("paper-30-5", function)
 
 
 def test_a_run_carries_the_settings_of_its_solver() -> None:
@@ -481,8 +503,10 @@ def test_a_sequence_with_nan_is_not_saved(tmp_path: Path) -> None:
 
 
 def test_a_scenario_in_place_of_a_sequence_and_a_step_in_place_of_a_qp_are_named() -> None:
-    with pytest.raises(UnknownNameError, match=r"found 'paper'; .*`record_sequence\('paper'\)`"):
-        replay("paper", "daqp")
+    words = r"found 'paper'; .*`record_sequence\('paper'\)`"
+    for take in (load_sequence, lambda name: replay(name, "daqp")):
+        with pytest.raises(UnknownNameError, match=words):
+            take("paper")
     step = QPStep(np.ones(1), np.zeros(0), np.zeros(0))
     with pytest.raises(AttributeError, match="QPStep has no 'm'; a QuadraticProgram has"):
         open_workspace("daqp").setup(step)  # type: ignore[arg-type]  # the wrong type is the test

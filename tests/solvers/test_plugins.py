@@ -94,13 +94,15 @@ def test_a_plugin_of_yesterday_is_read(tmp_path):
 
 def test_what_a_plugin_raises_is_an_answer(sequence):
     load_plugin_solver_from_file(EXAMPLE)
-    workspace = open_workspace("admm", settings={"tolerances": 1.0})
+    with pytest.raises(InputError, match=r"admm: options: found .*; allowed: tolerance$"):
+        open_workspace("admm", settings={"tolerances": 1.0})
+    workspace = open_workspace("admm", settings={"tolerance": None})
     workspace.setup(sequence.base)
     assert workspace.read().detail == "read before solve"
     workspace.solve()
     answer = workspace.read()
     assert answer.status is Status.ERROR
-    assert "tolerances" in answer.detail
+    assert "NoneType" in answer.detail
 
 
 @pytest.mark.parametrize(
