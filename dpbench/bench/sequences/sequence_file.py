@@ -191,7 +191,13 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
     if units not in ("scaled", "si"):
         raise InputError("load_sequence", "units", repr(units), '"scaled" or "si"')
     require_name_or_file("sequence", name_or_path, "a .npz file")
-    path = resolve_sequence_path(name_or_path)
+    try:
+        path = resolve_sequence_path(name_or_path)
+    except UnknownNameError as error:
+        if str(name_or_path) not in list_shipped_problem_names("scenarios"):
+            raise
+        allowed = f"`record_sequence('{name_or_path}')` for the QPs of this scenario"
+        raise UnknownNameError(error.where, error.key, error.found, allowed) from None
     if path.suffix == ".mat" and path.is_file():
         allowed = f"{WHAT}; a .mat file written by dpbench cannot be read back"
         raise InputError(str(path), "", "a .mat file", allowed)
@@ -210,13 +216,7 @@ def as_sequence(given: object) -> QPSequence:
     Raises TypeError for anything else, and what `load_sequence` raises.
     """
     if isinstance(given, (str, Path)):
-        try:
-            return load_sequence(given)
-        except UnknownNameError as error:
-            if str(given) not in list_shipped_problem_names("scenarios"):
-                raise
-            allowed = f"`record_sequence('{given}')` for the QPs of this scenario"
-            raise UnknownNameError(error.where, error.key, error.found, allowed) from None
+        return load_sequence(given)
     if isinstance(given, QPSequence):
         return given
     found, allowed = shorten_found(given), "a QPSequence, a name or a .npz file"
