@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,13 @@ from dpbench.bench.record import result_folder
 from dpbench.bench.record.recorded_steps import STEPS_NEEDED
 from dpbench.display import make_html_paragraph, make_html_table
 from dpbench.embedded.table import load_counted_steps_of_folder
-from dpbench.errors import InputError, ResultsError, format_allowed_names, require_lists_of_names
+from dpbench.errors import (
+    InputError,
+    ResultsError,
+    format_allowed_names,
+    require_lists_of_names,
+    require_type,
+)
 from dpbench.files.regular_files import make_folder_if_missing
 from dpbench.notebook.latex import escape_latex, make_tabular
 from dpbench.notebook.plots import ResultPlots
@@ -328,6 +335,7 @@ class Results(result_folder.Results):
 
         Examples
         --------
+        >>> from pathlib import Path
         >>> load_results("results/smoke").to_csv("tables")
         >>> Path("tables/verdicts.csv").is_file()
         True
@@ -335,6 +343,7 @@ class Results(result_folder.Results):
         # The report draws, and Altair takes its time.
         from dpbench.report.report import copy_tables, write_tables
 
+        require_type("folder", folder, str | PathLike, "the path of a folder")
         target = make_folder_if_missing(Path(folder))
         if self.recorded.is_missing:
             copy_tables(self.folder / "tables", target)

@@ -16,6 +16,10 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: CondensedQP(load_scenario("paper").problem, outputs=5),
         "CondensedQP: outputs: found 5; allowed: OutputBounds",
     ),
+    "tables": (
+        lambda: vars(dpbench.Results)["to_csv"](None, 3),
+        "folder: found 3; allowed: the path of a folder",
+    ),
     "no folder": (lambda: dpbench.add_runs(None, []), "out: found None; allowed: the path"),
     "one run": (lambda: dpbench.add_runs("x", "daqp"), "runs: found 'daqp'; allowed: a list of"),
     "no run": (lambda: dpbench.add_runs("x", [3]), "runs: found 3; allowed: a list of runs"),
