@@ -246,7 +246,7 @@ def _explain_other_replays(points: pd.DataFrame, names: str, usual: str) -> str:
     has_p99 = points["p99_us"].notna()
     if has_p99[points["timed_on"] == names].any() or not has_p99[points["timed_on"] == usual].all():
         return f"For {solvers}, the step time is "
-    return f"For {solvers}, too few steps were run for a p99, so the p50 is always shown. It is "
+    return f"For {solvers}, too few steps were run for a p99, so the p50 is always shown: "
 
 
 def _mark_names(names: Iterable[str]) -> list[str]:
