@@ -54,6 +54,7 @@ from dpbench.report.page.live import (
 from dpbench.report.page.recommendation import Recommendation, build_recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.settings_grids import tabulate_settings_grids
+from dpbench.report.ship.capability_text import list_wash_cautions
 from dpbench.report.ship.open_losses import find_open_losses
 from dpbench.report.study_effects_table import build_effects_table, build_interactions_table
 from dpbench.report.topics.all import build_topics
@@ -121,7 +122,8 @@ class Report:
         analyses = build_consequence_analyses(records)
         losses, ship = find_open_losses(records, data.ships, plots, analyses), recommendation.ship
         caution = " ".join(filter(None, [ship.caution, losses.summary]))
-        recommendation = replace(recommendation, ship=replace(ship, caution=caution))
+        wash = " ".join(list_wash_cautions(records))
+        recommendation = replace(recommendation, ship=replace(ship, caution=caution, wash=wash))
         topics = build_topics(
             records, data.verdicts, designs, capability, data.studies, data.counts
         )
@@ -149,7 +151,8 @@ class Report:
         """Return keyword and text of each line of the summary that a run prints last."""
         lead = next((topic for topic in self.topics if topic.leads), None)
         ship = self.recommendation.ship
-        rows = [("warning", ship.warning), ("ship", ship.text), ("caution", ship.caution)]
+        caution = " ".join(filter(None, [ship.caution, ship.wash]))
+        rows = [("warning", ship.warning), ("ship", ship.text), ("caution", caution)]
         rows = [row for row in rows if row[1]]
         rows += [("answer", lead.lines[0])] if lead else []
         headline, verdicts = self.recommendation, self.data.verdicts

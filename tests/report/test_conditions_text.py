@@ -7,7 +7,13 @@ from typing import Any
 import pytest
 
 from dpbench.analysis.verdict.ship_results import ShipResult, find_ship_results
-from dpbench.report.ship.conditions_text import describe_conditions_of_ships, list_conditions
+from dpbench.report.documents.markdown import make_report_markdown
+from dpbench.report.report import Report
+from dpbench.report.ship.conditions_text import (
+    caution_on_ideal_sensors,
+    describe_conditions_of_ships,
+    list_conditions,
+)
 from dpbench.scenario.scenario import load_scenario
 from tests.conftest import MadeRecords
 
@@ -63,6 +69,18 @@ def test_conditions_follow_from_the_scenario() -> None:
     linear = _ship("a", {})
     linear.run.scenario_documents["vessel"] = {"drag": "linear"}
     assert _text(linear) == IDEAL
+
+
+def test_exact_sensors_of_a_ship_of_ones_own_call_for_caution() -> None:
+    ships = [_ship("calm", {}), _ship("turn", {})]
+    assert caution_on_ideal_sensors(ships) == []
+    for ship in ships:
+        ship.run.scenario_documents["vessel_name"] = "my_ship"
+    (text,) = caution_on_ideal_sensors(ships)
+    assert text.startswith("Exact sensors and no first-order wave motion in every scenario: ")
+    moving = {"environment": {"waves": {"motion": {}}}}
+    for values in (FILTERED, moving):
+        assert caution_on_ideal_sensors([*ships, _ship("real", values)]) == []
 
 
 def test_scenarios_with_equal_conditions_are_named_together() -> None:
@@ -135,3 +153,15 @@ def test_commanded_azimuths_turn_freely_unless_the_controller_limits_it(
         files["scenario"]["controller"]["thrusters"]["azimuth_turning"] = True
     run: Any = _Run(files)
     assert ("no rate limit on azimuth angles" in list_conditions(run)) == is_named
+
+
+@pytest.mark.parametrize("vessel", ["ratownik", "my_ship"])
+def test_the_report_warns_of_wash_on_a_ship_of_ones_own(records: MadeRecords, vessel: str) -> None:
+    files = {**records.scenario("thrusters").files, "vessel_name": vessel}
+    records.loop("daqp", "thrusters", cell=json.dumps({"scenario": files}))
+    report = Report.from_results(records.results())
+    wash = report.recommendation.ship.wash
+    assert wash.startswith("Closed loops do not model the wash of") == (vessel == "my_ship")
+    caution, words = dict(report.summary_rows()).get("caution", ""), wash.replace("`", "")
+    assert words in caution and caution.startswith("Exact sensors ") == (vessel == "my_ship")
+    assert wash in " ".join(make_report_markdown(report).split())

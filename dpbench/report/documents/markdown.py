@@ -281,8 +281,9 @@ def make_ship_lines(ship: ShipSummary) -> list[str]:
         for text in map(escape_markdown_paragraph, (ship.warning, ship.caution))
     )
     warning, caution = bold
-    text, conditions = map(escape_markdown_paragraph, (ship.text, ship.conditions))
-    return [line for line in (warning, text, caution, conditions) if line]
+    others = map(escape_markdown_paragraph, (ship.text, ship.conditions, ship.wash))
+    text, conditions, wash = others
+    return [line for line in (warning, text, caution, conditions, wash) if line]
 
 
 def make_solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:

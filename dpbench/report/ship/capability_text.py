@@ -24,6 +24,8 @@ from dpbench.analysis.verdict.verdict import explain_deployment_blocker
 from dpbench.bench.capability.frontier import INTACT, CapabilityPlot, compute_capability
 from dpbench.report.formats import format_wind_held, join_with_and, plural, significant
 from dpbench.report.ship.ship_text import find_weather_direction
+from dpbench.scenario.problem_files import list_shipped_problem_names
+from dpbench.ship.capability.losses import caution_on_wash
 from dpbench.ship.thrusters import ThrusterSet
 
 
@@ -50,6 +52,16 @@ def _list_thruster_sets(records: Records, vessel: str) -> list[ThrusterSet]:
     known = filter(None, map(records.build_scenario, records.scenarios))
     thrusters = [scenario.vessel.thrusters for scenario in known if scenario.vessel.id == vessel]
     return [one for one in thrusters if one is not None]
+
+
+def list_wash_cautions(records: Records) -> list[str]:
+    """Return sentences on azimuths of one's own ships whose wash may hit another one."""
+    known = filter(None, map(records.build_scenario, records.scenarios))
+    vessels = {scenario.vessel.id for scenario in known}
+    own = vessels.difference(list_shipped_problem_names("vessels"))
+    every = [one for vessel in sorted(own) for one in _list_thruster_sets(records, vessel)]
+    found = dict.fromkeys(text for one in every for text in caution_on_wash(one))
+    return [text.replace("CAUTION: closed", "Closed") for text in found]
 
 
 def _has_rudder_caution(records: Records, vessel: str) -> bool:

@@ -8,6 +8,7 @@ from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.verdict.ship_results import ShipResult
 from dpbench.report.formats import join_with_and, plural
 from dpbench.scenario.conditions import Conditions, read_conditions
+from dpbench.scenario.problem_files import list_shipped_problem_names
 
 MOST_LISTED = 12
 """Scenarios of equal conditions that are named; more are counted."""
@@ -85,6 +86,20 @@ def _list_sensors(known: Conditions) -> Iterator[str]:
     yield "first-order wave motion" if known.has_motion else "no first-order wave motion"
     unfiltered = known.estimator != "measured" and not known.has_wave_filter
     yield ESTIMATORS.get(known.estimator, known.estimator) + " without wave filter" * unfiltered
+
+
+def caution_on_ideal_sensors(ships: Sequence[ShipResult]) -> list[str]:
+    """Return a caution where no scenario has noise or wave motion, of ships of one's own only."""
+    documents = [ship.run.scenario_documents or {} for ship in ships]
+    known = [read_conditions(own.get("scenario") or {}) for own in documents]
+    vessels = {own.get("vessel_name") for own in documents}
+    is_own = vessels - {None, *list_shipped_problem_names("vessels")}
+    if not is_own or any(one.has_motion or any(one.noise) for one in known):
+        return []
+    return [
+        "Exact sensors and no first-order wave motion in every scenario: with noise, motion and an "
+        "estimator, the offsets may be several times as large, or the ship may leave its station."
+    ]
 
 
 def _list_differences(known: Conditions) -> Iterator[str]:

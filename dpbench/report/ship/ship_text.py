@@ -8,7 +8,10 @@ from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.verdict.ship_results import ShipResult, is_accurate_loop
 from dpbench.bench.run.exact_loop import HEADING_DEG
 from dpbench.report.formats import format_share, join_with_and, plural, significant
-from dpbench.report.ship.conditions_text import describe_conditions_of_ships
+from dpbench.report.ship.conditions_text import (
+    caution_on_ideal_sensors,
+    describe_conditions_of_ships,
+)
 from dpbench.report.ship.thrust_text import explain_departure
 from dpbench.scenario.conditions import read_conditions
 from dpbench.scenario.scenario import Scenario
@@ -47,9 +50,10 @@ class ShipSummary:
     limits : the share of steps with active limits.
     details : approaches to a setpoint, losses, offsets that still grow.
     caution : of ships on station with little margin, still moving away, farther off since a
-    loss, or lost with an accurate solver, and in a report of losses that no closed loop shows to
-    be held; "" without any.
+    loss, or lost with an accurate solver, of exact sensors on a ship of one's own, and in a report
+    of losses that no closed loop shows to be held; "" without any.
     conditions : sensors, estimator, lag, delay and mismatch, by scenarios with equal ones.
+    wash : caution on azimuths of one's own ship that may hit each other.
     """
 
     warning: str = ""
@@ -58,6 +62,7 @@ class ShipSummary:
     caution: str = ""
     limits: str = ""
     conditions: str = ""
+    wash: str = ""
 
     @property
     def headline(self) -> str:
@@ -95,7 +100,7 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
         warning,
         state=" ".join(filter(None, state)),
         details=" ".join(details),
-        caution=" ".join(_describe_small_margins(known)),
+        caution=" ".join([*_describe_small_margins(known), *caution_on_ideal_sensors(known)]),
         limits=" ".join(_describe_limits(known)),
         conditions=describe_conditions_of_ships(known),
     )
