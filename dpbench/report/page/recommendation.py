@@ -71,6 +71,7 @@ MOST_CHIPS = 16
 FEW = 5
 UNEQUAL_ERRORS, SMALL_ERROR = 1e3, 1e-6
 """Ratio of two errors of the first move, and least larger one, from which both are given."""
+WITH_THRUSTERS = "With commanded thrusters, "
 MOST_INCONCLUSIVE = 2
 """Number of faster but inconclusive configurations with a note."""
 
@@ -215,12 +216,17 @@ def _describe_choice(
     ) * (is_recommended and not is_first)
     return (
         f"{both + ' ' if both else ''}{opening}.{' It is part of dpbench itself.' * own}",
-        f"It was accurate on every step of {describe_judged_runs(chosen)}. Its "
-        f"{describe_usual_time(timed)}.",
+        f"It was accurate on every step of {describe_judged_runs(chosen)}. "
+        f"{_open_time_sentence(chosen, timed)} {describe_usual_time(timed)}.",
         f"The largest error of the first move is {format_error(chosen.error_move)} times the "
         f"maximum increment.{_describe_unverified_steps(data, c)}"
         f"{_describe_infeasible_steps(data, c)}{unranked}",
     )
+
+
+def _open_time_sentence(verdict: Verdict, timed: Verdict) -> str:
+    """Return the first words on the times of a verdict; `timed` may be of thruster QPs alone."""
+    return "Its" if timed is verdict else f"{WITH_THRUSTERS}its"
 
 
 def _describe_verdict_on_choice(chosen: Verdict, *, is_lost: bool) -> str:
@@ -315,7 +321,8 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
         )
         error = _describe_larger_error(chosen, found.runner_up)
         measure = "largest p99" if isfinite(found.runner_up.p99_ns) else "p50"
-        text = f"The next fastest is {label}, by {measure}. Its {time} {beside}{error}"
+        its = _open_time_sentence(found.runner_up, timed)
+        text = f"The next fastest is {label}, by {measure}. {its} {time} {beside}{error}"
         yield "next", text
     named = [*filter(None, (chosen, found.faster, found.runner_up))]
     if short := describe_short_times(data.records, named):
@@ -377,7 +384,7 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
     if margin is not of_all:
         chosen = copy_with_thruster_times(data.records, requirements, chosen)
         least = format_rounded_down(of_all.allowed_slowness_factor)
-        controller, also = "With commanded thrusters, ", f" (× {least} over all replays)"
+        controller, also = WITH_THRUSTERS, f" (× {least} over all replays)"
         also *= least != format_rounded_down(margin.allowed_slowness_factor)
     is_short = 0 < margin.p99.run.steps_searched_for_hardest < LEAST_STRETCH
     time = "largest step time (in place of a p99)"

@@ -136,9 +136,10 @@ def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None
         return None
     margins = compute_speed_margins(records, requirements, of_thrusters=True)
     margin = None if chosen is None else margins.get(chosen.configuration)
+    is_lost = any(ship.has_left_station for ship in find_ship_results(records))
     is_alone = sum(state != "not run" for state in commanded.with_thrusters.values()) == 1
     first = [
-        _describe_solver_to_use(records, chosen, margin, is_alone=is_alone),
+        _describe_solver_to_use(records, chosen, margin, is_alone=is_alone, is_lost=is_lost),
         _compare_with_forces(commanded),
     ]
     second = [
@@ -150,11 +151,16 @@ def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None
 
 
 def _describe_solver_to_use(
-    records: Records, chosen: Verdict | None, margin: SpeedMargin | None, *, is_alone: bool
+    records: Records,
+    chosen: Verdict | None,
+    margin: SpeedMargin | None,
+    *,
+    is_alone: bool,
+    is_lost: bool,
 ) -> str:
     """Return a text on the solver to use if MPC commands thrusters, and its deadline share.
 
-    is_alone : whether no other solver was run.
+    is_alone : whether no other solver was run. is_lost : whether a ship leaves its station.
     """
     if chosen is None:
         return "No solver can be recommended for a controller that commands thrusters."
@@ -164,6 +170,9 @@ def _describe_solver_to_use(
         label = f"With commanded thrusters {c.label} passes; only {c.solver} was run"
     elif chosen.state != "pass":
         label = f"With commanded thrusters {c.label} is {chosen.state}"
+    elif is_lost:
+        call = f"{c.solver} ({c.route} {c.policy}, {c.settings})"
+        label = f"As a solver of these QPs alone, {call} passes with commanded thrusters"
     if margin is None:
         return f"{label}; no replay times its QPs."
     step = margin.hardest

@@ -2,12 +2,14 @@
 support."""
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from dpbench.report.report import Report
 from dpbench.report.topics.thrusters import build_conclusion_topic
+from dpbench.report.write import write_report
 
 WARM = {"route": "native", "policy": "warm"}
 
@@ -60,6 +62,20 @@ def test_a_solver_that_ran_alone_is_not_chosen(records: Any) -> None:
     assert sentence.startswith(
         "Only `daqp` was run, in 2 configurations: no other solver is compared. Use `daqp`"
     )
+
+
+def test_no_solver_is_to_be_used_for_a_ship_that_is_not_held(records: Any, tmp_path: Path) -> None:
+    campaign(records, {"daqp": (40.0, 1e-9), "piqp": (4000.0, 1e-9)}, forces=False)
+    records.loop("daqp", "paper", exact_left_s=40.0, exact_offset_max_m=9.0, **WARM)
+    first, *_ = output(records)
+    assert first.startswith(
+        "As a solver of these QPs alone, daqp (native warm, default) passes with commanded "
+        "thrusters: its longest step, step "
+    )
+    report = Report.from_results(records.results())
+    assert report.recommendation.ship.warning and dict(report.summary_rows())["answer"] == first
+    page = write_report(records.write(tmp_path / "out")).read_text(encoding="utf-8")
+    assert '<p class="lead">As a solver of these QPs alone, daqp' in page and "use daqp" not in page
 
 
 def test_without_runs_of_three_forces_nothing_is_said_of_them(records: Any) -> None:
@@ -131,6 +147,7 @@ def test_times_for_thrusters_are_those_of_thruster_qps(records: Any) -> None:
     assert " of the replay of thrusters, takes " in first
     recommendation = Report.from_results(records.results()).recommendation
     assert "in the replay of `thrusters`." in recommendation.sentence
+    assert " With commanded thrusters, its largest p99 step time is " in recommendation.sentence
     margin = dict(recommendation.notes)["margin"]
     assert margin.startswith("With commanded thrusters, the ship's computer may be up to ")
     assert " over all replays). " in margin and "the time of step " in margin
