@@ -281,7 +281,7 @@ def _fill_statement(
             if v.configuration.solver != c.solver
             and (text := describe_unanswered_qps(records, v.configuration.solver))
         ],
-        stopped=describe_stopped_runs(records.runs),
+        stopped=describe_stopped_runs(records.all_runs),
         slower=" ".join(list_speed_margin_sentences(data, chosen)),
         ships=[
             f"{title} ({', '.join(vessel.id for vessel in own)})"

@@ -220,8 +220,12 @@ def _describe_first(findings: Sequence[Finding]) -> str:
 
 
 def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
-    """Return a text on how many runs their time limit stopped, and of what; "" for none."""
-    ran = [run for run in runs if run.outcome != "refused"]
+    """Return a text on how many runs their time limit stopped, and of what; "" for none.
+
+    A run that several names of settings list counts once.
+    """
+    started = (run for run in runs if run.outcome != "refused")
+    ran = map_first_by_key(started, lambda run: run.measurement_key).values()
     late = [run.configuration for run in ran if run.outcome == "timed_out"]
     if not late:
         return ""

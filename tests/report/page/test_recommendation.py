@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from dpbench.report.page.recommendation import (
 )
 from dpbench.report.page.write import make_page_document
 from dpbench.report.report import Report
-from dpbench.report.verdict.verdict_text import format_p99_interval
+from dpbench.report.verdict.verdict_text import describe_stopped_runs, format_p99_interval
 
 
 def _facts(records: Any) -> PageData:
@@ -622,6 +623,10 @@ def test_runs_stopped_of_several_solvers_are_counted_by_solver(records: Any) -> 
     assert (
         "stopped 6 of 6 started runs: 2 of `qtqp`, 1 of `osqp`, 1 of `scs` and 2 of other solvers."
     ) in dict(_answer(records).notes)["stopped"]
+    run = records.view().all_runs[0]
+    assert " stopped 1 of 1 started run: " in describe_stopped_runs(
+        [run, replace(run, settings="")]
+    )
 
 
 @pytest.mark.parametrize(("loop", "says"), NOBODY)
