@@ -442,6 +442,7 @@ def test_a_narrow_barred_zone_stays_and_controllers_get_a_half_turn(
     shown = capsys.readouterr().out
     said = " ".join(shown.split())
     assert "DP capability-L1(8, 5, 0, 0)" in said
+    assert "with the half turns of the controllers: DP capability-L1(" in said
     tried = re.search(r"azimuth 5: controllers plan with (\S+ to \S+)\. Of three half turns", said)
     assert tried is not None
     text = Path(FILES[0]).read_text(encoding="utf-8")

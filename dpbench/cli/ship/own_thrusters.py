@@ -337,9 +337,9 @@ class HeldSea:
         that of the whole ship. losses : number held without each group, by rising wind.
     intact_mps : largest wind [m/s] held without a loss. reason : why this sea, for the scenario.
     from_deg : the side of the bow from which less is held; side : a sentence on it.
-    has_half_turns : whether controllers plan with less than the sectors of the plot. remedies :
-        what would help, as text, by group after whose loss no sea is held. weak_side : the
-        direction of least wind held, after the loss of `lost` where there is one.
+    planned : the plot with the half turns of controllers; None where they plan with the sectors of
+        `capability`. remedies : what would help, as text, by group after whose loss no sea is held.
+        weak_side : the direction of least wind held, after the loss of `lost` where there is one.
     """
 
     capability: Capability
@@ -350,14 +350,14 @@ class HeldSea:
     reason: str
     from_deg: float
     side: str
-    has_half_turns: bool
+    planned: Capability | None
     remedies: dict[str, str]
     weak_side: WeakSide
 
     @property
     def method(self) -> str:
         """Method that gives these winds, as text."""
-        return _name_method(self.has_half_turns)
+        return _name_method(self.planned is not None)
 
     @property
     def intact_number(self) -> int:
@@ -432,9 +432,8 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
         for case in losses
         if not numbers[case]
     }
-    weak_side = _find_weak_side(
-        compute_capability(CapabilityPlot(planned)) if halves else capability, lost, halves
-    )
+    with_halves = compute_capability(CapabilityPlot(planned)) if halves else None
+    weak_side = _find_weak_side(with_halves or capability, lost, halves)
     return HeldSea(
         capability,
         number,
@@ -444,7 +443,7 @@ def find_held_sea(vessel: Vessel) -> HeldSea:
         reason,
         from_deg,
         _explain_side(by_side),
-        halves,
+        with_halves,
         remedies,
         weak_side,
     )
@@ -636,4 +635,8 @@ def save_held_sea(held: HeldSea, vessel: Vessel, folder: Path, name: str) -> lis
     path = folder / f"{name}_capability.svg"
     save_rose_figure(held.capability, vessel, path)
     cautions = [line for text in caution_on_rudders(vessel) for line in textwrap.wrap(text, WIDTH)]
-    return [*cautions, f"wrote {path}: {format_notation(held.capability, vessel)}"]
+    lines = [*cautions, f"wrote {path}: {format_notation(held.capability, vessel)}"]
+    if held.planned is not None:
+        notation = format_notation(held.planned, vessel)
+        lines.append(f"with the half turns of the controllers: {notation}")
+    return lines
