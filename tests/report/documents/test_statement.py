@@ -107,6 +107,8 @@ def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, writte
         *("Synthetic CPU", "0123456789ab", "does not cover other vessels"),
         *("State during timing: quiet", "DNV-ST-0111", "IMCA M 220"),
         "This statement replaces none of these",
+        "power limits (3.12), rudders (3.10), and operator-defined zones",
+        "calculation of DP capability level 2 nor the time-domain simulation of level 3",
         "Conditions of ",
         "sensors, estimators, lags, delays and mismatches other than those stated above",
         "Compared, with the largest p99 of all replays: daqp 1.0 (default) pass",
