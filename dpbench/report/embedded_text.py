@@ -44,7 +44,8 @@ NOTE = (
     "error of the first move, in maximum increments. The times on this machine are those of the "
     "same steps through the native interface at default settings, with a warm start where "
     "supported. Solvers whose C code runs at other settings have no rank. The order of two p99 "
-    f"values within {100 * (APART - 1):.0f} % of each other is not compared."
+    f"values within {100 * (APART - 1):.0f} % of each other is not compared with that of the times "
+    "on this machine."
 )
 """Meaning of the columns of the table of counts."""
 
@@ -238,7 +239,7 @@ def yield_unranked_sentences(sequences: Sequence[CountedSequence]) -> Iterator[s
         options = ", ".join(f"{key} = {value}" for key, value in default.items())
         desk = f"with the default settings ({options or 'those of the library'})"
         yield (
-            f"`{name}` is not ranked, because its settings differ. The C code runs with {counted}. "
+            f"`{name}` is not ranked, because its settings differ. Its C code runs with {counted}. "
             f"On this machine, the solver runs {desk}."
         )
 

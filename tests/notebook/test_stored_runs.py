@@ -46,7 +46,7 @@ def test_loops_of_an_own_plant_join_the_replays_of_its_qps(tmp_path: Path) -> No
     assert "Ship: not run" not in text
     assert "no replay has their QPs" not in text
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert "The results do not cover other plants, disturbances" in page
+    assert "The results do not cover other plants, other disturbances" in page
     assert "ships, weather" not in page and "The ship's computer" not in page
     # The page's script shows such a loop without the strip of a ship's forces.
     charts = _draw_empty_step_charts(Report.from_results(results).data)

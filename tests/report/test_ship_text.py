@@ -256,9 +256,10 @@ def test_a_qp_that_never_meets_a_limit_was_never_hard(records: Any) -> None:
     assert _summary(records).text.endswith("No limit is ever active, so no QP is hard.")
     records.loop("daqp", "rough", exact_active_share=0.2)
     assert _summary(records).text.endswith(
-        "Limits are active in 0 % (`calm`) to 20.0 % (`rough`) of the steps. In `calm` no limit "
-        "is ever active. Over the closed loops that are accurate on every step, the largest "
-        "shares of steps with a force at its limit are: rate limit 13.0 % (sway in `rough`)."
+        "Limits are active in 0 % (`calm`) to 20.0 % (`rough`) of the steps. In `calm` no limit is "
+        "ever active. Over the closed loops of all configurations that are accurate on every step, "
+        "the largest shares of steps with a force at its limit are: rate limit 13.0 % (sway in "
+        "`rough`)."
     )
 
 
@@ -529,9 +530,9 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     text = _summary(records).text
     assert text.startswith(
         "With exactly solved QPs, the controller holds the ship on station (5 m, 5°) in 2 of 2 "
-        "scenarios, except while the ship approaches its setpoint from farther away. Otherwise, "
-        "the largest offset is 1.77 m in "
-        "`paper` at the start (0.0400 m at the end there)."
+        "scenarios, apart from approaches that start outside these limits. Outside these "
+        "approaches, the largest offset is 1.77 m in `paper` at the start (0.0400 m at the end "
+        "there)."
     )
     assert text.endswith(
         "In `turn`, the ship is up to 17.0 m from its setpoint during the approach and on "

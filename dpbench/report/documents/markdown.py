@@ -258,9 +258,9 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
     ) * is_scaled
     step = "scaled " * any(m.hardest.run.untimed_iterations_max > 1 for m in margins)
     return (
-        f"The limiting p99 is the largest p99 of all replays and windows{scaled}. If there is no "
-        "p99, the longest step is used. The speed margin is the factor by which the "
-        "computer may be slower, rounded down. It is the smaller of two ratios: "
+        f"The limiting p99 is the largest p99 of all replays and windows{scaled}. For a replay or "
+        "window without a p99, the longest step is used instead. The speed margin is the factor by "
+        "which the computer may be slower, rounded down. It is the smaller of two ratios: "
         f"{requirements.p99_ms:g} ms / limiting p99 and {requirements.deadline_ms:g} ms / "
         f"{step}longest step."
     )

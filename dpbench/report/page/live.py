@@ -77,7 +77,7 @@ BARS = (
     "of the closed loop. The limiting p99 is the largest of these values. It may exceed the "
     "longest step, which is drawn as measured. Single timings "
     "include those of closed loops. The call overhead is the time of a call that only copies its "
-    "data. Its bar never extends beyond the p50. Below 5 µs, differences may be due to the "
+    "data. The figure cuts its bar off at the p50. Below 5 µs, differences may be due to the "
     "interfaces, not the algorithms."
 )
 
@@ -102,11 +102,11 @@ MATRIX = (
 )
 DEFINITIONS = (
     "Fail: at least one solution is inaccurate, or missing although the QP has one; at least one "
-    "step failed; or the process crashed. Late: accurate, but too slow. Borderline: accurate, but "
-    "a time is above or below its limit by less than the difference between rounds. "
-    "Inconclusive: no violation is shown, but a run is missing or could not be measured, a step "
-    "may be late, or steps that were not timed may exceed a time limit. The verdict on a closed "
-    "loop includes the timing of its window of hardest steps."
+    "step failed; or the process crashed. Late: accurate, but the p99 or the longest step exceeds "
+    "its limit. Borderline: accurate, but a time is above or below its limit by less than the "
+    "difference between rounds. Inconclusive: no violation is shown, but a run is missing or could "
+    "not be measured, a step may be late, or steps that were not timed may exceed a time limit. "
+    "The verdict on a closed loop includes the timing of its window of hardest steps."
 )
 
 
@@ -246,7 +246,7 @@ def _explain_other_replays(points: pd.DataFrame, names: str, usual: str) -> str:
     has_p99 = points["p99_us"].notna()
     if has_p99[points["timed_on"] == names].any() or not has_p99[points["timed_on"] == usual].all():
         return f"For {solvers}, the step time is "
-    return f"For {solvers}, too few steps were run for a p99, so the p50 is always shown: "
+    return f"With too few steps for a p99, the step time of {solvers} is always the p50, "
 
 
 def _mark_names(names: Iterable[str]) -> list[str]:

@@ -417,13 +417,13 @@ def _describe_margin_limit(margin: SpeedMargin, requirements: Requirements, time
         )
     bound, limit = format_time(margin.limiting_p99_ns), f"{requirements.p99_ms:g} ms"
     if margin.p99.run.untimed_iterations > 1.0:
-        here += _name_scaling(margin.p99.run.scenario)
+        here += _name_scaling(margin.p99.run.scenario, ", at most to its longest step")
     return f"The {time} is {bound} {here}; at that slowdown, it reaches the p99 limit of {limit}."
 
 
-def _name_scaling(scenario: str) -> str:
+def _name_scaling(scenario: str, cap: str = "") -> str:
     """Return in brackets the scenario to whose closed loop a time is scaled up."""
-    return f" (`{scenario}`, scaled up to the iterations of the closed loop)"
+    return f" (`{scenario}`, scaled up to the iterations of the closed loop{cap})"
 
 
 def _list_limiting_steps(

@@ -188,7 +188,7 @@ def _describe_replay(data: PageData, run: RunRecord, loop_steps: int) -> str:
             f"loops (step {controlled - 1})"
         )
     kept = data.thinned_runs.get(run.run_id)
-    if kept is None:
+    if kept is None or not kept.is_whole:  # the steps kept of a long run are its hardest
         return f"Replay of {window}its {loop}."
     share = format_share(float(np.mean(kept.steps.n_active > 0)))
     end_s = (first + run.steps_planned) * run.sample_s

@@ -346,8 +346,8 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     moves, largest = "", "The largest offset"
     if any(ship.has_transfer for ship in kept):
-        moves = ", except while the ship approaches its setpoint from farther away"
-        largest = "Otherwise, the largest offset"
+        moves = ", apart from approaches that start outside these limits"
+        largest = "Outside these approaches, the largest offset"
     return (
         f"With exactly solved QPs, the controller holds the ship on station "
         f"({_format_station_limits(farthest)}){weather} {where}{moves}. {largest} is "
@@ -547,8 +547,8 @@ def _describe_kinds_of_limits(known: Sequence[ShipResult]) -> Iterator[str]:
             parts.append(f"{kind} {format_share(share)} ({axis}{_locate_ship(ship)})")
     if parts:
         yield (
-            "Over the closed loops that are accurate on every step, the largest shares of steps "
-            f"with a force at its limit are: {join_with_and(parts)}."
+            "Over the closed loops of all configurations that are accurate on every step, the "
+            f"largest shares of steps with a force at its limit are: {join_with_and(parts)}."
         )
 
 

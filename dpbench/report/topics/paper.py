@@ -77,7 +77,7 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
                 "Claims of the paper",
                 _WORDS["notes"]["claims"],
                 folded=True,
-                labels={"state": "result"},
+                labels={"paper states": "statement in the paper", "state": "result"},
             ),
             Table(
                 ("not specified by the paper", "assumed here"),
@@ -111,7 +111,7 @@ def _describe_basis(judged: "Sequence[Claim]") -> str:
     counts = [f"{count} {words}" for words, count in counted.items() if count]
     marked = sum(any(mark in stated for mark in BASES) for stated in held)
     if marked < sum(counted.values()):
-        counts.append(f"together {marked} of the {len(held)}")
+        counts[-1] += f"; {marked} different claims"
     return f" ({', '.join(counts)})" if counts else ""
 
 

@@ -176,12 +176,12 @@ def build_trust_topic(records: Records) -> Topic | None:
         **dict(list_switching_solvers(timed)),
     }
     is_of_own_plant = any(run.is_of_own_plant for run in records.runs)
-    others = "plants, disturbances" if is_of_own_plant else "ships, weather"
+    others = "plants, other disturbances" if is_of_own_plant else "ships, other weather"
     return Topic(
         id="trust",
         title="Measurement quality",
         short="Measurement",
-        lines=(*lines, COVERED.format(f"{others} or tunings")),
+        lines=(*lines, COVERED.format(f"{others}, other tunings")),
         figures=tuple(figures),
         tables=(
             Table(

@@ -95,7 +95,7 @@ def test_unequal_settings_and_loops_without_counts_are_named(judged: MadeRecords
     report = Report.from_results(judged.results(), counted=pd.concat([counts(), tight]))
     (topic,) = (topic for topic in report.topics if topic.id == "embedded")
     assert (
-        "`osqp` is not ranked, because its settings differ. The C code runs with eps_abs = 1e-06 "
+        "`osqp` is not ranked, because its settings differ. Its C code runs with eps_abs = 1e-06 "
         "and rho = 0.25. On this machine, the solver runs with the default settings (adaptive_rho "
         "= 1, adaptive_rho_interval = 50)."
     ) in topic.tables[0].note

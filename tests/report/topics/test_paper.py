@@ -69,7 +69,7 @@ def test_contradicting_rows_are_believed(
     _pair(records, **{column: value})
     assert _states(records)[claim] == "contradicted"
     topic = build_paper_topic(records.view())
-    assert topic is not None and "Contradicted by the simulation: the claim" in topic.lines[0]
+    assert topic is not None and "The simulation contradicts the claim" in topic.lines[0]
     assert f"“{claim}”" in topic.lines[0].split("Contradicted by the simulation: ")[1]
 
 
@@ -277,7 +277,7 @@ def test_the_count_names_what_a_figure_or_dpbench_decides(records: Any) -> None:
     all_held = [Claim(one.claim, one.stated_in_paper, "", "reproduced") for one in claims]
     assert describe_count_reproduced(all_held) == (
         "9 of 9 claims of Xia, Liu, Pang & Xue are reproduced (3 read from figures, 2 with a "
-        "limit set by dpbench, 1 with weights chosen by dpbench, together 5 of the 9)"
+        "limit set by dpbench, 1 with weights chosen by dpbench; 5 different claims)"
     )
     quoted = [one for one in all_held if one.stated_in_paper.startswith("“")]
     quoted = [one for one in quoted if "dpbench" not in one.stated_in_paper]

@@ -24,8 +24,8 @@ function kept() {
   if (deadline_ms === null) return "Lateness is not judged, as no deadline is known.";
   // The summary above states the margin of the recommended configuration.
   const own = margin === null || (state.c === facts.answer.first && state.slow <= 1) ? "" : `\`${C().solver[state.c]}\` ${paceOf(state.c, margin)}. `;
-  const longest = state.slow * C().max[state.c];
-  const slowed = own && state.slow > 1 && longest > 0 ? `Its longest measured step then takes ${time(longest)}, ${figure(longest / deadline_ms / 1e4, 2)} % of the deadline. ` : "";
+  const share = (100 * state.slow) / C().deadline_margin[state.c];
+  const slowed = own && state.slow > 1 ? `Its longest step then takes ${figure(share, 2)} % of the deadline. ` : "";
   const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
   const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");
   if (!right.length) return own + slowed;

@@ -93,9 +93,11 @@ function drawQuery() {
   $("data-query").textContent = !id ? ""
     : `steps = pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${id}")])`
       + `  # ${label(state.c)} in ${where}`
-      + (window === null && facts.experiments[state.p].mode === "replay"
+      + (window !== null || facts.experiments[state.p].mode === "replay"
         ? `\ntotal_ns = steps.filter(regex="^(setup|update|solve|read|allocation)_ns$").sum(axis=1)`
-          + `\ntotal_ns[steps.counts].groupby(steps.k).min().quantile([0.5, 0.99]) / 1e3  # p50 and p99 [µs]`
+          + `\ntotal_ns[steps.counts].groupby(steps.k).min()`
+          + (window === null ? `.quantile([0.5, 0.99]) / 1e3  # p50 and p99 [µs]`
+            : ` / 1e3  # time of each step [µs]; k = 0 is the first step of the window`)
         : "");
 }
 

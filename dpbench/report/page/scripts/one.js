@@ -109,7 +109,7 @@ function resultOf(run) {
       unverified ? "" : wrongOf(run) ? `; ${wrongOf(run)}` : all}.`,
     unverified && `${unverified[0].toUpperCase()}${unverified.slice(1)}.`,
     largestErrorOf(run),
-    run.off_m === null ? "" : `At the start of a step, the ship is up to ${figure(run.off_m)} m from its position in the reference loop and ${figure(run.setpoint_m)} m from its setpoint.`,
+    run.off_m === null ? "" : `At the start of a step, the ship is at most ${figure(run.off_m)} m from its position in the reference loop and at most ${figure(run.setpoint_m)} m from its setpoint.`,
     run.infeasible > 0 ? `${grouped(run.infeasible)} of the steps have no feasible solution${run.all_true ? ", which the solver reported correctly" : ""}.` : "",
     run.why && run.verdict !== "pass" ? `${run.outcome === "finished" ? "Messages of the solver" : `Outcome \`${run.outcome}\``}: ${run.why}.` : "",
   ].filter(Boolean).join(" ");
