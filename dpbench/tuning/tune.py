@@ -237,9 +237,14 @@ class Tuning:
         )
         with_code = " (with the library's own call in Python)" if code else ""
         lines += [*self._machine, f"settings: {self.path}{with_code}{runs}"]
-        if failed := join_with_and([role.title for role in self._failed_roles]):
-            lines.append(f"the best settings fail on the {failed} sequences: do not use them")
-        return lines
+        return [*lines, *self._warning]
+
+    @property
+    def _warning(self) -> list[str]:
+        """Line on the sequences on which the best settings fail, if they fail on any."""
+        failed = join_with_and([role.title for role in self._failed_roles])
+        text = f"the best settings fail on the {failed} sequences: do not use them"
+        return [text] * bool(failed)
 
     @property
     def is_successful(self) -> bool:
@@ -342,6 +347,7 @@ class Tuning:
         """The table `[settings.NAME]` of a suite, with what was measured in its comments."""
         solver, name = self.solver, self.request.name
         comments = [
+            *self._warning,
             f"Settings of {solver.name} in the call mode of their search; found by "
             "`dpbench tune-solver`.",
             *self.request.searched,

@@ -148,6 +148,7 @@ def test_a_best_that_is_late_says_where_and_by_which_percentile(
     failed = "the best settings fail on the training and test sequences: do not use them"
     assert out.splitlines()[-1] == failed
     shown, text = " ".join(out.split()), (tmp_path / "tuned.toml").read_text()
+    assert text.startswith(f"# {failed}\n")
     rows = [row for row in out.splitlines() if "│ best " in row]
     assert [row.split("│")[-1].strip() for row in rows] == ["late", "late"]
     assert "all accurate settings that were tried are late on a training sequence" in shown
