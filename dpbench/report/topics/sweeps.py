@@ -7,7 +7,7 @@ import pandas as pd
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import group_by_key
-from dpbench.analysis.suites.slowdown import group_delayed_loops
+from dpbench.analysis.suites.slowdown import DelayedConfiguration, group_delayed_loops
 from dpbench.analysis.times.contrasts import (
     Sweep,
     SweptConfiguration,
@@ -177,16 +177,15 @@ def build_slowdown_topic(records: Records) -> Topic | None:
             )
         rows = []
         for delayed in group.configurations:
-            survived = delayed.largest_survived_slowdown
             latest_ns = max(
                 (run.latency_max_ns for run in delayed.loops.values()), default=math.nan
             )
             row = {"configuration": delayed.configuration.label}
-            row["largest slowdown survived"] = MISSING if math.isnan(survived) else f"{survived:g}"
+            row["largest slowdown survived"] = _describe_survived(delayed)
             rows.append(row | {"largest latency": format_time(latest_ns)})
         tables.append(Table.from_rows(rows, group.scenario))
         survivors = [c for c in group.configurations if c.largest_survived_slowdown > 0]
-        best = [f"{c.configuration.label} × {c.largest_survived_slowdown:g}" for c in survivors[:3]]
+        best = [f"{c.configuration.label} {_describe_survived(c, '× ')}" for c in survivors[:3]]
         named = ", ".join(best) if best else "none by any solver"
         leads.append(f"Largest slowdown survived in {group.scenario}: {named}.")
     if not tables:
@@ -198,3 +197,13 @@ def build_slowdown_topic(records: Records) -> Topic | None:
         "reference loop.",
     )
     return Topic("slowdown", "Slower computers", wording, tuple(figures), tuple(tables))
+
+
+def _describe_survived(delayed: DelayedConfiguration, sign: str = "") -> str:
+    """Return the largest slowdown survived, as a bound if none larger was run; a dash for none."""
+    survived = delayed.largest_survived_slowdown
+    if math.isnan(survived):
+        return MISSING
+    is_bound = survived == max(delayed.loops)
+    at_least, note = ("at least ", " (the largest run)") if is_bound else ("", "")
+    return f"{at_least}{sign}{survived:g}{note}"

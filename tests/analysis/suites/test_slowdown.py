@@ -114,6 +114,13 @@ def test_the_terminal_hears_who_survives_what(records: Any) -> None:
     assert records.ending()["answer"] == said and "solver" not in records.ending()
 
 
+def test_the_largest_slowdown_run_is_a_bound(records: Any) -> None:
+    for slowdown in (1, 100):
+        slow(records, "daqp", slowdown, 100.0)
+    bound = "daqp (qpsolvers fresh) at least × 100 (the largest run)."
+    assert records.ending()["answer"] == f"Largest slowdown survived in paper: {bound}"
+
+
 def test_nobody_survives_is_said(records: Any) -> None:
     slow(records, "scs", 1, 112.0)
     assert records.ending()["answer"].endswith("survived in paper: none by any solver.")
