@@ -92,6 +92,7 @@ def _describe_counted_runs(runs: Sequence[RunRecord], records: Records) -> str:
     refused = sum(run.outcome == "refused" for run in runs)
     twice = len(runs) - len({run.measurement_key for run in runs})
     apart = {
+        "on simulated slower computers": len(records.delayed),
         "of consequence analyses": len(records.consequence),
         "at the edge of capability plots": len(records.at_edge),
     }

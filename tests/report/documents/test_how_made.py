@@ -51,7 +51,7 @@ def test_a_long_report_keeps_the_paragraph(records: Any, monkeypatch: Any) -> No
 
 
 def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> None:
-    """One of four rows is the same run under another name, and one a consequence analysis."""
+    """One row is the same run under another name; two are of other subjects."""
     columns = {"route": "native", "policy": "warm", "replay_s": 1.25, "raw_max_ns": 5e4}
     for settings in ("default", "high"):
         records.replay("quadprog", settings=settings, setup=False, **columns)
@@ -64,13 +64,15 @@ def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> N
     files = records.scenario("thrusters_loss").files
     cell = json.dumps({"scenario": files, "source": source})
     records.replay("daqp", source["name"], steps=4, scenario="thrusters_loss", cell=cell)
+    records.loop("daqp", "thrusters_loss", steps=40, slowdown=100.0)
     frame = records.results().runs
-    assert len(frame) == 4
+    assert len(frame) == 5
     made = _paragraph(make_report_markdown(Report.from_results(records.results())))
     assert "3 runs with" in made
     assert (
         "The numbers of runs and steps count 1 run twice, because two settings names select the "
-        "same settings. Both numbers exclude 1 run of consequence analyses. Solvers: "
+        "same settings. Both numbers exclude 1 run on simulated slower computers and 1 run of "
+        "consequence analyses. Solvers: "
     ) in made
 
 
