@@ -67,18 +67,17 @@ def _explain_step_times(data: PageData) -> str:
     return (
         "Step time of each solver in the replays and windows of hardest steps. The marker shows "
         f"the p50 in the replay of {replay}{which}. The bar ends at the limiting p99, the line at "
-        "the longest step and the dashed line at the largest single timing. The grey bar shows the "
-        f"call overhead.{more}"
+        "the longest step and the dashed line at the largest single timing (closed loops "
+        f"included). The grey bar shows the call overhead.{more}"
     )
 
 
 BARS = (
     "In the figure of step times, the p99 of each replay and window is scaled up to the iterations "
     "of the closed loop. The limiting p99 is the largest of these values. It may exceed the "
-    "longest step, which is drawn as measured. Single timings "
-    "include those of closed loops. The call overhead is the time of a call that only copies its "
-    "data. The figure cuts its bar off at the p50. Below 5 µs, differences may be due to the "
-    "interfaces, not the algorithms."
+    "longest step, which is drawn as measured. The call overhead is the time of a call that only "
+    "copies its data. The figure cuts its bar off at the p50. Below 5 µs, differences may be due "
+    "to the interfaces, not the algorithms."
 )
 
 
