@@ -302,6 +302,16 @@ def test_the_speed_margin_decides_on_slower_computers(selected: Any, written: An
         _check_speed_margins(page, written.report.data, slow)
 
 
+def test_the_slowdown_names_custom_settings(opened: Any) -> None:
+    page = opened()
+    page.evaluate("C().settings.fill('mine')")
+    page.fill("#slow-said", "50")
+    page.press("#slow-said", "Enter")
+    wait_for_strips(page)
+    kept = page.inner_text("#slow-kept").replace("\xa0", " ")
+    assert re.match(r"\w+ with settings mine ", kept) and " with settings mine (up to × " in kept
+
+
 def _check_speed_margins(page: Any, facts: Any, slow: int) -> None:
     """Enter a slowdown and check which solvers the page names, and marks as late, by it."""
     page.fill("#slow-said", str(slow))

@@ -17,13 +17,16 @@ function paceOf(c, margin) {
   return `${margin < state.slow ? "is late beyond a slowdown of" : "meets both limits up to a slowdown of"} ${limited}${other}`;
 }
 
+// A configuration's solver, with its settings unless they are the default.
+const withSettings = (c) => `\`${C().solver[c]}\`${C().settings[c] === "default" ? "" : ` with settings \`${C().settings[c]}\``}`;
+
 // The speed margin of the chosen configuration, and the solvers that stay within both limits on the
 // slower computer: of those that pass here, or that nothing contradicts where none does.
 function kept() {
   const { deadline_ms, p99_ms } = facts.requirements, margin = C().margin[state.c];
   if (deadline_ms === null) return "Lateness is not judged, as no deadline is known.";
   // The summary above states the margin of the recommended configuration.
-  const own = margin === null || (state.c === facts.answer.first && state.slow <= 1) ? "" : `\`${C().solver[state.c]}\` ${paceOf(state.c, margin)}. `;
+  const own = margin === null || (state.c === facts.answer.first && state.slow <= 1) ? "" : `${withSettings(state.c)} ${paceOf(state.c, margin)}. `;
   const share = (100 * state.slow) / C().deadline_margin[state.c];
   const slowed = own && state.slow > 1 ? `Its longest step then takes ${figure(share, 2)} % of the deadline. ` : "";
   const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
@@ -34,7 +37,7 @@ function kept() {
   const safe = solvers.filter((row) => state.slow <= 1 || row.margin >= state.slow);
   return `${own}${slowed}At × ${figure(state.slow)}, ${safe.length} of ${solvers.length} ${passing.length ? "passing" : "borderline or inconclusive"
   } solvers ${safe.length === 1 ? "meets" : "meet"} both limits (p99 ${p99_ms} ms, longest step ${deadline_ms} ms)${
-    listed(safe, (row) => `\`${row.solver}\` (up to × ${roundedDown(row.margin)})`)}.`;
+    listed(safe, (row) => `${withSettings(Number(row.id))} (up to × ${roundedDown(row.margin)})`)}.`;
 }
 
 // Where the slider stops: 1, 2 and 5 of each decade.
