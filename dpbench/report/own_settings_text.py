@@ -3,7 +3,9 @@
 import math
 from collections.abc import Sequence
 
+from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import group_by_key
+from dpbench.analysis.times.paired_times import MACHINE_DISTURBED, compare_configurations
 from dpbench.analysis.verdict.requirements import STATES
 from dpbench.analysis.verdict.verdict import (
     ACCURATE,
@@ -13,6 +15,7 @@ from dpbench.analysis.verdict.verdict import (
     Verdict,
     Verdicts,
     choose_best_settings,
+    find_limiting_time_ns,
     find_solver_record_or_none,
     group_own_settings,
     list_best_verdict_of_own_settings,
@@ -25,12 +28,14 @@ from dpbench.report.formats import (
     format_time,
     join_with_and,
     plural,
+    significant,
     strip_markdown,
 )
 from dpbench.report.page.data import PageData
 from dpbench.report.verdict.findings_text import describe_finding
 from dpbench.report.verdict.verdict_text import (
     describe_kinds_of_reasons,
+    describe_paired_times,
     describe_scaled_p99,
     describe_tolerances_left,
     describe_usual_time,
@@ -47,19 +52,20 @@ MOST_EQUAL = 2
 """Settings that are named as equally fast; of the others their number is."""
 
 
-def describe_own_settings(verdicts: Verdicts) -> list[str]:
+def describe_own_settings(records: Records, verdicts: Verdicts) -> list[str]:
     """Return lines on the verdict on each custom settings, and the best of each grid."""
     own = _leave_out_failing_grids(verdicts)
     lines = describe_verdicts_on_settings(verdicts, own)
     others = len(own) - MOST_OWN
     more = [f"{others} more settings: tables/verdicts.csv."] if others > 0 else []
-    return [*lines, *more, *describe_best_of_grids(verdicts)]
+    return [*lines, *more, *describe_best_of_grids(records, verdicts)]
 
 
-def describe_failing_settings_and_grids(verdicts: Verdicts) -> list[str]:
+def describe_failing_settings_and_grids(records: Records, verdicts: Verdicts) -> list[str]:
     """Return lines on the custom settings that fail, and why, and the best of each grid."""
     failing = [v for v in _leave_out_failing_grids(verdicts) if v.state == "fail"]
-    return [*describe_verdicts_on_settings(verdicts, failing), *describe_best_of_grids(verdicts)]
+    best = describe_best_of_grids(records, verdicts)
+    return [*describe_verdicts_on_settings(verdicts, failing), *best]
 
 
 def _leave_out_failing_grids(verdicts: Verdicts) -> list[Verdict]:
@@ -120,18 +126,25 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) ->
     if verdict.refusal:
         return f"{name}: {verdict.state}: {verdict.refusal}."
     time = f"; {describe_usual_time(verdict)}" if verdict.timed_on else ""
-    why = f": {reasons}" if (reasons := _describe_reasons(verdict)) else ""
+    why = f": {reasons}" if (reasons := describe_kinds_of_reasons(verdict)) else ""
+    notes = f"; {options}" if (options := _describe_options(verdict)) else ""
     return (
         f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
-        f"{plural(verdict.failed_steps, 'failed step')}{time}{why}."
+        f"{plural(verdict.failed_steps, 'failed step')}{time}{why}{notes}."
         f"{describe_scaled_p99(verdict)}{_describe_failing_modes(verdict, modes)}"
     )
 
 
 def _describe_reasons(verdict: Verdict) -> str:
-    """Return in words why custom settings do not pass, and the tolerances that they do not set."""
+    """Return in words why custom settings do not pass, with the notes on their options."""
+    parts = describe_kinds_of_reasons(verdict), _describe_options(verdict)
+    return "; ".join(filter(None, parts))
+
+
+def _describe_options(verdict: Verdict) -> str:
+    """Return in words options that the solver adapts, and tolerances that are not set; or ""."""
     left = strip_markdown(describe_tolerances_left(verdict))
-    return "; ".join(filter(None, (describe_kinds_of_reasons(verdict), left)))
+    return "; ".join(filter(None, (_describe_adapted_options(verdict), left)))
 
 
 def _describe_failing_modes(verdict: Verdict, modes: Sequence[Verdict]) -> str:
@@ -144,18 +157,17 @@ def _describe_failing_modes(verdict: Verdict, modes: Sequence[Verdict]) -> str:
     )
 
 
-def describe_best_of_grids(verdicts: Verdicts) -> list[str]:
+def describe_best_of_grids(records: Records, verdicts: Verdicts) -> list[str]:
     """Return lines on the best of three or more settings of a solver that set the same options.
 
     Also the options of which it has the least or largest value that was tried. Limits of iterations
     or time alone have a topic of their own.
     """
-    best = [
-        _describe_best_of_grid(points, choose_best_settings(verdicts, points))
-        for points in list_grids(verdicts)
-    ]
-    adapted = map(_describe_adapted_options, _group_by_names_of_options(verdicts))
-    return [*best, *dict.fromkeys(filter(None, adapted))]
+    grids = list_grids(verdicts)
+    best = [_describe_best_of_grid(records, p, choose_best_settings(verdicts, p)) for p in grids]
+    # The line on a grid that fails everywhere has this note already.
+    adapted = [_describe_adapted_options(p[0]) for p in grids if not _do_all_fail(p)]
+    return [*best, *(f"{text}." for text in dict.fromkeys(filter(None, adapted)))]
 
 
 def _group_by_names_of_options(verdicts: Verdicts) -> list[list[Verdict]]:
@@ -183,23 +195,18 @@ def list_varied_options(points: Sequence[Verdict]) -> set[str]:
     return {name for name in options[0] if len({own[name] for own in options}) > 1}
 
 
-def _describe_adapted_options(points: Sequence[Verdict]) -> str:
-    """Return a sentence on varied options that the solver adapts from a first value; or ""."""
-    c = points[0].configuration
+def _describe_adapted_options(verdict: Verdict) -> str:
+    """Return a clause on options set that the solver adapts from a first value; or ""."""
+    c = verdict.configuration
     record = find_solver_record_or_none(c.solver)
-    if record is None:
-        return ""
-    varied = sorted(list_varied_options(points) & set(record.adapted))
-    set_to = [
-        resolve_settings_with_fixed_options(v.configuration.solver_settings, c.solver)
-        for v in points
-    ]
+    adapted = {} if record is None else record.adapted
+    set_to = resolve_settings_with_fixed_options(c.solver_settings, c.solver) if adapted else {}
     texts = [
         f"{name} is only an initial value in {c.solver}, as {switch} is on"
-        for name in varied
-        if all(own.get(switch := record.adapted[name]) for own in set_to)
+        for name, switch in adapted.items()
+        if name in format_options_by_name(verdict) and set_to.get(switch)
     ]
-    return f"{'; '.join(texts)}." if texts else ""
+    return "; ".join(texts)
 
 
 def _differ_in_limit_alone(points: Sequence[Verdict]) -> bool:
@@ -225,7 +232,7 @@ def _list_others_as_good(best: Verdict, by: str, points: Sequence[Verdict]) -> l
     """Return the other settings of the same state that are as good as the best by its figure."""
     rivals = [verdict for verdict in points if verdict.state == best.state and verdict is not best]
     if by == "time":
-        return list_equally_fast(best, rivals)
+        return list_equally_fast(best, rivals, find_limiting_time_ns)
     if by == "iterations":
         return [verdict for verdict in rivals if verdict.iterations == best.iterations]
     error = format_error(best.error_move)
@@ -255,7 +262,7 @@ def _list_edges(best: Verdict, points: Sequence[Verdict], equals: Sequence[Verdi
     return edges
 
 
-def _describe_best_of_grid(points: Sequence[Verdict], found: BestSettings) -> str:
+def _describe_best_of_grid(records: Records, points: Sequence[Verdict], found: BestSettings) -> str:
     """Return a line on the best of a solver's settings, and whether it is at the grid's edge."""
     best, count = found.verdict, f"{len(points)} settings of {points[0].configuration.solver}"
     if best is None and found.by == "error":
@@ -279,6 +286,8 @@ def _describe_best_of_grid(points: Sequence[Verdict], found: BestSettings) -> st
         names = [_name_own_settings(verdict) for verdict in equals]
         edge += f"; {EQUALS[found.by]}: {_name_first_of(names)}"
     edge += f"; {NOT_RANKED}" * (found.by == "iterations")
+    if found.by == "time":
+        edge += _compare_with_runner_up(records, best, points, is_alone=not equals)
     return (
         f"Best of {count}{_describe_figure(found.by, best)}: {best.configuration.settings}{edge}."
     )
@@ -290,7 +299,29 @@ def _describe_figure(by: str, best: Verdict) -> str:
         return f" by largest error ({format_error(best.error_move)})"
     if by == "iterations":
         return f" by iterations (p50 {best.iterations[0]:g} in the replay of {best.timed_on})"
-    for name, time_ns in (("p99", best.p99_ns), ("p50", best.p50_ns)):
-        if math.isfinite(time_ns):
-            return f" by {name} ({format_time(time_ns)})"
-    return ""
+    name = "limiting p99" if math.isfinite(best.p99_bound_ns) else "p50"
+    time_ns = find_limiting_time_ns(best)
+    return f" by {name} ({format_time(time_ns)})" if math.isfinite(time_ns) else ""
+
+
+def _compare_with_runner_up(
+    records: Records, best: Verdict, points: Sequence[Verdict], *, is_alone: bool
+) -> str:
+    """Return clauses on the runner-up's time ratio to the best settings, and on other load.
+
+    is_alone : whether no settings are equally fast within the noise; otherwise without a ratio.
+    """
+    options = best.configuration.options
+    rivals = [v for v in points if v.state == best.state and v.configuration.options != options]
+    if not rivals:
+        return ""
+    second = min(rivals, key=find_limiting_time_ns)
+    pair = best.configuration, second.configuration
+    ratios = compare_configurations(records, *pair) if is_alone else []
+    words = strip_markdown(describe_paired_times(ratios, than=" as the best"))
+    text = f"; the runner-up, {_name_own_settings(second)}, takes {words}" * bool(ratios)
+    spread = max(v.disturbed_spread for v in (best, *rivals))
+    if spread > 1.0 and all(one.finding_text != MACHINE_DISTURBED for one in ratios):
+        factor = significant(spread)
+        text += f"; the machine was disturbed: rounds differ by a factor of up to {factor}"
+    return text

@@ -169,7 +169,10 @@ class Report:
             rows.append(("solvers", describe_which_solvers_pass(verdicts)))
             if in_si := describe_failures_in_si(self.data, beyond_verdicts=True):
                 rows.append(("units", in_si))
-            own = [*describe_own_settings(verdicts), *describe_own_settings_in_si(self.data)]
+            own = [
+                *describe_own_settings(self.data.records, verdicts),
+                *describe_own_settings_in_si(self.data),
+            ]
             rows += [("options", line) for line in own]
         records = self.data.records
         timed = select_timed_replays(records) or select_delayed_loops(records)

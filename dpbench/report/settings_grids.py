@@ -14,7 +14,7 @@ from dpbench.report.own_settings_text import format_options_by_name, list_grids,
 def make_grid_tables(verdicts: Verdicts) -> list[Table]:
     """Return a table of each grid over two options: a row per value of one, a column of the other.
 
-    A cell has the verdict, and the p99 where all answers are accurate, else the largest error.
+    A cell has the verdict, and the limiting p99 of accurate settings, else the largest error.
     """
     tables = []
     for points in list_grids(verdicts):
@@ -39,20 +39,21 @@ def _make_table_over_two_options(points: Sequence[Verdict], down: str, across: s
         (down, *(f"{across}={value}" for value in columns)),
         tuple((row, *(cells.get((row, column), MISSING) for column in columns)) for row in rows),
         f"Grid of {points[0].configuration.solver} over {down} and {across}",
-        "Verdict in the best call mode, with the p99 of accurate settings (without a p99 the "
-        "longest step), else the largest error of the first move. All points: "
+        "Verdict in the best call mode, with the limiting p99 of accurate settings (without a p99 "
+        "the longest step), else the largest error of the first move. All points: "
         "tables/settings_grids.csv.",
     )
 
 
 def _describe_point(verdict: Verdict) -> str:
-    """Return verdict and p99, or longest step, of settings as a cell; of others the error."""
+    """Return verdict and limiting p99, or longest step, as a cell; of inaccurate ones the error."""
     if not verdict.is_finished:
         return f"{verdict.state}, not finished"
     if verdict.state not in ACCURATE:
         return f"{verdict.state}, {format_error(verdict.error_move)}"
-    has_p99 = not math.isnan(verdict.p99_ns)
-    return f"{verdict.state}, {format_time(verdict.p99_ns if has_p99 else verdict.algo_max_ns)}"
+    has_p99 = not math.isnan(verdict.p99_bound_ns)
+    time_ns = verdict.p99_bound_ns if has_p99 else verdict.algo_max_ns
+    return f"{verdict.state}, {format_time(time_ns)}"
 
 
 def _make_value_sort_key(value: str) -> tuple[float, str]:
@@ -63,7 +64,7 @@ def _make_value_sort_key(value: str) -> tuple[float, str]:
 
 COLUMNS = (
     *("solver", "route", "policy", "settings", "options"),
-    *("verdict", "error_move", "failed_steps", "p50_us", "p99_us"),
+    *("verdict", "error_move", "failed_steps", "p50_us", "p99_us", "limiting_p99_us"),
 )
 """Columns of the table of grids besides those of the varied options."""
 
@@ -85,6 +86,7 @@ def tabulate_settings_grids(verdicts: Verdicts) -> pd.DataFrame:
                     "failed_steps": verdict.failed_steps,
                     "p50_us": verdict.p50_ns / 1e3,
                     "p99_us": verdict.p99_ns / 1e3,
+                    "limiting_p99_us": verdict.p99_bound_ns / 1e3,
                 }
             )
     table = pd.DataFrame(rows, columns=None if rows else COLUMNS)

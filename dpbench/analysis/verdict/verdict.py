@@ -17,7 +17,7 @@ The fastest of all may exist only as this benchmark's own Python code; it is nam
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -438,9 +438,11 @@ def rank_solvers(verdicts: Verdicts) -> list[Verdict]:
     return list(map(_choose_most_usual_of_fastest, by_solver.values()))
 
 
-def _choose_most_usual_of_fastest(own: Sequence[Verdict]) -> Verdict:
+def _choose_most_usual_of_fastest(
+    own: Sequence[Verdict], find_time_ns: Callable[[Verdict], float] | None = None
+) -> Verdict:
     """Return of a solver's about equally fast configurations the one of most usual settings."""
-    return min(list_equally_fast(own[0], own), key=_make_settings_sort_key)
+    return min(list_equally_fast(own[0], own, find_time_ns), key=_make_settings_sort_key)
 
 
 @dataclass(frozen=True)
@@ -456,7 +458,7 @@ class BestSettings:
 
 
 def choose_best_settings(verdicts: Verdicts, points: Sequence[Verdict]) -> BestSettings:
-    """Return the best of a solver's settings; of accurate ones by the rule of `rank_solvers`.
+    """Return the best of a solver's settings; of accurate ones by the limiting p99.
 
     By iterations if a disturbed machine can explain which one is the fastest.
 
@@ -471,38 +473,44 @@ def choose_best_settings(verdicts: Verdicts, points: Sequence[Verdict]) -> BestS
         counted = all(math.isfinite(verdict.iterations[0]) for verdict in rivals)
         fewest = min(rivals, key=lambda verdict: verdict.iterations)
         return BestSettings(fewest if counted else None, "iterations")
+    fastest_first = sorted(rivals, key=find_limiting_time_ns)
+    best = _choose_most_usual_of_fastest(fastest_first, find_limiting_time_ns)
     ranked = find_fastest_configuration(verdicts, best.configuration.solver)
-    if ranked is not None and ranked.state == best.state:
-        # Its call mode is the one recommended, which need not be that of the best verdict.
-        key = ranked.configuration.options
-        if key and any(verdict.configuration.options == key for verdict in points):
-            return BestSettings(ranked, "time")
-    return BestSettings(_choose_most_usual_of_fastest(sort_fastest_first(rivals)), "time")
+    if ranked is None or ranked.state != best.state:
+        return BestSettings(best, "time")
+    # Its call mode is the one recommended, which need not be that of the best verdict.
+    is_of_best = ranked.configuration.options == best.configuration.options
+    return BestSettings(ranked if is_of_best else best, "time")
 
 
 def _is_ranking_withheld(rivals: Sequence[Verdict]) -> bool:
     """Return whether the spread of disturbed rounds can explain which settings are the fastest."""
-    fastest, *others = sort_fastest_first(rivals)
+    fastest, *others = sorted(rivals, key=find_limiting_time_ns)
     for other in others:
         spread = max(fastest.disturbed_spread, other.disturbed_spread)
-        ratio = _choose_ranking_time_ns(other) / _choose_ranking_time_ns(fastest)
+        ratio = find_limiting_time_ns(other) / find_limiting_time_ns(fastest)
         if spread > 1.0 and Interval(ratio, ratio, ratio).is_within_spread(spread):
             return True
     return False
 
 
-def list_equally_fast(best: Verdict, own: Sequence[Verdict]) -> list[Verdict]:
+def list_equally_fast(
+    best: Verdict,
+    own: Sequence[Verdict],
+    find_time_ns: Callable[[Verdict], float] | None = None,
+) -> list[Verdict]:
     """Return a solver's configurations that are as fast as its `best`, in the same call mode.
 
     Their times differ by less than `ALIKE`, or than the rounds of each do, up to `MOST_SPREAD`.
+    find_time_ns : the time that is compared [ns], by default the p99, else the p50.
     """
+    find_ns = find_time_ns or _choose_ranking_time_ns
     mode = best.configuration.route, best.configuration.policy
     return [
         verdict
         for verdict in own
         if (verdict.configuration.route, verdict.configuration.policy) == mode
-        and _choose_ranking_time_ns(verdict)
-        <= _find_largest_ratio_of_noise(best, verdict) * _choose_ranking_time_ns(best)
+        and find_ns(verdict) <= _find_largest_ratio_of_noise(best, verdict) * find_ns(best)
     ]
 
 
@@ -521,6 +529,12 @@ def _make_settings_sort_key(verdict: Verdict) -> tuple[int, tuple[str | float, .
 def _choose_ranking_time_ns(verdict: Verdict) -> float:
     """Return the time by which a configuration is ranked [ns]: p99, else p50."""
     return verdict.p99_ns if math.isfinite(verdict.p99_ns) else verdict.p50_ns
+
+
+def find_limiting_time_ns(verdict: Verdict) -> float:
+    """Return the time by which custom settings are ranked [ns]: limiting p99, else p50."""
+    bound_ns = verdict.p99_bound_ns
+    return bound_ns if math.isfinite(bound_ns) else _choose_ranking_time_ns(verdict)
 
 
 @dataclass(frozen=True)
@@ -630,8 +644,8 @@ def _choose_of_most_judged(alike: Sequence[Verdict]) -> Verdict:
 
 
 def make_sort_key_of_settings(verdict: Verdict) -> tuple[int, float]:
-    """Return a sort key: from pass to fail, then by p99 where it is accurate, else by error."""
-    figure = verdict.p99_ns if verdict.state in ACCURATE else verdict.error_move
+    """Return a sort key: from pass to fail, then by limiting p99 if accurate, else by error."""
+    figure = verdict.p99_bound_ns if verdict.state in ACCURATE else verdict.error_move
     return STATES.index(verdict.state), figure if math.isfinite(figure) else math.inf
 
 

@@ -119,7 +119,7 @@ def make_report_markdown(report: Report) -> str:
         *(counts := _make_counts_tables(topics)),
         *map(
             escape_markdown_paragraph,
-            [*describe_failing_settings_and_grids(data.verdicts), *after],
+            [*describe_failing_settings_and_grids(data.records, data.verdicts), *after],
         ),
         *_yield_study_tables(topics),
         "All figures and steps are in `report.html`; the other files are `tables/*.csv`, "

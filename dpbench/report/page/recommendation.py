@@ -127,7 +127,9 @@ class Recommendation:
         if verdict.state == "pass":
             return ""
         reasons = describe_findings(verdict.causes or verdict.findings_that_bar_pass)
-        return "; ".join(filter(None, (reasons, describe_tolerances_left(verdict))))
+        is_inaccurate = any(finding.kind == "inaccurate" for finding in verdict.causes)
+        left = describe_tolerances_left(verdict) if is_inaccurate else ""
+        return "; ".join(filter(None, (reasons, left)))
 
 
 def build_recommendation(

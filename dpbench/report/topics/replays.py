@@ -224,7 +224,7 @@ def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     windows = any(run.steps_searched_for_hardest for run in records.runs)
     texts += ["Windows of hardest steps are not counted."] if windows else []
     table = Table.from_rows(rows, text_columns=2)
-    grids = describe_best_of_grids(verdicts)
+    grids = describe_best_of_grids(records, verdicts)
     return Topic(
         "settings",
         "Two settings of one solver",

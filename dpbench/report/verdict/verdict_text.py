@@ -510,11 +510,14 @@ def describe_judged_runs(verdict: Verdict) -> str:
 
 
 def describe_tolerances_left(verdict: Verdict) -> str:
-    """Return a clause on tolerances that settings with too large an error do not set; or ""."""
+    """Return a clause on tolerances that settings do not set; or "".
+
+    Of accurate settings, only if these defaults are looser than what they set.
+    """
     solver = verdict.configuration.solver
     is_inaccurate = any(finding.kind == "inaccurate" for finding in verdict.causes)
     options = decode_options_from_json(verdict.configuration.options)
-    if not is_inaccurate or not options or find_solver_record_or_none(solver) is None:
+    if not options or find_solver_record_or_none(solver) is None:
         return ""
     left = list_tolerances_left_at_default(solver, options)
     if not left:
@@ -523,6 +526,8 @@ def describe_tolerances_left(verdict: Verdict) -> str:
     own = {name: options[name] for name in list_tolerance_options(solver) if name in options}
     largest = max((v for v in own.values() if isinstance(v, (int, float))), default=0.0)
     is_looser = any(v is not None and v > largest for v in defaults.values())
+    if not (is_inaccurate or is_looser):
+        return ""
     names = join_with_and([f"`{name}`" for name in left])
     values = join_with_and([f"{v:g}" for v in defaults.values() if v is not None])
     are, default = ("is", "default") if len(left) == 1 else ("are", "defaults")

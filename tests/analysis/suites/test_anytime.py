@@ -174,12 +174,14 @@ def test_it_is_the_answer_of_a_page_of_limited_runs_alone(records: Any) -> None:
 def test_limits_alone_have_no_best_settings(records: Any) -> None:
     """The largest limit would be at the edge of the grid, to be widened."""
     fill(records)
-    verdicts = judge_solvers(records.view(), Requirements())
-    assert not any(line.startswith("Best of") for line in describe_own_settings(verdicts))
+    view = records.view()
+    own = describe_own_settings(view, judge_solvers(view, Requirements()))
+    assert not any(line.startswith("Best of") for line in own)
     for rho, iterations in ((0.1, 5), (1.0, 5), (1.0, 50), (2.0, 50)):
         options = json.dumps({"rho": rho, "max_iter": iterations})
         records.loop("osqp", settings=f"{rho} {iterations}", options=options)
-    lines = describe_own_settings(judge_solvers(records.view(), Requirements()))
+    view = records.view()
+    lines = describe_own_settings(view, judge_solvers(view, Requirements()))
     assert [line[:9] for line in lines if line.startswith("Best of")] == ["Best of 4"]
 
 
