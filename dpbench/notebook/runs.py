@@ -292,8 +292,9 @@ class Run:
         if self.scenario is None:
             return []
         has_arrived = self._exact_ship.state != "not arrived"
-        away = "" if has_arrived else f"reference loop: {self._ship.state}"
-        return [text for text in (self._departure_text, self._ship.warning, away) if text]
+        away = self._ship.warning or ("" if has_arrived else self._ship.state)
+        exact = f"reference loop: {away}" if away else ""
+        return [text for text in (self._departure_text, exact) if text]
 
     def _describe_control(self) -> dict[str, str]:
         """Return a closed loop's position errors, fallbacks and reference loop, by field name."""

@@ -152,8 +152,8 @@ class StudiedConfiguration:
     cost : closed-loop cost over that of the exact loop in the same sea, less one: mean over judged
         runs.
     r_95_m : 95 % radial error, mean over judged runs [m].
-    accurate : share of accurate steps over all runs; NaN if no QP was solved.
-    false_claims, steps : of so many steps, how many were reported as solved but are inaccurate.
+    accurate : share of verified steps over all runs; NaN if no QP was solved.
+    false_claims, steps : of so many steps, how many were reported as solved but not verified.
     error_move : largest error of the first move on any step, in maximum increments.
     is_accurate_enough : whether every run passes the accuracy requirements of the suite.
     error_excess_m, log_cost_excess : r_95_m and logarithm of the cost, less the reference's; None

@@ -54,7 +54,7 @@ STEP_TIME = Measure("step time", "%", lambda change: 100.0 * math.expm1(change))
 ERROR = Measure("95 % radial error", "cm", lambda change: 100.0 * change)
 LARGEST = Measure("largest offset", "cm", lambda change: 100.0 * change)
 OUTSIDE = Measure("runs outside the radius", "percentage points", lambda change: 100.0 * change)
-UNTRUE = Measure("inaccurate steps", "percentage points", lambda change: 100.0 * change)
+UNTRUE = Measure("unverified steps", "percentage points", lambda change: 100.0 * change)
 MEASURES = (STEP_TIME, ERROR, LARGEST, OUTSIDE, UNTRUE)
 
 

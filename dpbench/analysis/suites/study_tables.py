@@ -12,7 +12,7 @@ from dpbench.analysis.suites.study_effects import group_keys_that_vary_together
 EXCESS_COLUMNS = (
     *("study", "configuration", "reference", "runs", "finished", "stopped", "within_share"),
     *(
-        "accurate_share",
+        "verified_share",
         "r_95_m",
         "cost_over_exact_percent",
         "excess_error_cm",
@@ -53,7 +53,7 @@ def _make_difference_row(study: Study, configuration: StudiedConfiguration) -> d
         "finished": configuration.finished,
         "stopped": configuration.stopped,
         "within_share": configuration.within,
-        "accurate_share": configuration.accurate,
+        "verified_share": configuration.accurate,
         "r_95_m": configuration.r_95_m,
         "cost_over_exact_percent": 100.0 * configuration.cost,
         **_make_percent_interval_columns("excess_error_cm", behind),

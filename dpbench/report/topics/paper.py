@@ -39,12 +39,8 @@ DRAWN = (
     ),
 )
 """Figures 4 to 7: name, function, caption."""
-BASES = {
-    "read from Fig.": "read from figures",
-    "set by dpbench": "with a limit set by dpbench",
-    "chosen by dpbench": "with weights chosen by dpbench",
-}
-"""Marks in the paper's words of a claim that it does not state so, and how the count is worded."""
+BASES = ("read from Fig.", "set by dpbench", "chosen by dpbench")
+"""Marks in the paper's words of a claim that it does not state so."""
 STILL_OFFSET = f"sway offset held, {STILL} [m]"
 WEATHER_OFFSET = f"in the weather of {WEATHER} [m]"
 
@@ -107,12 +103,10 @@ def describe_count_reproduced(judged: "Sequence[Claim]") -> str:
 def _describe_basis(judged: "Sequence[Claim]") -> str:
     """Return in brackets how many reproduced claims rest on a figure or a choice of dpbench."""
     held = [claim.stated_in_paper for claim in judged if claim.state == "reproduced"]
-    counted = {words: sum(mark in stated for stated in held) for mark, words in BASES.items()}
-    counts = [f"{count} {words}" for words, count in counted.items() if count]
     marked = sum(any(mark in stated for mark in BASES) for stated in held)
-    if marked < sum(counted.values()):
-        counts[-1] += f"; {marked} different claims"
-    return f" ({', '.join(counts)})" if counts else ""
+    rest = "rest" if marked > 1 else "rests"
+    why = f"of these, {marked} {rest} on a figure, or on a limit or weights chosen by dpbench"
+    return f" ({why})" * bool(marked)
 
 
 def _make_stability_table(records: Records, designs: Designs) -> Table:

@@ -185,13 +185,13 @@ def _describe_larger_errors(study: Study) -> str:
         return f"only {reference} was run, so no other solver is compared."
     if not worse:
         return (
-            f"{lone}no error is significantly larger than that of {reference} in the same "
+            f"{lone}no radial error is significantly larger than that of {reference} in the same "
             "realisation."
         )
     same = len(others) - len(worse)
     rest = f"; not significantly larger with {same} more" if same else ""
     return (
-        f"{lone}errors significantly larger than with {reference} in the same realisation: "
+        f"{lone}radial errors significantly larger than with {reference} in the same realisation: "
         f"{', '.join(wording)}{unnamed}{rest}."
     )
 
@@ -216,7 +216,7 @@ def _describe_loosest_tolerances(study: Study) -> str:
         f"below {100 * SMALL_COST:g} %"
     )
     parts = [
-        f"`{solver}` {c.tolerance:g} ({format_share(c.accurate)} of the steps accurate)"
+        f"`{solver}` {c.tolerance:g} ({format_share(c.accurate)} of the steps verified)"
         for solver, c in cheap.items()
     ]
     wording = (
@@ -239,7 +239,7 @@ def _describe_inaccuracy(configuration: StudiedConfiguration, study: Study) -> s
         reasons.append(f"the error of the first move is up to {found} (limit {limit:g})")
     if c.false_claims:
         steps = f"{format_count(c.false_claims)} of {plural(c.steps, 'step')}"
-        reasons.append(f"{steps} were reported as solved but are inaccurate")
+        reasons.append(f"{steps} were reported as solved but not verified")
     wording = f"`{c.solver}` {c.tolerance:g} does not pass the requirements"
     return f"{wording}: {join_with_and(reasons)}" if reasons else wording
 
@@ -323,7 +323,7 @@ def _make_configuration_row(configuration: StudiedConfiguration, study: Study) -
         "runs": f"{configuration.finished} of {configuration.runs}"
         + (f", {configuration.stopped} stopped" if configuration.stopped else ""),
         "within": _format_share_with_bound(configuration.within, study),
-        "accurate steps": format_share(configuration.accurate),
+        "verified steps": format_share(configuration.accurate),
         # Rounding alone is 0.
         "cost over exact": f"{0 if abs(cost) < NOTHING else significant(100.0 * cost, 2)} %",
         "excess error [cm]": "reference"

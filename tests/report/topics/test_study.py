@@ -255,12 +255,12 @@ def test_the_loosest_tolerance_states_its_accuracy(records: Any) -> None:
     found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None and found.lines[-1] == (
         "The loosest tolerance with an excess error significantly below 1 cm and an excess cost "
-        "significantly below 1 %: `osqp` 0.01 (25.0 % of the steps accurate). `osqp` 0.01 does not "
+        "significantly below 1 %: `osqp` 0.01 (25.0 % of the steps verified). `osqp` 0.01 does not "
         "pass the requirements: the error of the first move is up to 0.028 (limit 0.01) and 168 "
-        "of 240 steps were reported as solved but are inaccurate."
+        "of 240 steps were reported as solved but not verified."
     )
     heads, (_, osqp) = found.tables[0].heads, found.tables[0].rows
-    assert osqp[heads.index("accurate steps")] == "25.0 %"
+    assert osqp[heads.index("verified steps")] == "25.0 %"
 
 
 def test_what_was_lost_is_a_condition(records: Any) -> None:
