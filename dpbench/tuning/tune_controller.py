@@ -445,6 +445,8 @@ def _write_tuning(
     head, mark = "Controller found by `dpbench tune`.", "tuned"
     if tuning.is_unchanged:
         head, mark = "`dpbench tune` kept the scenario's own controller.", UNCHANGED
+    if tuning.fresh.share > tuning.margin:  # page and statement show the title
+        mark += f", NOT within the margin of {100.0 * tuning.margin:g} %"
     comment = "\n".join((head, *tuning.lines))
     paths: dict[Path, None] = {}
     files: list[Path] = []
