@@ -395,7 +395,7 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
     computer = "the computer" if is_of_own_plant else "the ship's computer"
     opening = f"{controller}{computer}"
     untimed = [*_yield_untimed_loops_sentences(data)]
-    replayed = " in the QPs that were replayed" * bool(untimed)
+    replayed = " for the replayed QPs" * bool(untimed)
     return [
         f"{opening[0].upper()}{opening[1:]} may be up to "
         f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this machine"
@@ -419,13 +419,13 @@ def _describe_margin_limit(margin: SpeedMargin, requirements: Requirements, time
         )
     bound, limit = format_time(margin.limiting_p99_ns), f"{requirements.p99_ms:g} ms"
     if margin.p99.run.untimed_iterations > 1.0:
-        here += _name_scaling(margin.p99.run.scenario, ", at most to its longest step")
+        here += _name_scaling(margin.p99.run.scenario)
     return f"The {time} is {bound} {here}; at that slowdown, it reaches the p99 limit of {limit}."
 
 
-def _name_scaling(scenario: str, cap: str = "") -> str:
+def _name_scaling(scenario: str) -> str:
     """Return in brackets the scenario to whose closed loop a time is scaled up."""
-    return f" (`{scenario}`, scaled up to the iterations of the closed loop{cap})"
+    return f" (`{scenario}`, scaled up to the iterations of the closed loop)"
 
 
 def _list_limiting_steps(

@@ -352,7 +352,7 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         f"With exactly solved QPs, the controller holds the ship on station "
         f"({_format_station_limits(farthest)}){weather} {where}{moves}. {largest} is "
         f"{significant(run.exact_offset_max_m)} m{there} {_format_time_of_offset(run)} "
-        f"({significant(run.exact_offset_end_m)} m at the end{' there' * bool(there)})."
+        f"({significant(run.exact_offset_end_m)} m at {'its' if there else 'the'} end)."
     )
 
 

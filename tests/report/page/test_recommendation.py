@@ -617,7 +617,7 @@ def test_loops_without_times_and_stopped_runs_are_named(records: Any) -> None:
     records.replay("osqp", stopped=True)
     notes = dict(_answer(records).notes)
     assert notes["margin"].endswith("Not timed, as no replay has their QPs: `calm` and `rough`.")
-    assert " times slower than this machine in the QPs that were replayed. " in notes["margin"]
+    assert " times slower than this machine for the replayed QPs. " in notes["margin"]
     assert notes["stopped"] == (
         "The limit on the duration of a run (`cell_limit_s`) stopped 1 of 4 started runs: 1 of "
         "`osqp` (qpsolvers fresh). A configuration with such a run cannot pass, unless the run is "
