@@ -46,7 +46,7 @@ _OF_UNIT = ("effect", "low", "high", "median")
 """Columns of a table whose unit is in its column `unit`."""
 VERDICT_COLUMNS = (
     *("solver", "route", "policy", "settings", "verdict"),
-    *("error_move", "p50_us", "p99_us"),
+    *("error_move", "p50_us", "limiting_p99_us"),
 )
 """The columns of the verdicts in LaTeX."""
 RATIO_NOTE = (
@@ -302,10 +302,11 @@ class Results(result_folder.Results):
         frame = frame[list(columns or usual)].rename(columns=_find_heads_with_unit(frame))
         if (
             are_verdicts
-            and {"p50_us", "p99_us"} <= {*frame}
+            and {"p50_us", "limiting_p99_us"} <= {*frame}
             and not {"timed_on", "p99_on"} & {*frame}
         ):
-            caption += " `results.verdict()` has the replays of the p50 and the p99 in its columns"
+            caption += " `results.verdict()` has the replays of the p50 and the limiting p99 in its"
+            caption += " columns"
             caption += " `timed_on` and `p99_on`."
         return make_tabular(frame) + (f"% Caption: {escape_latex(caption)}\n" if caption else "")
 

@@ -135,7 +135,6 @@ def list_embedded_cost_sentences(
         f"({describe_range_of_steps(sequence.sequence)}). They take {format_time(worst_ns)} at "
         f"an assumed {CYCLES:g} cycle per instruction and {CLOCK_MHZ:g} MHz"
         f"{of_deadline * requirements.judges_step_times}.",
-        _describe_p99_counts(results, sequence, solver, requirements.error_move),
         *yield_uncounted_loops_sentences(results),
         CAVEAT,
     ]
@@ -145,24 +144,6 @@ def describe_emulation(sequences: Sequence[CountedSequence]) -> str:
     """Return for which cores solvers' C code was compiled to be run in an emulator, as text."""
     cores = [_name_core_with_article(one.target, single=one.single) for one in sequences]
     return f"compiled for {join_with_and(list(dict.fromkeys(cores)))} and run in an emulator"
-
-
-def _describe_p99_counts(
-    results: EmbeddedResults, largest: CountedSequence, solver: str, error_limit: float
-) -> str:
-    """Return a sentence on a solver's p99 over each sequence on the core of its largest count."""
-    core = largest.target, largest.single
-    others = [one for one in results.sequences if one is not largest]
-    counts = [
-        (describe_range_of_steps(group.sequence), format_count(one.p99))
-        for group in (largest, *others)
-        if (group.target, group.single) == core
-        for one in group.solvers
-        if one.solver == solver and one.error_move <= error_limit
-    ]
-    (where, p99), *more = counts
-    rest = "".join(f"; over {other}, {count}" for other, count in more)
-    return f"Over {where}, its p99 is {p99} instructions per step{rest}."
 
 
 def yield_uncounted_loops_sentences(results: EmbeddedResults) -> Iterator[str]:

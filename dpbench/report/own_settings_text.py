@@ -15,7 +15,7 @@ from dpbench.analysis.verdict.verdict import (
     Verdict,
     Verdicts,
     choose_best_settings,
-    find_limiting_time_ns,
+    find_ranking_time_ns,
     find_solver_record_or_none,
     group_own_settings,
     list_best_verdict_of_own_settings,
@@ -35,10 +35,9 @@ from dpbench.report.page.data import PageData
 from dpbench.report.verdict.findings_text import describe_finding
 from dpbench.report.verdict.verdict_text import (
     describe_kinds_of_reasons,
+    describe_limiting_time,
     describe_paired_times,
-    describe_scaled_p99,
     describe_tolerances_left,
-    describe_usual_time,
 )
 from dpbench.solvers.own_settings import decode_options_from_json, format_each_option_as_toml
 from dpbench.solvers.settings import resolve_settings_with_fixed_options
@@ -125,13 +124,13 @@ def _describe_verdict_on_settings(verdict: Verdict, modes: Sequence[Verdict]) ->
     name = f"{_name_own_settings(verdict)} ({c.route} {c.policy}{best})"
     if verdict.refusal:
         return f"{name}: {verdict.state}: {verdict.refusal}."
-    time = f"; {describe_usual_time(verdict)}" if verdict.timed_on else ""
+    time = f"; {describe_limiting_time(verdict)}" if verdict.timed_on else ""
     why = f": {reasons}" if (reasons := describe_kinds_of_reasons(verdict)) else ""
     notes = f"; {options}" if (options := _describe_options(verdict)) else ""
     return (
         f"{name}: {verdict.state}, largest error {format_error(verdict.error_move)}, "
         f"{plural(verdict.failed_steps, 'failed step')}{time}{why}{notes}."
-        f"{describe_scaled_p99(verdict)}{_describe_failing_modes(verdict, modes)}"
+        f"{_describe_failing_modes(verdict, modes)}"
     )
 
 
@@ -232,7 +231,7 @@ def _list_others_as_good(best: Verdict, by: str, points: Sequence[Verdict]) -> l
     """Return the other settings of the same state that are as good as the best by its figure."""
     rivals = [verdict for verdict in points if verdict.state == best.state and verdict is not best]
     if by == "time":
-        return list_equally_fast(best, rivals, find_limiting_time_ns)
+        return list_equally_fast(best, rivals)
     if by == "iterations":
         return [verdict for verdict in rivals if verdict.iterations == best.iterations]
     error = format_error(best.error_move)
@@ -299,8 +298,8 @@ def _describe_figure(by: str, best: Verdict) -> str:
         return f" by largest error ({format_error(best.error_move)})"
     if by == "iterations":
         return f" by iterations (p50 {best.iterations[0]:g} in the replay of {best.timed_on})"
-    name = "limiting p99" if math.isfinite(best.p99_bound_ns) else "p50"
-    time_ns = find_limiting_time_ns(best)
+    name = "limiting p99" if math.isfinite(best.p99_ns) else "p50"
+    time_ns = find_ranking_time_ns(best)
     return f" by {name} ({format_time(time_ns)})" if math.isfinite(time_ns) else ""
 
 
@@ -315,7 +314,7 @@ def _compare_with_runner_up(
     rivals = [v for v in points if v.state == best.state and v.configuration.options != options]
     if not rivals:
         return ""
-    second = min(rivals, key=find_limiting_time_ns)
+    second = min(rivals, key=find_ranking_time_ns)
     pair = best.configuration, second.configuration
     ratios = compare_configurations(records, *pair) if is_alone else []
     words = strip_markdown(describe_paired_times(ratios, than=" as the best"))

@@ -51,8 +51,8 @@ def _describe_point(verdict: Verdict) -> str:
         return f"{verdict.state}, not finished"
     if verdict.state not in ACCURATE:
         return f"{verdict.state}, {format_error(verdict.error_move)}"
-    has_p99 = not math.isnan(verdict.p99_bound_ns)
-    time_ns = verdict.p99_bound_ns if has_p99 else verdict.algo_max_ns
+    has_p99 = not math.isnan(verdict.p99_ns)
+    time_ns = verdict.p99_ns if has_p99 else verdict.algo_max_ns
     return f"{verdict.state}, {format_time(time_ns)}"
 
 
@@ -64,7 +64,7 @@ def _make_value_sort_key(value: str) -> tuple[float, str]:
 
 COLUMNS = (
     *("solver", "route", "policy", "settings", "options"),
-    *("verdict", "error_move", "failed_steps", "p50_us", "p99_us", "limiting_p99_us"),
+    *("verdict", "error_move", "failed_steps", "p50_us", "limiting_p99_us"),
 )
 """Columns of the table of grids besides those of the varied options."""
 
@@ -85,8 +85,7 @@ def tabulate_settings_grids(verdicts: Verdicts) -> pd.DataFrame:
                     "error_move": verdict.error_move,
                     "failed_steps": verdict.failed_steps,
                     "p50_us": verdict.p50_ns / 1e3,
-                    "p99_us": verdict.p99_ns / 1e3,
-                    "limiting_p99_us": verdict.p99_bound_ns / 1e3,
+                    "limiting_p99_us": verdict.p99_ns / 1e3,
                 }
             )
     table = pd.DataFrame(rows, columns=None if rows else COLUMNS)

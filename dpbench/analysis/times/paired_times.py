@@ -135,11 +135,11 @@ def compare_paired_times(
     """Return two configurations' step time ratios on the QP sequences that both replayed.
 
     One comparison for each number of variables, the fewest first: the ratio depends on the size.
-    Sequences of one size have equal weight; `first` has the smaller p99, or the smaller largest
-    step where there is none.
+    Sequences of one size have equal weight; `first` has the smaller limiting p99, or the smaller
+    longest step if there is none.
     """
     label = first.configuration.label
-    tail = {"p99" if math.isfinite(first.p99_ns) else "largest step": label}
+    tail = {"limiting p99" if math.isfinite(first.p99_ns) else "largest step": label}
     found = compare_configurations(records, first.configuration, second.configuration, ())
     return [replace(one, leaders=one.leaders | tail) for one in found]
 

@@ -71,13 +71,13 @@ def tabulate_verdicts(matrix: RunMatrix) -> pd.DataFrame:
                 "p50_us": v.p50_ns / 1e3,
                 "replay_p99_us": v.replay_p99_ns / 1e3,
                 "raw_p99_us": v.raw_p99_ns / 1e3,
-                "p99_us": v.p99_ns / 1e3,
+                "limiting_p99_us": v.p99_ns / 1e3,
                 "p99_low_us": v.p99_interval.low / 1e3,
                 "p99_high_us": v.p99_interval.high / 1e3,
                 "max_us": v.algo_max_ns / 1e3,
                 "raw_max_us": v.raw_max_ns / 1e3,
                 "timed_on": v.timed_on,
-                "p99_on": v.sequence_of_largest_p99,
+                "p99_on": v.sequence_of_limiting_p99,
                 **_make_margin_columns(matrix, v),
             }
             for v in matrix.verdicts.all_verdicts
@@ -97,10 +97,7 @@ def _make_margin_columns(matrix: RunMatrix, verdict: Verdict) -> dict[str, Any]:
     margin = matrix.get_speed_margin(verdict.configuration)
     if margin is None:
         return {"margin": nan}
-    columns: dict[str, Any] = {
-        "margin": margin.allowed_slowness_factor,
-        "limiting_p99_us": margin.limiting_p99_ns / 1e3,
-    }
+    columns: dict[str, Any] = {"margin": margin.allowed_slowness_factor}
     parts = {"p99": (margin.p99_limit, margin.p99), "deadline": (margin.deadline, margin.hardest)}
     for name, (factor, step) in parts.items():
         columns[f"margin_{name}"] = factor
@@ -112,11 +109,10 @@ def _make_margin_columns(matrix: RunMatrix, verdict: Verdict) -> dict[str, Any]:
 
 
 TIMES = (
-    *("id", "solver", "label", "verdict", "p50_ms", "p99_ms", "limiting_p99_ms", "max_ms"),
+    *("id", "solver", "label", "verdict", "p50_ms", "limiting_p99_ms", "max_ms"),
     *("longest_ms", "replay_p99_ms", "raw_p99_ms", "margin", "share"),
 )
-"""`limiting_p99_ms`: the p99 of the speed margin; the largest p99 if there are no limits.
-`longest_ms`: largest single timing of everything that was judged, loops too. `margin`: speed
+"""`longest_ms`: largest single timing of everything that was judged, loops too. `margin`: speed
 margin, see `time_findings.py`. `share`: part of the median that calling the library costs, by the
 calibration configuration that only copies; 0 where it was not run."""
 
@@ -131,17 +127,16 @@ def tabulate_best_times(matrix: RunMatrix) -> pd.DataFrame:
             "label": verdict.configuration.label,
             "verdict": verdict.state,
             "p50_ms": verdict.p50_ns / 1e6,
-            "p99_ms": verdict.p99_ns / 1e6,
-            "limiting_p99_ms": verdict.p99_ns / 1e6
-            if (margin := matrix.get_speed_margin(verdict.configuration)) is None
-            else margin.limiting_p99_ns / 1e6,
+            "limiting_p99_ms": verdict.p99_ns / 1e6,
             "replay_p99_ms": verdict.replay_p99_ns / 1e6,
             "raw_p99_ms": verdict.raw_p99_ns / 1e6,
             "max_ms": verdict.algo_max_ns / 1e6,
             "longest_ms": nan
             if (longest := matrix.find_longest_timing(verdict.configuration)) is None
             else longest.raw_max_ns / 1e6,
-            "margin": nan if margin is None else margin.allowed_slowness_factor,
+            "margin": nan
+            if (margin := matrix.get_speed_margin(verdict.configuration)) is None
+            else margin.allowed_slowness_factor,
             "share": 0.0 if isnan(called_ns) else min(1.0, called_ns / verdict.p50_ns),
         }
         for verdict in list_main_verdicts(matrix.verdicts)

@@ -176,16 +176,16 @@ def judge_replay_times(
     whole = [one for one in figures if not one.run.steps_searched_for_hardest] or figures
     known = [one for one in whole if math.isfinite(one.algo.p99_ns)]
     worst = max(known or whole, key=lambda one: one.algo.p99_ns if known else one.algo.p50_ns)
-    p99 = max(figures, key=lambda one: np.nan_to_num(one.algo.p99_ns))
-    bound = max(figures, key=lambda one: np.nan_to_num(one.bound_ns))
+    limiting = max(figures, key=lambda one: np.nan_to_num(one.bound_ns))
+    is_measured = limiting.bound_ns == limiting.algo.p99_ns
     hardest = max(figures, key=lambda one: one.algo.max_ns)
     return findings, {
         "p50_ns": worst.algo.p50_ns,
-        "p99_ns": p99.algo.p99_ns,
-        "p99_interval": _estimate_p99_interval_ns(records, p99.run),
-        "p99_run": p99.run,
-        "p99_bound_ns": bound.bound_ns,
-        "p99_bound_run": bound.run,
+        "p99_ns": limiting.bound_ns,
+        "p99_interval": _estimate_p99_interval_ns(records, limiting.run)
+        if is_measured
+        else UNKNOWN,
+        "p99_run": limiting.run,
         "timed_on": worst.run.sequence,
         "rounds_ns": worst.rounds_ns,
         "iterations": worst.iterations,

@@ -17,7 +17,7 @@ The fastest of all may exist only as this benchmark's own Python code; it is nam
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -59,10 +59,9 @@ class Verdict:
     loops, replays, windows : how many of its runs were judged; is_beside_study : whether its folder
         has a study, whose loops are judged apart.
     steps : the steps with a judged answer; error_move : their largest error of the first move.
-    p99_ns : largest p99 of the algorithmic step time, in the replay or window `p99_run`, with
-        `p99_interval` [ns]; unknown in a window, whose other steps were not timed.
-    p99_bound_ns : the largest of these, a window's by as much longer as the closed loop of its
-        solver has more iterations (`untimed_iterations.py`), in `p99_bound_run` [ns].
+    p99_ns : limiting p99 of the algorithmic step time: the largest p99 of all replays and windows,
+        each by as much longer as the closed loop has more iterations (`untimed_iterations.py`);
+        that of `p99_run`, with `p99_interval` [ns], unknown of a window or a longer p99.
     p50_ns : on the sequence `timed_on`, of those replayed whole one that all timed configurations
         have in common, else that of the worst p99, or of the worst p50 where none supports a p99.
     rounds_ns, replay_p99_ns, raw_p99_ns : there, median of the fastest and of the slowest round,
@@ -93,8 +92,6 @@ class Verdict:
     p99_ns: float = math.nan
     p99_interval: Interval = UNKNOWN
     p99_run: RunRecord | None = None
-    p99_bound_ns: float = math.nan
-    p99_bound_run: RunRecord | None = None
     timed_on: str = ""
     rounds_ns: tuple[float, float] = (math.nan, math.nan)
     iterations: tuple[float, float] = (math.nan, math.nan)
@@ -109,8 +106,8 @@ class Verdict:
     )
 
     @property
-    def sequence_of_largest_p99(self) -> str:
-        """Name of the QP sequence with the largest p99 step time; "" if nothing was timed."""
+    def sequence_of_limiting_p99(self) -> str:
+        """Name of the QP sequence with the limiting p99; "" if nothing was timed."""
         return "" if self.p99_run is None else self.p99_run.sequence
 
     @property
@@ -399,7 +396,7 @@ MOST_OWN = 12
 
 
 def sort_fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """Return verdicts on configurations sorted by p99, else by p50; untimed ones last."""
+    """Return verdicts on configurations sorted by limiting p99, else p50; untimed ones last."""
     return sorted(
         verdicts,
         key=lambda v: (
@@ -438,11 +435,9 @@ def rank_solvers(verdicts: Verdicts) -> list[Verdict]:
     return list(map(_choose_most_usual_of_fastest, by_solver.values()))
 
 
-def _choose_most_usual_of_fastest(
-    own: Sequence[Verdict], find_time_ns: Callable[[Verdict], float] | None = None
-) -> Verdict:
+def _choose_most_usual_of_fastest(own: Sequence[Verdict]) -> Verdict:
     """Return of a solver's about equally fast configurations the one of most usual settings."""
-    return min(list_equally_fast(own[0], own, find_time_ns), key=_make_settings_sort_key)
+    return min(list_equally_fast(own[0], own), key=_make_settings_sort_key)
 
 
 @dataclass(frozen=True)
@@ -473,8 +468,8 @@ def choose_best_settings(verdicts: Verdicts, points: Sequence[Verdict]) -> BestS
         counted = all(math.isfinite(verdict.iterations[0]) for verdict in rivals)
         fewest = min(rivals, key=lambda verdict: verdict.iterations)
         return BestSettings(fewest if counted else None, "iterations")
-    fastest_first = sorted(rivals, key=find_limiting_time_ns)
-    best = _choose_most_usual_of_fastest(fastest_first, find_limiting_time_ns)
+    fastest_first = sorted(rivals, key=find_ranking_time_ns)
+    best = _choose_most_usual_of_fastest(fastest_first)
     ranked = find_fastest_configuration(verdicts, best.configuration.solver)
     if ranked is None or ranked.state != best.state:
         return BestSettings(best, "time")
@@ -485,32 +480,27 @@ def choose_best_settings(verdicts: Verdicts, points: Sequence[Verdict]) -> BestS
 
 def _is_ranking_withheld(rivals: Sequence[Verdict]) -> bool:
     """Return whether the spread of disturbed rounds can explain which settings are the fastest."""
-    fastest, *others = sorted(rivals, key=find_limiting_time_ns)
+    fastest, *others = sorted(rivals, key=find_ranking_time_ns)
     for other in others:
         spread = max(fastest.disturbed_spread, other.disturbed_spread)
-        ratio = find_limiting_time_ns(other) / find_limiting_time_ns(fastest)
+        ratio = find_ranking_time_ns(other) / find_ranking_time_ns(fastest)
         if spread > 1.0 and Interval(ratio, ratio, ratio).is_within_spread(spread):
             return True
     return False
 
 
-def list_equally_fast(
-    best: Verdict,
-    own: Sequence[Verdict],
-    find_time_ns: Callable[[Verdict], float] | None = None,
-) -> list[Verdict]:
+def list_equally_fast(best: Verdict, own: Sequence[Verdict]) -> list[Verdict]:
     """Return a solver's configurations that are as fast as its `best`, in the same call mode.
 
     Their times differ by less than `ALIKE`, or than the rounds of each do, up to `MOST_SPREAD`.
-    find_time_ns : the time that is compared [ns], by default the p99, else the p50.
     """
-    find_ns = find_time_ns or _choose_ranking_time_ns
+    best_ns = find_ranking_time_ns(best)
     mode = best.configuration.route, best.configuration.policy
     return [
         verdict
         for verdict in own
         if (verdict.configuration.route, verdict.configuration.policy) == mode
-        and find_ns(verdict) <= _find_largest_ratio_of_noise(best, verdict) * find_ns(best)
+        and find_ranking_time_ns(verdict) <= _find_largest_ratio_of_noise(best, verdict) * best_ns
     ]
 
 
@@ -526,15 +516,9 @@ def _make_settings_sort_key(verdict: Verdict) -> tuple[int, tuple[str | float, .
     return sort_key_of_settings(verdict.configuration.settings)
 
 
-def _choose_ranking_time_ns(verdict: Verdict) -> float:
-    """Return the time by which a configuration is ranked [ns]: p99, else p50."""
+def find_ranking_time_ns(verdict: Verdict) -> float:
+    """Return the time by which a configuration is ranked [ns]: limiting p99, else p50."""
     return verdict.p99_ns if math.isfinite(verdict.p99_ns) else verdict.p50_ns
-
-
-def find_limiting_time_ns(verdict: Verdict) -> float:
-    """Return the time by which custom settings are ranked [ns]: limiting p99, else p50."""
-    bound_ns = verdict.p99_bound_ns
-    return bound_ns if math.isfinite(bound_ns) else _choose_ranking_time_ns(verdict)
 
 
 @dataclass(frozen=True)
@@ -645,7 +629,7 @@ def _choose_of_most_judged(alike: Sequence[Verdict]) -> Verdict:
 
 def make_sort_key_of_settings(verdict: Verdict) -> tuple[int, float]:
     """Return a sort key: from pass to fail, then by limiting p99 if accurate, else by error."""
-    figure = verdict.p99_bound_ns if verdict.state in ACCURATE else verdict.error_move
+    figure = verdict.p99_ns if verdict.state in ACCURATE else verdict.error_move
     return STATES.index(verdict.state), figure if math.isfinite(figure) else math.inf
 
 

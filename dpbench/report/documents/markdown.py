@@ -52,24 +52,12 @@ MOST_STUDY_ROWS = 8
 """Rows of each table of a study in the report."""
 HOW_MADE = "How these results were made"
 """Heading of the last paragraph, which a paper can copy."""
+MARGIN = "speed margin"
+"""Column that is left out where lateness is not judged."""
 HEAD: tuple[str, ...] = (
-    *(
-        "solver",
-        "call mode, settings",
-        "verdict",
-        "p50",
-        "p99",
-        "p99 of single timings",
-        "largest p99",
-    ),
-    *("limiting p99", "longest step", "speed margin"),
+    *("solver", "call mode, settings", "verdict", "p50", "limiting p99", "longest step", MARGIN),
     *("largest error [maximum increments]", "failed steps"),
 )
-
-PERCENTILES = ("p99", "p99 of single timings")
-"""Columns that are left out where no replay is long enough for them."""
-MARGINS = ("limiting p99", "speed margin")
-"""Columns that are left out where lateness is not judged."""
 CALL_MODES = (
     "A call mode is a route and a policy. Route `native` is the solver's own interface, "
     "`qpsolvers` the Python package. Policy `fresh` sets up the solver at every step, `reuse` "
@@ -80,11 +68,6 @@ FAILED_STEPS = (
     "The failed steps of all closed loops, replays and windows are added up: a step counts once "
     "in each run in which it fails. In a replay or window, a step that fails in any round "
     "counts, warm-up included."
-)
-SINGLE_TIMINGS = "The p99 of single timings includes interference from other work."
-FEW_STEPS = "A p99 of step times needs at least 1 000 steps; a dash marks a shorter replay."
-FEW_TIMINGS = (
-    "A p99 of single timings needs at least 1 000 timings; a dash marks a replay with fewer."
 )
 TERMS = "Terms: `docs/glossary.md` of dpbench."
 
@@ -226,22 +209,7 @@ def _explain_columns(data: PageData, listed: Sequence[Verdict]) -> str:
     """Return a note on the call modes and columns of the table of solvers; "" without rows."""
     if not listed:
         return ""
-    timed = [v for v in listed if v.timed_on]
-    few = [
-        note
-        for column, note in (("replay_p99_ns", FEW_STEPS), ("raw_p99_ns", FEW_TIMINGS))
-        for are_known in [[not math.isnan(getattr(v, column)) for v in timed]]
-        if any(are_known) and not all(are_known)
-    ]
-    has_raw_p99 = any(not math.isnan(verdict.raw_p99_ns) for verdict in listed)
-    notes = [
-        CALL_MODES,
-        _explain_speed_margin(data, listed),
-        SINGLE_TIMINGS * has_raw_p99,
-        *few,
-        FAILED_STEPS,
-        TERMS,
-    ]
+    notes = [CALL_MODES, _explain_speed_margin(data, listed), FAILED_STEPS, TERMS]
     return " ".join(filter(None, notes))
 
 
@@ -293,8 +261,7 @@ def make_solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
     if not rows:
         return ""
     shown = [
-        head not in (*PERCENTILES, *MARGINS) or set(cells) != {MISSING}
-        for head, *cells in zip(HEAD, *rows, strict=True)
+        head != MARGIN or set(cells) != {MISSING} for head, *cells in zip(HEAD, *rows, strict=True)
     ]
     heads, *kept = ([*compress(cells, shown)] for cells in (HEAD, *rows))
     return "\n\n".join(
@@ -320,21 +287,12 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
     }
     hardest = {label: _where(v.max_run) for label, v in zip(labels, timed, strict=True)}
     if len({*usual.values()}) > 1 or any(verdict.replays > 1 for verdict in timed):
-        tails = zip(PERCENTILES, ("replay_p99_ns", "raw_p99_ns"), strict=True)
-        known = [
-            f"the {name}"
-            for name, column in tails
-            if any(not math.isnan(getattr(verdict, column)) for verdict in timed)
-        ]
-        # The p50 comes last: "the p50 and the p99 of single timings" names the p50 of these too.
-        names, are = join_with_and([*known, "the p50"]), "are" if known else "is"
-        yield f"T{names[1:]} {are} {_most_and_others(usual, 'from')}."
+        yield f"The p50 is {_most_and_others(usual, 'from')}."
     if any(v.p99_run is not None and v.p99_run.steps_searched_for_hardest for v in timed):
         yield (
-            "A p99 estimated from the hardest steps has no interval, as the other steps were not "
-            "replayed."
+            "A limiting p99 from a window has no interval, as only the hardest steps were replayed."
         )
-    for name, found in (("largest p99", worst), ("longest step", hardest)):
+    for name, found in (("limiting p99", worst), ("longest step", hardest)):
         if any(found[label] != usual[label] for label in found):
             alike = " for all configurations in this table" * (
                 len({*found.values()}) == 1 < len(found)
@@ -384,10 +342,7 @@ def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[
             verdict.configuration.call_text,
             verdict.state,
             format_time(verdict.p50_ns),
-            format_time(verdict.replay_p99_ns),
-            format_time(verdict.raw_p99_ns),
             format_time(verdict.p99_ns) + format_p99_interval(verdict.p99_interval),
-            MISSING if margin is None else format_time(margin.limiting_p99_ns),
             format_time(verdict.algo_max_ns) + describe_hardest_wait(data.records, verdict.max_run),
             MISSING
             if margin is None

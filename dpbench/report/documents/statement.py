@@ -248,7 +248,7 @@ def _fill_statement(
         unmet=describe_unmet(ships, known),
         compared=[
             f"{solver} {versions[solver]}{format_settings_with_other_states(data.verdicts, v)} "
-            f"{v.state}, p99 {format_time(v.p99_ns)}"
+            f"{v.state}, {format_time(v.p99_ns)}"
             + format_p99_interval(v.p99_interval)
             + (f" ({Recommendation.why(v)})" if _needs_reason(v, data.requirements) else "")
             for v in list_best_verdict_of_each_solver(data.verdicts)

@@ -73,11 +73,10 @@ def _explain_step_times(data: PageData) -> str:
 
 
 BARS = (
-    "In the figure of step times, the p99 of each replay and window is scaled up to the iterations "
-    "of the closed loop. The limiting p99 is the largest of these values. It may exceed the "
-    "longest step, which is drawn as measured. The call overhead is the time of a call that only "
-    "copies its data. The figure cuts its bar off at the p50. Below 5 µs, differences may be due "
-    "to the interfaces, not the algorithms."
+    "The limiting p99 is the largest p99 of all replays and windows, each scaled up to the "
+    "iterations of the closed loop. It may exceed the longest step, which is drawn as measured. "
+    "The call overhead is the time of a call that only copies its data; its bar ends at the p50. "
+    "Below 5 µs, differences may be due to the interfaces, not the algorithms."
 )
 
 
@@ -99,14 +98,7 @@ MATRIX = (
     "Each cell shows the verdict on a configuration (solver, call mode, settings) in one scenario "
     "or replay."
 )
-DEFINITIONS = (
-    "Fail: at least one solution is inaccurate, or missing although the QP has one; at least one "
-    "step failed; or the process crashed. Late: accurate, but the p99 or the longest step exceeds "
-    "its limit. Borderline: accurate, but a time is above or below its limit by less than the "
-    "difference between rounds. Inconclusive: no violation is shown, but a run is missing or could "
-    "not be measured, a step may be late, or steps that were not timed may exceed a time limit. "
-    "The verdict on a closed loop includes the timing of its window of hardest steps."
-)
+TIMED_LOOPS = "The verdict on a closed loop includes the times of its window of hardest steps."
 
 
 def _explain_verdict_grid(data: PageData) -> str:
@@ -169,7 +161,7 @@ def _list_unscaled_experiments(data: PageData) -> list[str]:
 
 def _explain_further_verdicts(data: PageData) -> str:
     """Return a text on the verdicts, runs in SI units, other call modes and names of replays."""
-    wording = [DEFINITIONS]
+    wording = [TIMED_LOOPS]
     if _list_unscaled_experiments(data):
         wording.append("Runs in SI units (N, N·m) do not count towards the overall verdict.")
     if elsewhere := _list_experiments_of_other_modes(tabulate_experiment_verdicts(data)):

@@ -50,14 +50,13 @@ from dpbench.report.verdict.verdict_text import (
     describe_deployment,
     describe_hardest_wait,
     describe_judged_runs,
+    describe_limiting_time,
     describe_longest_wait,
     describe_requirements,
-    describe_scaled_p99,
     describe_short_times,
     describe_stopped_runs,
     describe_times_compared_with,
     describe_tolerances_left,
-    describe_usual_time,
     explain_no_recommendation,
 )
 from dpbench.solvers.settings import (
@@ -71,7 +70,15 @@ MOST_CHIPS = 16
 FEW = 5
 UNEQUAL_ERRORS, SMALL_ERROR = 1e3, 1e-6
 """Ratio of two errors of the first move, and least larger one, from which both are given."""
+NOTE_TITLES = {
+    "deployment": "Deployment",
+    "margin": "Speed margin",
+    "counted": "Embedded core",
+}
+"""Titles of notes that do not name their topic themselves, by keyword."""
 WITH_THRUSTERS = "With commanded thrusters, "
+ROUNDING = 1e-9
+"""Relative rounding error of a time that is scaled up."""
 MOST_INCONCLUSIVE = 2
 """Number of faster but inconclusive configurations with a note."""
 
@@ -118,6 +125,15 @@ class Recommendation:
     def sentence(self) -> str:
         """Verdict, evidence and accuracy as one text."""
         return " ".join(filter(None, (self.verdict, self.evidence, self.accuracy)))
+
+    @property
+    def details(self) -> Iterator[tuple[str, str]]:
+        """Title and text of each paragraph that the page folds."""
+        ship = self.ship
+        yield from (("Ship", ship.details), ("", ship.conditions), ("", ship.wash))
+        yield from (("Accuracy", self.accuracy), ("", self.requirements))
+        for about, text in self.notes:
+            yield NOTE_TITLES.get(about, ""), text.removeprefix(self.margin).lstrip()
 
     @staticmethod
     def why(verdict: Verdict) -> str:
@@ -213,13 +229,13 @@ def _describe_choice(
     both = describe_consequence_solver(data.records, c.solver)
     timed = copy_with_thruster_times(data.records, data.requirements, chosen)
     unranked = (
-        " Its settings are the most usual ones of the fastest deployable configurations that pass, "
-        "which the measurement does not rank."
+        " Several settings of this solver pass and are equally fast within the noise; these are "
+        "the most usual ones."
     ) * (is_recommended and not is_first)
     return (
         f"{both + ' ' if both else ''}{opening}.{' It is part of dpbench itself.' * own}",
         f"It was accurate on every step of {describe_judged_runs(chosen)}. "
-        f"{_open_time_sentence(chosen, timed)} {describe_usual_time(timed)}.",
+        f"{_open_time_sentence(chosen, timed)} {describe_limiting_time(timed)}.",
         f"The largest error of the first move is {format_error(chosen.error_move)} times the "
         f"maximum increment.{_describe_unverified_steps(data, c)}"
         f"{_describe_infeasible_steps(data, c)}{unranked}",
@@ -316,15 +332,14 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
         pair = data.records, chosen, found.runner_up
         timed = copy_with_thruster_times(data.records, data.requirements, found.runner_up)
         label = found.runner_up.configuration.marked_label
-        time = f"{describe_usual_time(timed)}.{describe_scaled_p99(timed)}"
         first = chosen.configuration.marked_label
         beside = describe_times_compared_with(
             first, compare_paired_times(*pair), count_common_window_steps(*pair)
         )
         error = _describe_larger_error(chosen, found.runner_up)
-        measure = "largest p99" if isfinite(found.runner_up.p99_ns) else "p50"
         its = _open_time_sentence(found.runner_up, timed)
-        text = f"The next fastest is {label}, by {measure}. {its} {time} {beside}{error}"
+        time = describe_limiting_time(timed)
+        text = f"The next fastest is {label}. {its} {time}. {beside}{error}"
         yield "next", text
     named = [*filter(None, (chosen, found.faster, found.runner_up))]
     if short := describe_short_times(data.records, named):
@@ -389,8 +404,7 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
         controller, also = WITH_THRUSTERS, f" (× {least} over all replays)"
         also *= least != format_rounded_down(margin.allowed_slowness_factor)
     is_short = 0 < margin.p99.run.steps_searched_for_hardest < LEAST_STRETCH
-    time = "largest step time (in place of a p99)"
-    time = "limiting p99" if isfinite(chosen.p99_ns) and not is_short else time
+    has_p99 = isfinite(chosen.p99_ns) and not is_short
     is_of_own_plant = any(run.is_of_own_plant for run in data.records.runs)
     computer = "the computer" if is_of_own_plant else "the ship's computer"
     opening = f"{controller}{computer}"
@@ -399,69 +413,78 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
     return [
         f"{opening[0].upper()}{opening[1:]} may be up to "
         f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this machine"
-        f"{replayed}{also}. {_describe_margin_limit(margin, requirements, time)}",
-        *_list_limiting_steps(data, margin, time, chosen.algo_max_ns),
+        f"{replayed}{also}; {_describe_margin_limit(margin, requirements, has_p99=has_p99)}.",
+        *_list_limiting_steps(data, margin, chosen.algo_max_ns, has_p99=has_p99),
         *_yield_longest_timing(data, chosen.configuration),
         *untimed,
     ]
 
 
-def _describe_margin_limit(margin: SpeedMargin, requirements: Requirements, time: str) -> str:
-    """Return a sentence on the time of a solver that first reaches its limit as it slows down."""
-    here = "on this machine"
+def _describe_margin_limit(
+    margin: SpeedMargin, requirements: Requirements, *, has_p99: bool
+) -> str:
+    """Return a clause on the time of a solver that first reaches its limit as it slows down."""
+    longest = f"the longest step ({format_time(margin.longest_ns)} on this machine) then reaches"
     if margin.deadline < margin.p99_limit:
-        longest, deadline = format_time(margin.longest_ns), f"{requirements.deadline_ms:g} ms"
-        if margin.hardest.run.untimed_iterations_max > 1.0:
-            here += _name_scaling(margin.hardest.run.scenario)
-        return (
-            f"The longest step takes {longest} {here}; at that slowdown, it reaches the "
-            f"deadline of {deadline}."
-        )
-    bound, limit = format_time(margin.limiting_p99_ns), f"{requirements.p99_ms:g} ms"
-    if margin.p99.run.untimed_iterations > 1.0:
-        here += _name_scaling(margin.p99.run.scenario)
-    return f"The {time} is {bound} {here}; at that slowdown, it reaches the p99 limit of {limit}."
-
-
-def _name_scaling(scenario: str) -> str:
-    """Return in brackets the scenario to whose closed loop a time is scaled up."""
-    return f" (`{scenario}`, scaled up to the iterations of the closed loop)"
+        return f"{longest} the deadline of {requirements.deadline_ms:g} ms"
+    limit = f"the p99 limit of {requirements.p99_ms:g} ms"
+    if has_p99:
+        return f"the limiting p99 then reaches {limit}"
+    return f"{longest} {limit}, as there are too few steps for a p99"
 
 
 def _list_limiting_steps(
-    data: PageData, margin: SpeedMargin, time: str, measured_ns: float
+    data: PageData, margin: SpeedMargin, measured_ns: float, *, has_p99: bool
 ) -> list[str]:
     """Return sentences on the steps that limit a speed margin, and each one's largest slowdown.
 
     measured_ns : the longest step as measured, which a scaled p99 may exceed.
     """
     wait = describe_hardest_wait(data.records, margin.hardest.run)
-    is_longest = margin.p99.time_ns == margin.hardest.time_ns
-    step = f"the time of {_name_slow_step(margin.p99)} ({_describe_work(margin.p99)})"
-    measured = f"{format_time(margin.p99.time_ns)}{wait * is_longest}"
-    p99 = f"The {time} is {step}{wait * is_longest}."
-    opening, beyond = "The longest step is", ""
-    hardest = f"{format_time(margin.hardest.time_ns)}{wait} ({_describe_work(margin.hardest)})"
-    if margin.p99.run.untimed_iterations > 1.0:
-        p99 = f"The {time} is scaled up from {measured}, {step}."
-    if margin.limiting_p99_ns > measured_ns:
-        beyond = f" It therefore exceeds the longest measured step ({format_time(measured_ns)})."
-    if margin.hardest.run.untimed_iterations_max > 1.0:
-        opening = "Scaled up to the most iterations of the closed loop, the longest step is"
-        hardest = f"{format_time(margin.longest_ns)}, from {hardest}"
-    requirements = data.requirements
-    if margin.deadline < margin.p99_limit:
-        p99 += (
-            f" It is {format_time(margin.limiting_p99_ns)} and reaches its limit of "
-            f"{requirements.p99_ms:g} ms at a slowdown of "
+    requirements, hardest = data.requirements, margin.hardest
+    texts = [_describe_limiting_p99(margin, wait, measured_ns)] if has_p99 else []
+    if margin.deadline < margin.p99_limit and has_p99:
+        texts.append(
+            f"It reaches its limit of {requirements.p99_ms:g} ms at a slowdown of "
             f"× {format_rounded_down(margin.p99_limit)}."
         )
-    return [
-        f"{p99}{beyond}",
-        f"{opening} {_name_slow_step(margin.hardest)}: {hardest}. It reaches the deadline of "
-        f"{requirements.deadline_ms:g} ms at a slowdown of × "
-        f"{format_rounded_down(margin.deadline)}.",
-    ]
+    measured = f"{format_time(hardest.time_ns)}{wait}"
+    step = f"{_name_slow_step(hardest)} ({measured}; {_describe_work(hardest)})"
+    longest = f"The longest step is {step}."
+    if hardest.run.untimed_iterations_max > 1.0:
+        longest = (
+            "Scaled up to the most iterations of the closed loop, the longest step takes "
+            f"{format_time(margin.longest_ns)}: {step}."
+        )
+    reached = (
+        f"It reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
+        f"× {format_rounded_down(margin.deadline)}."
+    )
+    return [*texts, f"{longest} {reached}"]
+
+
+def _describe_limiting_p99(margin: SpeedMargin, wait: str, measured_ns: float) -> str:
+    """Return sentences on the step with the limiting p99, and how that is scaled up.
+
+    wait : note on the longest step; measured_ns : its time.
+    """
+    run = margin.p99.run
+    wait *= margin.p99.time_ns == margin.hardest.time_ns
+    step = f"{_name_slow_step(margin.p99)} ({_describe_work(margin.p99)})"
+    estimated = (
+        f" It is estimated from a window of {run.steps_planned} of the "
+        f"{plural(run.steps_searched_for_hardest, 'step')} of `{run.scenario}`, without a "
+        "confidence interval."
+    ) * bool(run.steps_searched_for_hardest)
+    if not run.untimed_iterations > 1.0:
+        return f"The limiting p99 is the time of {step}{wait}.{estimated}"
+    beyond = (f" It therefore exceeds the longest measured step ({format_time(measured_ns)}).") * (
+        margin.limiting_p99_ns > measured_ns * (1.0 + ROUNDING)
+    )
+    return (
+        f"The limiting p99 is the time of {step}, {format_time(margin.p99.time_ns)}{wait}, scaled "
+        f"up to the iterations of the closed loop.{beyond}{estimated}"
+    )
 
 
 def _yield_longest_timing(data: PageData, c: Configuration) -> Iterator[str]:

@@ -47,7 +47,7 @@ from dpbench.report.verdict.findings_text import name_experiment
 from dpbench.report.verdict.verdict_text import (
     describe_hardest_wait,
     describe_lateness,
-    describe_p99_interval,
+    format_p99_interval,
 )
 from dpbench.report.words import topics as glossary
 
@@ -110,7 +110,7 @@ def _describe_configuration(
         "p50_in": "" if v is None else f"the replay of `{v.timed_on}`",
         "p99_in": ""
         if v is None or v.p99_run is None
-        else name_experiment(v.p99_run) + describe_p99_interval(v),
+        else name_experiment(v.p99_run) + format_p99_interval(v.p99_interval),
         "error": None if v is None else convert_to_json_number(v.error_move),
         "failed": None if v is None else v.failed_steps,
         "timed_experiment_index": None if v is None else data.find_timed_experiment_index(v),

@@ -21,13 +21,6 @@ LOST = "The controller does not hold this ship"
 BANNER = f"{LOST} in this weather"
 NOT_RUN = "The ship was not run: no reference loop shows whether the controller holds it."
 AT_END = "at the end"
-LIMITS = {
-    "rate limit": ("at_rate_surge", "at_rate_sway", "at_rate_yaw"),
-    "amplitude limit": ("at_amplitude_surge", "at_amplitude_sway", "at_amplitude_yaw"),
-    "rate limit of a thruster": ("at_rate_thrusters",),
-    "thrust limit": ("at_limit_thrusters",),
-}
-"""Columns with the shares of steps at each kind of limit."""
 NEAR_SHARE = 0.8
 """Share of its station from which on a ship that stays is said to come near the limits."""
 MOST_NAMED = 3
@@ -91,7 +84,6 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
     warning = " ".join(filter(None, _warn_of_lost(lost, known)))
     state = [_describe_kept(known), _name_unsettled(known), *_describe_rest(ships)]
     details = [
-        *_describe_kinds_of_limits(known),
         *_describe_transfers(known),
         *_describe_after_losses(known),
         *_describe_growth(known),
@@ -532,24 +524,6 @@ def _describe_limits(known: Sequence[ShipResult]) -> list[str]:
         "the steps.",
         *([f"In {_name_ships(never)} no limit is ever active."] if never else []),
     ]
-
-
-def _describe_kinds_of_limits(known: Sequence[ShipResult]) -> Iterator[str]:
-    """Yield a sentence on the largest share of steps at each kind of limit; none for no share."""
-    active = [ship for ship in known if ship.run.exact_active_share > 0.0 and not ship.run.study]
-    loops = [(ship, loop) for ship in active for loop in ship.loops if is_accurate_loop(loop)]
-    parts = []
-    for kind, columns in LIMITS.items():
-        shares = [(getattr(loop, name), name, ship) for ship, loop in loops for name in columns]
-        if known_shares := [one for one in shares if one[0] > 0.0]:
-            share, name, ship = max(known_shares, key=lambda one: one[0])
-            axis = f"{name.rpartition('_')[2]} in " * (len(columns) > 1)
-            parts.append(f"{kind} {format_share(share)} ({axis}{_locate_ship(ship)})")
-    if parts:
-        yield (
-            "Over the closed loops of all configurations that are accurate on every step, the "
-            f"largest shares of steps with a force at its limit are: {join_with_and(parts)}."
-        )
 
 
 def _locate_ship(ship: ShipResult) -> str:

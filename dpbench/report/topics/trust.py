@@ -67,7 +67,7 @@ def _describe_round_spread(records: Records, *, is_quiet: bool) -> list[str]:
         f"{significant(high)}, in half of them within {significant(usual)}. Runs on other days can "
         "differ by more."
     )
-    beyond = "" if is_quiet else " and the ratio exceeds the spread of their rounds"
+    beyond = "" if is_quiet else " by more than the spread of the rounds"
     return [
         "Within this run, a difference in step time is significant only if the 95 % interval of "
         f"the ratio excludes 1{beyond}.",
@@ -123,8 +123,9 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
         f"Individually, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
-        f"exceeded the limit of {' or '.join(kinds)}. Small differences in step time are not "
-        "ranked there. These counts do not include closed loops."
+        f"exceeded the limit of {' or '.join(kinds)}. For these, a difference in step time is "
+        "significant only if the interval of the ratio excludes 1 by more than the spread of "
+        "the rounds."
     )
 
 
@@ -162,7 +163,10 @@ def build_trust_topic(records: Records) -> Topic | None:
         is_exact = all(is_within_tolerance(n, p50) is not False for n, p50 in waits.items())
         text = _describe_measured_waits(waits, find_shortest_wait_ns(records.calibration))
         (notes if is_exact and lines else lines).append(text)
-        requested = [(name, WAITS_NS[name] / 1e3, p50_ns / 1e3) for name, p50_ns in waits.items()]
+        requested = [
+            (f"{WAITS_NS[name] / 1e3:g} µs", WAITS_NS[name] / 1e3, p50_ns / 1e3)
+            for name, p50_ns in waits.items()
+        ]
         table = pd.DataFrame(requested, columns=["name", "x", "y"])
         chart = draw_dots(table, "Waits of known length", "requested [µs]", "p50 of timings [µs]")
         figures.append(Figure("calibration", chart, "Measured wait against requested wait."))

@@ -235,8 +235,8 @@ def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
     return (
         f"The limit on the duration of a run (`cell_limit_s`) stopped {len(late)} of "
         f"{plural(len(ran), 'started run')}: {name_counts(stopped.most_common(), others)}. "
-        "A configuration with such a run cannot pass, unless the run is a replay of which all "
-        "steps were timed. `tables/runs.csv` lists these runs with the outcome `timed_out`."
+        "A configuration with such a run passes only if the run is a replay of which all steps "
+        "were timed. `tables/runs.csv` lists these runs with the outcome `timed_out`."
     )
 
 
@@ -309,44 +309,19 @@ def _explain_lack_of_optima(runs: Sequence[RunRecord], requirements: Requirement
     )
 
 
-def describe_usual_time(verdict: Verdict) -> str:
-    """Return a configuration's p99 step time in words, or its p50 if there are too few steps."""
-    if verdict.p99_run is None or math.isnan(verdict.p99_ns):
+def describe_limiting_time(verdict: Verdict) -> str:
+    """Return a configuration's limiting p99 in words, or its p50 if there are too few steps."""
+    run = verdict.p99_run
+    if run is None or math.isnan(verdict.p99_ns):
         time = format_time(verdict.p50_ns)
         return f"p50 step time is {time} in the replay of `{verdict.timed_on}`"
-    searched = verdict.p99_run.steps_searched_for_hardest
-    time = format_time(verdict.p99_ns)
-    if searched:
-        name = "longest step time" if searched < LEAST_STRETCH else "largest p99 step time"
-        steps = f"the {plural(searched, 'step')} of `{verdict.p99_run.scenario}`"
-        if searched < LEAST_STRETCH:
-            return f"{name} is {time}, over {steps}"
-        window = plural(verdict.p99_run.steps_planned, "step")
-        found = f"from a window of {window}; there is no confidence interval"
-        return f"{name} is {time}, estimated for {steps} {found}"
-    interval = describe_p99_interval(verdict)
-    return f"largest p99 step time is {time}{interval}, in {name_experiment(verdict.p99_run)}"
-
-
-def describe_scaled_p99(verdict: Verdict) -> str:
-    """Return a sentence on the p99 scaled to the iterations of the closed loop, if more; or ""."""
-    run = verdict.p99_bound_run
-    if run is None or not verdict.p99_bound_ns > verdict.p99_ns:
-        return ""
-    return (
-        f" Its limiting p99 is {format_time(verdict.p99_bound_ns)}: the p99 in `{run.scenario}`, "
-        "scaled up to the iterations of that closed loop."
-    )
-
-
-def describe_p99_interval(verdict: Verdict) -> str:
-    """Return the interval of a configuration's p99 in brackets, or why there is none; or ""."""
-    if verdict.p99_run is None or math.isnan(verdict.p99_ns):
-        return ""
-    if searched := verdict.p99_run.steps_searched_for_hardest:
-        is_p99 = searched >= LEAST_STRETCH
-        return " (no interval: only the hardest steps were replayed)" if is_p99 else ""
-    return format_p99_interval(verdict.p99_interval)
+    time, searched = format_time(verdict.p99_ns), run.steps_searched_for_hardest
+    if 0 < searched < LEAST_STRETCH:
+        return (
+            f"longest step time is {time}, over the {plural(searched, 'step')} of `{run.scenario}`"
+        )
+    interval = format_p99_interval(verdict.p99_interval)
+    return f"limiting p99 is {time}{interval}, in {name_experiment(run)}"
 
 
 def format_p99_interval(interval: Interval) -> str:
@@ -408,8 +383,8 @@ def _describe_time_ratio(compared: PairedComparison, end: str) -> str:
         )
         means = f"{times}{end} (geometric means over the same steps)"
         return f"{means}, {compared.separate}, so no ratio"
-    typically = "typically " if compared.is_unstable else ""
-    ratio = f"{typically}{significant(compared.ratio.value)} times as long{end}"
+    average = "on average " if compared.is_unstable else ""
+    ratio = f"{average}{significant(compared.ratio.value)} times as long{end}"
     wording = f"{ratio} over the same steps"
     others = len(compared.sequences) - MOST_NAMED
     marked = [describe_range_of_steps(name) for name in compared.sequences[:MOST_NAMED]]

@@ -130,7 +130,7 @@ def test_replays_by_turns_alone_count_where_some_are(records: Any) -> None:
         records.replay(solver, "calm", median_us=medians[1], **EXACT, **calm)
     (found,) = _compared(records)
     assert (found.ratio.value, found.steps, found.separate) == (pytest.approx(2.0), 1000, "")
-    assert [*found.leaders] == ["median on `paper`", "p99"]
+    assert [*found.leaders] == ["median on `paper`", "limiting p99"]
 
 
 def test_a_run_without_a_key_is_of_another_command_than_one_with(records: Any) -> None:

@@ -646,8 +646,8 @@ def test_an_order_that_turns_with_the_yardstick_is_called_unstable(records: Any)
     ranked = sort_fastest_first(judge_solvers(view, REQUIREMENTS).verdicts_on_references)
     assert [v.configuration.solver for v in ranked] == ["steady", "nervous"]
     (found,) = compare_paired_times(view, *ranked)
-    said = "with the larger p99: which is faster depends on the measure"
-    assert describe_paired_times([found]).startswith("typically 0.5")
+    said = "with the larger limiting p99: which is faster depends on the measure"
+    assert describe_paired_times([found]).startswith("on average 0.5")
     assert found.finding_text == "unstable" and said in describe_paired_times([found])
 
 

@@ -167,10 +167,7 @@ def test_a_click_among_the_strips_opens_the_nearest_step(selected: Any) -> None:
 def test_the_hardest_steps_are_those_of_all_experiments_then_of_one(selected: Any) -> None:
     page = selected("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
     _, here = page.locator("#hard details").all()
-    assert (
-        here.locator("summary").inner_text()
-        == "Steps with the longest times and most iterations of paper"
-    )
+    assert here.locator("summary").inner_text() == "Extreme steps of paper"
     heads = page.locator("#hard span").all_text_contents()
     error = "largest error of the first move [maximum increments]"
     own = [error, "largest single timings, including interruptions by other work"]

@@ -19,7 +19,7 @@ from dpbench.analysis.verdict.verdict import (
 from dpbench.errors import InputError
 from dpbench.report.documents.markdown import MOST_BYTES, make_report_markdown
 from dpbench.report.documents.solver_comparison import compare_solver, format_worst_steps
-from dpbench.report.formats import MISSING, format_error, format_rounded_down, format_time
+from dpbench.report.formats import format_error, format_rounded_down, format_time
 from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import (
     Recommendation,
@@ -58,7 +58,7 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
         plain = output.replace("`", "")
         assert "Use daqp (qpsolvers fresh, default), the fastest deployable" in plain
         assert "It was accurate on every step of 4 closed loops" in plain
-        assert f"step time is {format_time(chosen.p99_ns)}" in output
+        assert f"limiting p99 is {format_time(chosen.p99_ns)}" in output
         assert format_error(chosen.error_move) in output
         factor = format_rounded_down(margin.allowed_slowness_factor)
         assert f"may be up to {factor} times slower" in output
@@ -67,8 +67,8 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
         assert f"reaches the deadline of 300 ms at a slowdown of × {deadline}." in output
         p99, hardest = margin.p99, margin.hardest
         of_p99 = f"the time of step {p99.k} of {p99.run.scenario} ("
-        longest = f"The longest step is step {hardest.k} of {hardest.run.scenario}: "
-        assert of_p99 in plain and f"{longest}{format_time(hardest.time_ns)} (" in plain
+        longest = f"The longest step is step {hardest.k} of {hardest.run.scenario} ("
+        assert of_p99 in plain and f"{longest}{format_time(hardest.time_ns)}; " in plain
     output = dict(written.lines)
     assert "native warm" not in output["answer"], (
         "a call mode that was replayed alone is not recommended"
@@ -90,10 +90,8 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
         assert row["solver"] == verdict.configuration.solver
         assert row["call mode, settings"] == verdict.configuration.call_text
         assert row["verdict"] == verdict.state
-        assert row["p99"] == format_time(verdict.replay_p99_ns)
         interval = format_p99_interval(verdict.p99_interval)
-        assert row["largest p99"] == format_time(verdict.p99_ns) + interval
-        assert row.get("p99 of single timings", MISSING) == format_time(verdict.raw_p99_ns)
+        assert row["limiting p99"] == format_time(verdict.p99_ns) + interval
         assert row["longest step"] == format_time(verdict.algo_max_ns)
         assert row["largest error [maximum increments]"] == format_error(verdict.error_move)
         assert row["failed steps"] == str(verdict.failed_steps)
@@ -114,7 +112,7 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
         " (including a wait of 39.0 ms for the core)",
     )
     slower = dict(report.summary_rows())["margin"]
-    hardest = f"The longest step is step 7 of paper: 10.0 ms{waits[0]}"
+    hardest = f"The longest step is step 7 of paper (10.0 ms{waits[0]}; "
     assert hardest in slower and "reaches the deadline of 300 ms at a slowdown of × 30.0." in slower
     assert f"The largest single timing is 40.0 ms{waits[1]} in the replay of paper" in slower
     assert f"| 10.0 ms{waits[0]} |" in make_report_markdown(report)
@@ -128,11 +126,7 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
 @pytest.mark.parametrize(
     ("of", "time"),
     [
-        (
-            450,
-            "largest p99 step time is {}, estimated for the 450 steps of `paper` from a "
-            "window of 15 steps; there is no confidence interval",
-        ),
+        (450, "limiting p99 is {}, in the hardest steps of `paper`"),
         (60, "longest step time is {}, over the 60 steps of `paper`"),
     ],
 )
@@ -150,6 +144,8 @@ def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int,
     following = time.replace("`", "").format("30.0 µs")
     against = "Compared with daqp (qpsolvers fresh): too few common steps for a ratio (15 of 500)."
     assert f"{following}. {against}" in ending["next"]
+    estimated = "It is estimated from a window of 15 of the 450 steps of paper, without a"
+    assert (estimated in ending["margin"]) is (of == 450)
 
 
 @pytest.mark.slow
@@ -178,7 +174,7 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
     assert "the error of its first move reaches 0.55 times the maximum increment" in lines[0]
     # With the steps that the percentile is of: other settings may have those of a window.
     assert re.search(
-        r"; largest p99 step time is [\d.]+ µs \(95 %: .*\), in the replay of paper: the error",
+        r"; limiting p99 is [\d.]+ µs \(95 %: .*\), in the replay of paper: the error",
         lines[0],
     )
     initial = "; rho is only an initial value in osqp, as adaptive_rho is on."
@@ -547,7 +543,7 @@ def test_open_is_not_recommended(records: Any) -> None:
     records.replay("daqp")
     sentence = _answer(records).sentence
     assert "`daqp` (qpsolvers fresh, default) is inconclusive: no closed loop" in sentence
-    assert "was accurate on every step of 1 replay. Its largest p99 step time is " in sentence
+    assert "was accurate on every step of 1 replay. Its limiting p99 is " in sentence
     records.replay("daqp", policy="reuse", route="native", median_us=5.0)
     assert "inconclusive" not in dict(_answer(records).notes), "the sentence says so"
 
@@ -567,9 +563,9 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     data = Report.from_results(records.results()).data
     (verdict,) = data.verdicts.all_verdicts
     text = " ".join(list_speed_margin_sentences(data, verdict))
-    assert "The limiting p99 is 40.0 µs on this machine (`turn`, scaled up to the" in text
-    assert "may be up to 75.0 times slower" in text
-    assert "The limiting p99 is scaled up from 20.0 µs, the time of step " in text
+    assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
+    assert "The limiting p99 is the time of step " in text
+    assert "20.0 µs, scaled up to the iterations of the closed loop. It therefore" in text
     assert "It therefore exceeds the longest measured step (20.0 µs)." in text
 
 
@@ -586,9 +582,12 @@ def test_the_table_has_the_times_that_give_each_speed_margin(records: Any) -> No
     table = [line for line in text.splitlines() if line.startswith("| ")]
     head, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in table)
     found = {row[0]: dict(zip(head, row, strict=True)) for row in rows}
-    columns = ("largest p99", "limiting p99", "longest step", "speed margin")
-    assert [found["daqp"][name] for name in columns] == ["20.0 µs", "40.0 µs", "20.0 µs", "× 75.0"]
-    assert [found["osqp"][name] for name in columns[1:]] == ["20.0 µs", "60.0 ms", "× 5.00"]
+    columns = ("limiting p99", "longest step", "speed margin")
+    assert [found["daqp"][name] for name in columns] == ["40.0 µs", "20.0 µs", "× 75.0"]
+    assert [found["osqp"][name] for name in columns] == [
+        "20.0 µs (95 %: 20.0 µs to 20.0 µs)",
+        *("60.0 ms", "× 5.00"),
+    ]
     assert "the smaller of two ratios: 3 ms / limiting p99 and 300 ms / " in text
     facts = make_page_document(report.data, report.results, report.recommendation, {})
     limits = dict(zip(*(facts["configurations"][n] for n in ("solver", "limited_by")), strict=True))
@@ -617,11 +616,11 @@ def test_loops_without_times_and_stopped_runs_are_named(records: Any) -> None:
     records.replay("osqp", stopped=True)
     notes = dict(_answer(records).notes)
     assert notes["margin"].endswith("Not timed, as no replay has their QPs: `calm` and `rough`.")
-    assert " times slower than this machine for the replayed QPs. " in notes["margin"]
+    assert " times slower than this machine for the replayed QPs; " in notes["margin"]
     assert notes["stopped"] == (
         "The limit on the duration of a run (`cell_limit_s`) stopped 1 of 4 started runs: 1 of "
-        "`osqp` (qpsolvers fresh). A configuration with such a run cannot pass, unless the run is "
-        "a replay of which all steps were timed. `tables/runs.csv` lists these runs with the "
+        "`osqp` (qpsolvers fresh). A configuration with such a run passes only if the run is a "
+        "replay of which all steps were timed. `tables/runs.csv` lists these runs with the "
         "outcome `timed_out`."
     )
 
@@ -668,7 +667,7 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
     assert (answer.first.solver, answer.second.solver) == ("daqp", "qtqp")
     notes = dict(answer.notes)
     assert "is not recommended: written in Python" in notes["faster"]
-    order = "scs (qpsolvers fresh), by largest p99. Its largest p99 "
+    order = "scs (qpsolvers fresh). Its limiting p99 "
     assert notes["next"].replace("`", "").startswith(f"The next fastest is {order}")
     assert records.ending()["next"].startswith(order)
     assert notes["deployment"] == (
@@ -680,7 +679,7 @@ def test_what_is_faster_is_named_with_why_it_is_not_the_answer(records: Any) -> 
 @pytest.mark.parametrize(
     ("median_us", "says"),
     [
-        (8.9, "Its settings are the most usual ones of the fastest deployable configurations"),
+        (8.9, "Several settings of this solver pass and are equally fast within the noise"),
         (12.0, ", the fastest deployable configuration that passes"),
     ],
 )
@@ -709,7 +708,7 @@ def test_the_p99_of_a_replay_has_its_interval(records: Any) -> None:
     low, high = verdict.p99_interval.low, verdict.p99_interval.high
     assert {low, high} < {*ordered} and low < verdict.p99_ns < high
     bounds = f"{format_time(low)} to {format_time(high)}"
-    interval = f"p99 step time is {format_time(verdict.p99_ns)} (95 %: {bounds})"
+    interval = f"limiting p99 is {format_time(verdict.p99_ns)} (95 %: {bounds})"
     answer = _answer(records)
     assert interval in answer.sentence and " (95 %: " in dict(answer.notes)["next"]
     row = tabulate_verdicts(_facts(records)).iloc[0]
@@ -915,7 +914,7 @@ def test_the_code_to_paste_has_settings_of_ones_own(records: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("steps", "named"), [(300, "largest step time (in place of a p99)"), (1000, "limiting p99")]
+    ("steps", "named"), [(300, "longest step (20.0 µs on this machine)"), (1000, "limiting p99")]
 )
 def test_a_margin_of_too_few_steps_names_no_p99(records: Any, steps: int, named: str) -> None:
     """A p99 takes 1000 steps."""
@@ -924,5 +923,5 @@ def test_a_margin_of_too_few_steps_names_no_p99(records: Any, steps: int, named:
     data = Report.from_results(records.results()).data
     (verdict,) = data.verdicts.all_verdicts
     margin = " ".join(list_speed_margin_sentences(data, verdict))
-    assert f"The {named} is 20.0 µs on this machine; at that slowdown, it reaches the p99" in margin
-    assert f"The {named} is the time of step " in margin and "up to 150 times slower" in margin
+    assert f"up to 150 times slower than this machine; the {named} then reaches the p99" in margin
+    assert ("The limiting p99 is the time of step " in margin) is (steps == 1000)

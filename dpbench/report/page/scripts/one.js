@@ -187,7 +187,7 @@ function varies(c) {
 const opened = { all: true, one: false };
 function foldHard(kind, where, lines) {
   const list = document.createElement("details"), title = document.createElement("summary");
-  title.replaceChildren(...coded(`Steps with the longest times and most iterations ${where}`));
+  title.replaceChildren(...coded(`Extreme steps ${where}`));
   list.append(title, ...lines.filter((line) => line?.children.length > 1));
   list.open = opened[kind];
   list.addEventListener("toggle", () => { opened[kind] = list.open; });
