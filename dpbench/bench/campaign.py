@@ -52,7 +52,7 @@ from dpbench.errors import (
 )
 from dpbench.files.regular_files import write_text_atomically
 from dpbench.locks import WaitLimit
-from dpbench.solvers.table import find_solver_availability
+from dpbench.solvers.table import PluginFiles, find_solver_availability, list_plugin_files
 
 CELL_KEYS = (
     *("cell_limit_s", "cell_memory_gb", "rounds", "warmup_steps", "replay_budget_s"),
@@ -301,7 +301,7 @@ def run_campaign(
     steps: int | None = None,
     jobs: int | None = None,
     fresh: bool = False,
-    solver_module: str | Path | None = None,
+    solver_module: PluginFiles = None,
     sequence: str | Path | None = None,
     engine: str = "local",
     scheduler: str | None = None,
@@ -336,7 +336,8 @@ def run_campaign(
         a limit, 0 for none.
     may_leave_out : whether finished runs may leave the tables of the folder, where they are not
         requested.
-    solver_module : a Python file with a plug-in, whose solver then has a name like any other.
+    solver_module : a Python file with a plug-in, whose solver then has a name like any other; or
+        several such files.
     sequence : instead of a suite: a stored sequence by name, a `.npz` of `dpbench export` or a
         folder of qpsolvers problems, replayed through every solver at default and high settings.
     progress : True prints the lines of `dpbench run` without a terminal on standard error, each
@@ -375,7 +376,7 @@ def run_campaign(
         suite=None if suite is None else str(suite),
         sequence=None if sequence is None else str(sequence),
         steps=steps,
-        solver_module=None if solver_module is None else str(solver_module),
+        solver_module=list_plugin_files(solver_module) or None,
         **chosen,
     )
     require_type("jobs", jobs, Integral | None, "a whole number, or None for all cores")

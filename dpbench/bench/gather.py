@@ -34,7 +34,7 @@ from dpbench.errors import InputError, SituationError
 from dpbench.files.regular_files import write_bytes_atomically
 from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
 from dpbench.solvers.contract import Build
-from dpbench.solvers.table import Availability
+from dpbench.solvers.table import Availability, PluginFiles, list_plugin_files
 
 _WHERE = "gather"
 _EXTRA_FILE = re.compile(r"design-\w+\.json|embedded-\w+\.parquet|exact-\w+\.npz")
@@ -46,7 +46,7 @@ def join_result_folders(
     out: str | Path,
     *,
     suite: str | Path | None = None,
-    solver_module: str | Path | None = None,
+    solver_module: PluginFiles = None,
     progress: Progress | None = None,
 ) -> Path:
     """Join the result folders of a suite that was run in parts into one result folder `out`.
@@ -54,7 +54,7 @@ def join_result_folders(
     Parameters
     ----------
     folders : one of each shard; suite : path of the suite, if it was elsewhere.
-    solver_module : their plug-in. None is run because a shard names it.
+    solver_module : files of their plug-ins. None is run because a shard names it.
     progress : receiver of the name of each stage.
 
     Returns
@@ -106,7 +106,7 @@ def join_result_folders(
 def _make_common_plan(
     shards: Mapping[Path, ShardRecord],
     suite: str | Path | None,
-    solver_module: str | Path | None,
+    solver_module: PluginFiles,
 ) -> Plan:
     """Return the suite's plan that all folders are parts of; InputError where there is none."""
     where, first = next(iter(shards.items()))
@@ -120,14 +120,15 @@ def _make_common_plan(
             found = f"{folder} of another suite, or with other options, than {where}"
             raise InputError(_WHERE, "", found, "shards of one suite, run with the same options")
         if shard.asked.solver_module is not None and solver_module is None:
-            fault = f"{folder} was run with the plug-in {shard.asked.solver_module!r}"
-            remedy = "if you trust that file, give it with --solver-module FILE.py"
+            files = ", ".join(list_plugin_files(shard.asked.solver_module))
+            fault = f"{folder} was run with plug-ins from {files}"
+            remedy = "if you trust them, give each file with --solver-module FILE.py"
             raise SituationError(_WHERE, f"{fault}; {remedy}")
     # The same suite may lie elsewhere on each of their machines.
     asked = next((one.asked for one in shards.values() if one.asked.has_suite), first.asked)
     asked = asked if suite is None else replace(asked, suite=str(suite))
     # What a folder says is data: a file that is run comes from the command line alone.
-    asked = replace(asked, solver_module=None if solver_module is None else str(solver_module))
+    asked = replace(asked, solver_module=list_plugin_files(solver_module) or None)
     if not asked.has_suite:
         fault = f"there is no file {asked.suite}; give the path of the suite with --suite"
         raise SituationError(_WHERE, fault)

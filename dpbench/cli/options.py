@@ -26,7 +26,7 @@ def _flag(group: Command, name: str, meaning: str, **keywords: Any) -> None:
 
 def _add_module_option(group: Command) -> None:
     """Add the option that loads a plug-in with a solver."""
-    _option(group, "--solver-module", "FILE.py", "load a plug-in that provides a solver")
+    _repeated(group, "--solver-module", "FILE.py", "load a plug-in that provides a solver")
 
 
 def add_run_options(run: Command) -> None:
@@ -123,7 +123,7 @@ def add_gather_options(gather: Command) -> None:
     """Add the options of `dpbench gather`, which joins shards, to its parser."""
     gather.add_argument("folders", metavar="DIR", nargs="+", help="folders of all shards")
     _option(gather, "--suite", "FILE", "path of the suite file, if it has moved")
-    _option(gather, "--solver-module", "FILE.py", "plug-in that the shards were run with")
+    _repeated(gather, "--solver-module", "FILE.py", "plug-in that the shards were run with")
     output = gather.add_argument_group("output")
     _option(output, "--out", "DIR", "result folder", required=True)
     add_ending_options(output)

@@ -3,7 +3,7 @@
 import importlib
 import sys
 import warnings
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import metadata
@@ -50,6 +50,9 @@ OTHER_LIBRARIES = (
     "qpoases",
     "qpSWIFT",
 )
+
+PluginFiles = str | Path | Sequence[str | Path] | None
+"""One file of a plug-in, several or none."""
 
 
 @dataclass(frozen=True)
@@ -150,6 +153,19 @@ def load_plugin_solver_from_file(path: str | Path, *, tried: bool = False) -> So
     if not tried:
         plugins.try_plugin_file_in_child(path)
     return plugins.load_solver_from_file(path, {**TABLE, **CALIBRATION})
+
+
+def list_plugin_files(solver_module: PluginFiles) -> list[str]:
+    """Return the files of plug-ins in an argument: one, several or none."""
+    if isinstance(solver_module, str | Path):
+        return [str(solver_module)]
+    return [*map(str, solver_module or ())]
+
+
+def load_plugin_solvers(solver_module: PluginFiles) -> None:
+    """Load the plug-in solvers in one file, several or none; errors as for a single file."""
+    for file in list_plugin_files(solver_module):
+        load_plugin_solver_from_file(file)
 
 
 # Parsing takes 2 ms, and a suite calls this thousands of times.

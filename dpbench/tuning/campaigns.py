@@ -46,6 +46,7 @@ from dpbench.scenario.scenario import load_scenario
 from dpbench.solvers.contract import DEFAULT, LEVELS, Options, Policy, Route
 from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.solvers.settings import find_options_of_preset
+from dpbench.solvers.table import PluginFiles
 from dpbench.tuning.search import Score
 
 _HORIZONS = ("prediction_horizon", "control_horizon")
@@ -160,7 +161,7 @@ class TunedSolver:
     route: Route
     policy: Policy
     requirements: Requirements
-    solver_module: str | None = None
+    solver_module: PluginFiles = None
 
 
 @dataclass(frozen=True)

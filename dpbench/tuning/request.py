@@ -34,10 +34,11 @@ from dpbench.solvers.settings import (
     resolve_settings_with_fixed_options,
 )
 from dpbench.solvers.table import (
+    PluginFiles,
     find_solver_record,
     get_native_adapter,
     get_qpsolvers_adapter,
-    load_plugin_solver_from_file,
+    load_plugin_solvers,
     require_solver_available,
 )
 from dpbench.tuning.campaigns import (
@@ -133,11 +134,10 @@ def make_request(
     seed: int = 1,
     name: str = "tuned",
     out: str | Path | None = None,
-    solver_module: str | None = None,
+    solver_module: PluginFiles = None,
 ) -> SearchRequest:
     """Return the checked request of a search; parameters and errors as in `tune_solver`."""
-    if solver_module is not None:
-        load_plugin_solver_from_file(solver_module)
+    load_plugin_solvers(solver_module)
     _refuse_bad_numbers(trials, steps, seed, error_move)
     one = "one value per option; --range or --widen 'OPTION=[MIN,MAX]' for a range"
     solver, given = parse_choice_without_grid(solver, "tune-solver", one)
@@ -218,7 +218,7 @@ def _choose_call_mode(
     route: Route | None,
     policy: Policy,
     requirements: Requirements,
-    solver_module: str | None,
+    solver_module: PluginFiles,
 ) -> TunedSolver:
     """Return the solver with its call mode; an error where it is missing or lacks the mode."""
     row = find_solver_record(solver)

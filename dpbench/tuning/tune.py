@@ -39,6 +39,7 @@ from dpbench.report.verdict.findings_text import describe_finding
 from dpbench.solvers.contract import DEFAULT, Options, Policy, Route
 from dpbench.solvers.own_settings import format_options_as_toml
 from dpbench.solvers.settings import find_options_of_preset, format_library_call
+from dpbench.solvers.table import PluginFiles, list_plugin_files
 from dpbench.tuning.campaigns import (
     MeasuredRuns,
     TunedSolver,
@@ -322,8 +323,8 @@ class Tuning:
         The command has a result folder for these settings alone, as `run` refuses one of others.
         """
         mode = f"--route {self.solver.route} --policy {self.solver.policy}"
-        if self.solver.solver_module is not None:
-            mode += f" --solver-module {self.solver.solver_module}"
+        for file in list_plugin_files(self.solver.solver_module):
+            mode += f" --solver-module {file}"
         choice = f"{self.solver.name}[{format_options_as_toml(self.best.options)}]"
         own = hashlib.sha256(f"{choice} {mode}".encode()).hexdigest()[:8]
         out = shlex.quote(str(self.request.folder / f"loops-{own}"))
@@ -426,7 +427,7 @@ def tune_solver(
     seed: int = 1,
     name: str = "tuned",
     out: str | Path | None = None,
-    solver_module: str | None = None,
+    solver_module: PluginFiles = None,
     wait_s: float | None = None,
     progress: Progress | None = None,
 ) -> Tuning:

@@ -32,7 +32,7 @@ from dpbench.solvers.own_settings import (
     split_into_solver_and_options_text,
 )
 from dpbench.solvers.settings import has_preset_or_tolerance
-from dpbench.solvers.table import find_solver_record, load_plugin_solver_from_file
+from dpbench.solvers.table import PluginFiles, find_solver_record, load_plugin_solvers
 
 NO_P99 = "too few for a p99"
 """Beginning of a remark on a plan, of which a search that ranks by other percentiles has no use."""
@@ -101,12 +101,11 @@ class RunRequest:
     routes: Sequence[str] | None = None
     policies: Sequence[str] | None = None
     steps: int | None = None
-    solver_module: str | None = None
+    solver_module: PluginFiles = None
 
     def make_plan(self) -> Plan:
         """Return the plan of all requested runs; InputError for what cannot be run."""
-        if self.solver_module is not None:
-            load_plugin_solver_from_file(self.solver_module)
+        load_plugin_solvers(self.solver_module)
         name, path, document = self._load_suite()
         check_mode_names(self.routes, self.policies)
         chosen = {"settings": self.settings, "routes": self.routes, "policies": self.policies}

@@ -24,9 +24,10 @@ from dpbench.errors import InputError, SituationError, begin_in_lower_case, requ
 from dpbench.scenario.scenario import MAX_STEPS, Scenario, load_scenario
 from dpbench.solvers.contract import Policy, Route
 from dpbench.solvers.table import (
+    PluginFiles,
     find_solver_availability,
     find_solver_record,
-    load_plugin_solver_from_file,
+    load_plugin_solvers,
 )
 
 BUDGET = 300
@@ -104,7 +105,7 @@ def find_worst_case(
     steps: int = STEPS,
     seed: int = 1,
     out: str | Path | None = None,
-    solver_module: str | Path | None = None,
+    solver_module: PluginFiles = None,
     progress: Progress | None = None,
 ) -> WorstCase:
     """Search scenario variants for a solver's worst step, save its QPs, and return the result.
@@ -123,8 +124,7 @@ def find_worst_case(
     ------
     InputError : for bad input, or a configuration that cannot run.
     """
-    if solver_module is not None:
-        load_plugin_solver_from_file(solver_module)
+    load_plugin_solvers(solver_module)
     _refuse_bad_options(goal, budget, steps, seed)
     path = Path("worst-cases") / f"{solver}-{goal}.npz" if out is None else Path(out)
     if path.suffix != ".npz":

@@ -118,13 +118,17 @@ def test_moved_suites(copies: list[Path], suite: Path, undisturbed: Path, tmp_pa
 def test_a_plug_in_is_not_run_because_a_shard_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """One of two: the option is given for each."""
     module, marker = tmp_path / "admm.py", tmp_path / "was run"
     suite = suite_file(tmp_path, suite_toml(closed_loop=[{"scenarios": ["calm"], "steps": 5}]))
     text = f"open({str(marker)!r}, 'w').close()\n{PLUGIN.read_text(encoding='utf-8')}"
     module.write_text(text, encoding="utf-8")
     shard, out = tmp_path / "shard", tmp_path / "out"
-    plugin = ["--solver-module", str(module)]
-    words = ["cells", str(suite), "--solver", "admm", "--out", str(shard), *plugin]
+    second = tmp_path / "second.py"
+    second.write_text(PLUGIN.read_text(encoding="utf-8").replace('"admm"', '"second"'))
+    plugin = ["--solver-module", str(module), "--solver-module", str(second)]
+    solvers = ["--solver", "admm", "--solver", "second"]
+    words = ["cells", str(suite), *solvers, "--out", str(shard), *plugin]
     assert main(words) == 0
     marker.unlink()
     capsys.readouterr()
@@ -132,14 +136,14 @@ def test_a_plug_in_is_not_run_because_a_shard_names_it(
     command = ["gather", str(shard), "--out", str(out), "--quiet"]
     assert main(command) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "admm.py" in line and "--solver-module" in line
+    assert "admm.py, " in line and "second.py; " in line and "--solver-module" in line
     assert not marker.exists() and not out.exists()
     asked = json.loads((shard / SHARD_FILE).read_text())["asked"]
     changed(shard, asked=asked | {"solver_module": str(tmp_path / "other.py")})
     (tmp_path / "other.py").write_text(f"open({str(marker)!r} + '2', 'w')", encoding="utf-8")
     assert main([*command, *plugin]) == 0
     assert not Path(f"{marker}2").exists()
-    assert load_results(out).runs["outcome"].tolist() == ["finished"]
+    assert load_results(out).runs["outcome"].tolist() == ["finished", "finished"]
 
 
 def test_links_are_not_gathered(copies: list[Path], undisturbed: Path, tmp_path: Path) -> None:
