@@ -90,6 +90,22 @@ def test_two_mains_two_tunnels_and_an_azimuth_on_two_boards(
     assert Path("my_ship_capability.svg").read_text(encoding="utf-8").startswith("<svg")
 
 
+def test_a_capability_plot_is_not_written_over(capsys: pytest.CaptureFixture[str]) -> None:
+    """The plot belongs to the ship: another sea leaves it as it is, and prints its notation."""
+    plot = Path("my_ship_capability.svg")
+    plot.write_text("mine", encoding="utf-8")
+    assert init(TABLE) == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert "my_ship_capability.svg exists; " in line and not Path(FILES[0]).exists()
+    assert init(TABLE, "--force") == 0
+    plot.write_text("mine", encoding="utf-8")
+    capsys.readouterr()
+    assert main(["init", "my_ship", "--sea", "3"]) == 0
+    notation = "DP capability-L1(8, 5, 0, 0) without rudders"
+    assert f"\n{notation}\nwrote my_ship_sea3.toml" in capsys.readouterr().out
+    assert plot.read_text(encoding="utf-8") == "mine"
+
+
 @pytest.mark.parametrize(
     ("zones", "power_kW", "said"),
     [

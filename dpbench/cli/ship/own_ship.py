@@ -165,11 +165,14 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
     held = None if vessel.thrusters is None else find_held_sea(vessel)
     number = choose_sea(vessel, held) if sea is None else sea
     stem = name if sea is None else f"{name}_sea{number}"
+    # The plot is of the ship, not of a sea.
+    is_drawn = held is not None and vessel_file.name in texts
+    figure = folder / f"{name}_capability.svg" if is_drawn else None
     texts |= _render_sea_files(name, vessel, number, held, chosen=sea is None)
-    _write_new_files(folder, texts, force=options.force)
+    _write_new_files(folder, texts, figure, force=options.force)
     drawn: list[str] = []
     if held is not None:
-        drawn = save_held_sea(held, vessel, folder, name)
+        drawn = save_held_sea(held, vessel, figure)
         files = _name_loss_files(stem, held, number)
         paths = {group: folder / file for group, file in files.items()}
         remarks += describe_losses(held, number, _find_time_of_loss(vessel), paths)
@@ -346,12 +349,14 @@ def _restate_command(options: argparse.Namespace) -> str:
     return shlex.join(words)
 
 
-def _write_new_files(folder: Path, texts: dict[str, str], *, force: bool) -> None:
-    """Write text files into a folder; SituationError if one exists, unless overwriting."""
-    for name in texts:
-        if os.path.lexists(folder / name) and not force:
+def _write_new_files(
+    folder: Path, texts: dict[str, str], figure: Path | None, *, force: bool
+) -> None:
+    """Write text files into a folder; SituationError if one or the figure exists, unless forced."""
+    for path in filter(None, (*(folder / name for name in texts), figure)):
+        if os.path.lexists(path) and not force:
             instead = "choose another name or folder (--out), or add --force to overwrite it"
-            raise SituationError(WHERE, f"{folder / name} exists; {instead}")
+            raise SituationError(WHERE, f"{path} exists; {instead}")
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")

@@ -630,12 +630,14 @@ def choose_limits(vessel: Vessel) -> str:
     return "attainable" if facets <= MOST_FACETS else "box"
 
 
-def save_held_sea(held: HeldSea, vessel: Vessel, folder: Path, name: str) -> list[str]:
-    """Write a chart of a ship's capability plot to a folder; return lines to print."""
-    path = folder / f"{name}_capability.svg"
-    save_rose_figure(held.capability, vessel, path)
+def save_held_sea(held: HeldSea, vessel: Vessel, figure: Path | None) -> list[str]:
+    """Write a chart of a ship's capability plot, if to a file; return lines to print."""
+    wrote = ""
+    if figure is not None:
+        save_rose_figure(held.capability, vessel, figure)
+        wrote = f"wrote {figure}: "
     cautions = [line for text in caution_on_rudders(vessel) for line in textwrap.wrap(text, WIDTH)]
-    lines = [*cautions, f"wrote {path}: {format_notation(held.capability, vessel)}"]
+    lines = [*cautions, f"{wrote}{format_notation(held.capability, vessel)}"]
     if held.planned is not None:
         notation = format_notation(held.planned, vessel)
         lines.append(f"with the half turns of the controllers: {notation}")
