@@ -217,6 +217,7 @@ NO_PROMISE = (
     "Other seas, or these seas from another direction, were not tried.",
     "A longer time in the same sea may bring a larger offset than these realisations.",
     "Stability is not proven, and only the faults of the scenario were tried.",
+    "Azimuths turn at any rate unless the scenario has `azimuth_turning = true`.",
     "Solve time grows with the horizons and was not measured: run the scenario in a suite.",
 )
 """Limits of the result, printed after it."""
@@ -271,13 +272,14 @@ class ControllerTuning:
     def lines(self) -> list[str]:
         """The result of a search for controller weights in words, with what it does not promise."""
         held = "within" if self.fresh.share <= self.margin else "NOT within"
+        describe = partial(_describe_score, margin=self.margin)
         return [
             *([UNCHANGED] if self.is_unchanged else []),
             f"{self._describe_choice()}: {self.chosen.name}",
-            f"search ({self.seas}): {_describe_score(self.chosen.score)} (original controller: "
-            f"{_describe_score(self.trial_of_own_controller.score)})",
-            f"test in other realisations, {held} the margin: {_describe_score(self.fresh)} "
-            f"(original controller: {_describe_score(self.own_fresh)})",
+            f"search ({self.seas}): {describe(self.chosen.score)} (original controller: "
+            f"{describe(self.trial_of_own_controller.score)})",
+            f"test in other realisations, {held} the margin: {describe(self.fresh)} "
+            f"(original controller: {describe(self.own_fresh)})",
             WEAR_IS,
             *(f"wrote {path}" for path in self.paths),
             "Limits of this result:",
@@ -288,7 +290,7 @@ class ControllerTuning:
 
     def _describe_choice(self) -> str:
         """Return why the controller was chosen."""
-        limit = f"{100 * self.margin:.0f} % of the limits of 5 m and 5°"
+        limit = f"{100.0 * self.margin:g} % of the limits of 5 m and 5°"
         if self.chosen.score.share > self.margin:
             return f"none of {len(self.trials)} controllers stays within {limit}; the nearest"
         found = "own controller, with" if self.is_unchanged else "controller of least wear with"
@@ -310,9 +312,15 @@ def _describe_shortening(bases: Sequence[Scenario], steps: int) -> str:
     )
 
 
-def _describe_score(score: LoopScore) -> str:
-    """Format the score of a controller: offset and wear of the thrusters."""
-    return f"offset {100 * score.share:.0f} %, wear {significant(score.wear_per_h)} per hour"
+def _describe_score(score: LoopScore, margin: float) -> str:
+    """Format the score of a controller: offset and wear of the thrusters.
+
+    The offset has the digits that show on which side of the margin it is.
+    """
+    offset, limit = 100.0 * score.share, round(100.0 * margin, 9)
+    is_within = score.share <= margin
+    digits = next((d for d in range(9) if (round(offset, d) <= limit) == is_within), 9)
+    return f"offset {offset:.{digits}f} %, wear {significant(score.wear_per_h)} per hour"
 
 
 class _KeptTrials:
@@ -406,7 +414,7 @@ def tune_controller(
         if score is None:
             score = rate_controller(options, at)
             kept.store_score(name, score)
-        bar.advance(total, f"{role}{_describe_score(score)}")
+        bar.advance(total, f"{role}{_describe_score(score, margin)}")
         return score
 
     own = make_unchanged_options(base)

@@ -17,6 +17,7 @@ from dpbench.scenario.variation import copy_scenario_with_values, write_scenario
 from dpbench.tuning.search import Trial
 from dpbench.tuning.tune_controller import (
     NO_PROMISE,
+    ControllerTuning,
     LoopScore,
     change_controller,
     choose_controller,
@@ -49,6 +50,20 @@ def test_least_wear_within_the_margin_is_chosen_else_the_least_offset(
 ) -> None:
     trials = [_trial(*score) for score in [(0.5, 9), (0.9, 2), (0.3, 12), (0.7, 5)]]
     assert choose_controller(trials, margin).score.share == share
+
+
+@pytest.mark.parametrize(
+    ("share", "margin", "shown"),
+    [(0.7, 0.7, "70 %"), (0.7004, 0.7, "70.04 %"), (0.699, 0.7, "70 %"), (0.0014, 0.001, "0.14 %")],
+)
+def test_a_rounded_offset_is_shown_on_its_side_of_the_margin(
+    share: float, margin: float, shown: str
+) -> None:
+    trial = _trial(share, 9.0)
+    tuning = ControllerTuning([trial], trial, trial.score, trial.score, margin, "seas", ())
+    held = "within" if share <= margin else "NOT within"
+    assert any(f"{held} the margin: offset {shown}, wear 9" in line for line in tuning.lines)
+    assert f"within {100.0 * margin:g} % of the limits" in tuning.lines[1]
 
 
 @pytest.mark.parametrize("name", ["weather", "thrusters", "thrusters_cascade", "paper_tight"])
@@ -228,7 +243,7 @@ def test_a_controller_is_found_tried_anew_and_written(
     own.files["scenario"]["title"] += ", tuned"
     own.files["scenario"]["environment"]["seed"] += 1
     assert found.files["scenario"] == own.files["scenario"]
-    assert "<svg" in (tmp_path / "front.svg").read_text()
+    assert "dashed line: required margin (70 % of" in (tmp_path / "front.svg").read_text()
     kept = tmp_path / "trials.jsonl"
     lines = kept.read_text().splitlines(keepends=True)
     kept.write_text("".join(lines[:5]) + lines[5][:9])
@@ -279,6 +294,8 @@ def test_a_ship_that_nothing_holds_is_said_to_be_lost(
     command = ["tune", "weather", "--seas", "9", "--margin", "0.001", *SMALL]
     assert main([*command, "--out", str(tmp_path)]) == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert "none of 7 controllers stays within 0 % of the limits of 5 m and 5°; the nearest" in said
+    assert (
+        "none of 7 controllers stays within 0.1 % of the limits of 5 m and 5°; the nearest" in said
+    )
     title = load_scenario(tmp_path / "weather_tuned.toml").title
     assert title.endswith(", NOT within the margin of 0.1 %")

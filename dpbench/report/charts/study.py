@@ -283,4 +283,10 @@ def draw_tuning_front(table: pd.DataFrame, title: str, margin: float) -> Any:
         x=x, y=y, color=style.colour("kind", TRIED, looks), shape=shapes, tooltip=tips
     )
     limit = style.draw_limit_rule(margin, "x")
-    return style.set_style(alt.layer(limit, points, width=420, height=260), title, title)
+    chart = style.set_style(alt.layer(limit, points, width=420, height=260), title, title)
+    chart.title.subtitle = [
+        f"dashed line: required margin ({100.0 * margin:g} % of the limits)",
+        "own (the original controller) and chosen keep their marks, even on the front",
+    ]
+    chart.title.subtitleColor = style.SOFT
+    return chart
