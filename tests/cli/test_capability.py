@@ -113,6 +113,8 @@ def test_what_controllers_plan_with_is_beside_each_case_within_80_columns() -> N
     assert row.split()[1:] == ["32.6", "0", "10.6"] * 4
     text = " ".join(lines)
     assert "planned: the wind held with the half turn of each azimuth" in text
+    assert "stern port pushes 0° to 229.18° (race 180° to 49.18°), barred 229.18° to 360°" in text
+    assert "barred 229.18°" not in " ".join(plain)
     same = "planned: the same, as controllers plan with all directions of each azimuth."
     assert same in " ".join(plain)
     assert "Number 0: not even number 1 is held, a wind of 1.5 m/s" in text

@@ -174,6 +174,7 @@ def format_wind_table(
     if own_areas := describe_own_wind_areas(vessel):
         notes.append(f"{own_areas[0].upper()}{own_areas[1:]}.")
     if every := vessel.thrusters:
+        notes += every.sector_descriptions
         notes += [*caution_on_wash(every), *list_zone_cautions(every)]
     notes = [line for note in notes for line in textwrap.wrap(note, WIDTH)]
     return [*textwrap.wrap(about, WIDTH), "", *heads, *rows, "", *notes]
