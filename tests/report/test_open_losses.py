@@ -164,7 +164,10 @@ def test_a_ship_that_leaves_after_the_loss_has_its_own_banner(records: Any) -> N
     ("span", "said"),
     [
         ([(0.0, 30.0, LOST)], "at no time"),
-        ([(0.0, 12.0, HELD), (12.0, 30.0, LOST)], "until 12 s and not after"),
+        (
+            [(0.0, 12.0, HELD), (12.0, 30.0, LOST)],
+            "until 12 s, after which the remaining thrusters cannot produce the required force",
+        ),
     ],
 )
 def test_a_consequence_analysis_that_finds_a_loss_not_held(

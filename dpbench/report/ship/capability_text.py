@@ -127,7 +127,10 @@ def describe_time_held(of_group: pd.DataFrame) -> str:
     if HELD not in states:
         return "at no time"
     if states == [HELD, LOST]:
-        return f"until {change_s:.0f} s and not after"
+        return (
+            f"until {change_s:.0f} s, after which the remaining thrusters cannot produce the "
+            "required force"
+        )
     if states == [LOST, HELD]:
         return f"from {change_s:.0f} s on"
     long_s = of_group["to_s"] - of_group["from_s"]

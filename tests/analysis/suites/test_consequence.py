@@ -140,7 +140,10 @@ def test_spans_join_what_is_proven_alike(storm: Records) -> None:
     [
         (["linear"] * 4, "throughout"),
         (["infeasible"] * 4, "at no time"),
-        (["linear", "linear", "infeasible", "infeasible"], "until 1 s and not after"),
+        (
+            ["linear", "linear", "infeasible", "infeasible"],
+            "until 1 s, after which the remaining thrusters cannot produce the required force",
+        ),
         (["infeasible", "gap", "linear", "gap"], "from 0 s on"),
         (["linear", "infeasible", "linear", "infeasible"], "in 50 % of the time"),
         (["linear", "undecided", "linear", "linear"], "in 75 % of the time"),
