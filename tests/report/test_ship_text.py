@@ -346,6 +346,22 @@ def test_a_loop_unstable_without_limits_is_not_blamed_on_the_weather(
     assert warning == expected
 
 
+@pytest.mark.parametrize("others", [0, 1])
+def test_a_ship_that_starts_off_its_station_is_not_blamed_on_the_weather(
+    records: Any, others: int
+) -> None:
+    records.loop("daqp", "turn", **LOST | {"exact_left_s": 0.0})
+    if others:
+        records.loop("daqp", "rough", **LOST)
+    start = (
+        "off its station and ends farther away: in `turn` it starts off its station (5 m, 5°); "
+        "largest offset 37.0 m at 30.0 s, last offset 36.0 m."
+    )
+    warning = _summary(records).warning
+    assert warning.endswith(f"Elsewhere it starts {start}" if others else f"it starts {start}")
+    assert warning.startswith(f"{BANNER}, whatever" if others else f"{NOT_HELD}: it starts off")
+
+
 @pytest.mark.slow
 def test_no_solver_is_recommended_before_the_ship(records: Any) -> None:
     """Report.md, the terminal's rows, the page's data: the banner comes first, none advises."""

@@ -60,6 +60,11 @@ class ShipResult:
         return self.run.exact_steps > 0.0 and not math.isnan(self.run.exact_left_s)
 
     @property
+    def is_lost_at_start(self) -> bool:
+        """True if the ship starts off its station and ends farther away."""
+        return self.run.exact_left_s == 0.0
+
+    @property
     def unstable_radius(self) -> float:
         """Largest |λ| of a loop that is unstable without limits (paper eq. 35), else NaN."""
         files = self.run.scenario_documents

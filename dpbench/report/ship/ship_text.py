@@ -37,8 +37,8 @@ POINT_PREFIXES = ("environment.", "controller.")
 class ShipSummary:
     """First lines of a report: a warning where the controller does not hold a ship, and results.
 
-    warning : begins with `BANNER`, or with `LOST` where some ships are held or the loops of all
-    lost ones are unstable without limits; "" where no ship is lost.
+    warning : begins with `BANNER`, or with `LOST` where some ships are held or all lost ones start
+    off their station or have loops that are unstable without limits; "" where no ship is lost.
     state : where the ship is on station, has not settled or has no result; "" without any ship.
     limits : the share of steps with active limits.
     details : approaches to a setpoint, losses, offsets that still grow.
@@ -99,20 +99,24 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
 
 
 def _warn_of_lost(lost: Sequence[ShipResult], known: Sequence[ShipResult]) -> Iterator[str]:
-    """Yield a sentence on ships that the weather drives off, and on those of unstable loops."""
+    """Yield sentences on ships driven off by weather, off at the start, and of unstable loops."""
     unstable = [ship for ship in lost if not math.isnan(ship.unstable_radius)]
-    driven = [ship for ship in lost if ship not in unstable]
+    away = [ship for ship in lost if ship not in unstable and ship.is_lost_at_start]
+    driven = [ship for ship in lost if ship not in unstable and not ship.is_lost_at_start]
     if driven:
         sensors = " with these sensors" * any(map(_has_noise_or_estimator, driven))
         where = f"{_count_held(driven, known) or BANNER}{sensors}{_name_failures(driven)}"
         opening = f"{where}, whatever the solver"
         yield f"{opening}: {_describe_lost(driven)}."
         yield from map(explain_departure, [one for one in driven if not one.run.study][:MOST_NAMED])
+    if away:
+        opening = "Elsewhere it starts" if driven else f"{LOST}: it starts"
+        yield f"{opening} off its station and ends farther away: {_describe_lost(away)}."
     if unstable:
         worst = max(unstable, key=lambda ship: ship.unstable_radius)
         horizon = worst.run.files["scenario"]["controller"]["prediction_horizon"]
         loop = describe_unstable_loop(horizon, worst.unstable_radius)
-        opening = "Elsewhere its loop is" if driven else f"{LOST}: its loop is"
+        opening = "Elsewhere its loop is" if driven or away else f"{LOST}: its loop is"
         yield f"{opening} {loop}, whatever weather and solver: {_describe_lost(unstable)}."
 
 
@@ -186,9 +190,12 @@ def _describe_departure(ship: ShipResult) -> str:
     turned = heading if run.exact_heading_max_deg > HEADING_DEG else ""
     back = " and returns" if ship.is_inside_at_end else ""
     moving = ", still moving away when the run ends" if ship.is_moving_away else ""
+    limits = _format_station_limits(ship)
+    left = f"leaves its station ({limits}) at {significant(run.exact_left_s)} s{back}"
+    if ship.is_lost_at_start:
+        left = f"starts off its station ({limits})"
     return (
-        f"in `{ship.name}`{_format_wind(run)} it leaves its station "
-        f"({_format_station_limits(ship)}) at {significant(run.exact_left_s)} s{back}; largest "
+        f"in `{ship.name}`{_format_wind(run)} it {left}; largest "
         f"offset {significant(run.exact_offset_max_m)} m at {significant(run.exact_offset_max_s)} s"
         f"{_format_farther_loop(ship)}, last offset {significant(run.exact_offset_end_m)} m"
         f"{moving}{turned}"
