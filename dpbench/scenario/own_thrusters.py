@@ -228,9 +228,8 @@ def describe_assumed_values(
         "of the length.": rises,
         f"Diameters, from the power as on the rescue ship Ratownik: {sizes}.": sizes,
         f"Propellers: {propellers}.": propellers,
-        "Shaft heights are unknown: loss of thrust by ventilation in waves is neglected.": any(
-            "height_m" not in row for row in rows if "power_kW" in row
-        ),
+        "Shaft heights (height_m) are unknown: loss of thrust by ventilation in waves is "
+        "neglected.": any("height_m" not in row for row in rows if "power_kW" in row),
         f"Ratio of thrust astern to thrust ahead: {astern}.": astern,
         "A thruster without a group fails alone.": any("group" not in row for row in rows),
     }
