@@ -232,17 +232,18 @@ def make_run_row(
     if evaluated is None or steps is None or not len(steps["k"]):
         return row
     counts = steps["counts"]
+    row |= evaluated.metrics
+    if cell.solver not in CALIBRATION:
+        row |= _worst_error_columns(rules.select_answered_steps(steps, cell.slowdown))
     if not counts.any():
-        # The warm-up does not count.
-        return row | evaluated.metrics
+        # The warm-up counts in no other column.
+        return row
     row["steps_done"] = int(np.bincount(steps["repeat"][counts]).max())
     judged = rules.select_answered_steps(rules.select_step_rows(steps, counts), cell.slowdown)
     row["exact_thruster_use"] = evaluated.thruster_use
-    row |= evaluated.metrics | timing.compute_timing_percentiles(cell, evaluated, judged)
+    row |= timing.compute_timing_percentiles(cell, evaluated, judged)
     if cell.solver not in CALIBRATION:
-        row |= _accuracy_columns(judged, cell.source) | _worst_error_columns(
-            rules.select_answered_steps(steps, cell.slowdown)
-        )
+        row |= _accuracy_columns(judged, cell.source)
     if cell.mode == "closed_loop":
         row |= (
             _fallback_columns(steps)

@@ -76,13 +76,15 @@ def test_the_run_counts_the_rounds_that_the_report_counts(
     assert run["steps_done"] == STEPS
 
 
-def test_a_replay_that_ended_in_its_warm_up_has_no_figures() -> None:
+def test_a_replay_that_ended_in_its_warm_up_has_only_errors_and_failed_steps() -> None:
     log = _log([CALM] * 4)
     log.done[1:] = 0
+    log.status[0, 1], log.z[0, 1] = Status.TIME_LIMIT, np.nan
     steps, run = _tables(_judged(log))
     assert len(steps) == WARM_UP_STEPS and not dict(yield_step_times_by_run(steps))
     assert run["steps_done"] == 0
-    assert pd.isna(run["raw_samples"]) and np.isnan(run["error_move_max"])
+    assert pd.isna(run["raw_samples"]) and np.isnan(run["true_share"])
+    assert (run["error_move_max"], run["failed_steps"]) == (np.inf, 1)
 
 
 def test_a_round_is_disturbed_beyond_the_factor_of_the_best_kernel_seen() -> None:

@@ -197,9 +197,10 @@ def test_a_replay_is_as_long_as_its_longest_round_that_counts() -> None:
         assert np.isnan(row["deadline_s"]) and "fallbacks" not in row
     of_harness = row_of(replace(REPLAY, solver=NO_OP), steps, judged)
     assert "claimed_share" not in of_harness and of_harness["raw_samples"] == 2
-    # Within its warm-up a replay has metrics and nothing else.
+    # Within its warm-up a replay has metrics, errors and failed steps, and nothing else.
     row = row_of(REPLAY, steps | {"counts": flags("000000")}, judged)
     assert row["r_rms_m"] == 0.5 and row["steps_done"] == 0 and "raw_samples" not in row
+    assert "failed_steps" in row and "true_share" not in row
 
 
 def test_a_cell_without_steps_has_its_identity_only() -> None:
