@@ -36,6 +36,7 @@ MOST_HANGS = 3
 MOST_FAILURES = 3
 """Different reasons of failures that the outcome of a run names."""
 HANG_DETAIL = "did not return and was killed"
+INTERRUPT_DETAIL = "interrupted, as it ran beyond the limit"
 _OF_WORKSPACE = frozenset({"setup", "update", "solve", "read"})
 _OWN = slice(PHASES.index(SOLVER_PHASES[0]), PHASES.index(SOLVER_PHASES[-1]) + 1)
 
@@ -381,7 +382,7 @@ def raise_at_step_limit(limit_s: float, clock: Clock) -> Iterator[None]:
             return
         solver = frame.f_locals["self"]
         if clock() - frame.f_locals["t0"] - solver.pending_wait_ns >= limit_ns:
-            words = f"interrupted, as it ran beyond the limit of {limit_s:g} s of a step"
+            words = f"{INTERRUPT_DETAIL} of {limit_s:g} s of a step"
             solver.interrupted = words
             raise StepTimeLimitError(words)
 

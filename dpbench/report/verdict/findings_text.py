@@ -9,6 +9,7 @@ from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.verdict.requirements import PERHAPS_BY_MACHINE, Finding
 from dpbench.analysis.verdict.verdict import explain_outcome, find_solver_record_or_none
 from dpbench.bench.judge.answer_caching import CachingSign
+from dpbench.bench.run.timed_solver import HANG_DETAIL, INTERRUPT_DETAIL
 from dpbench.report.formats import (
     describe_range_of_steps,
     describe_wait,
@@ -21,6 +22,8 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.words import read_words
+from dpbench.solvers.contract import SolverRecord
+from dpbench.solvers.own_settings import decode_options_from_json
 
 
 def describe_findings(findings: Sequence[Finding]) -> str:
@@ -69,8 +72,10 @@ def _describe_ending(status: str, run: RunRecord) -> str:
 
     Of inaccurate answers, the iterations.
     """
-    ending = _ENDINGS.get(status, f"the solver reports status {status}")
     record = find_solver_record_or_none(run.configuration.solver)
+    if status == "TIME_LIMIT" and _has_only_limit_of_harness(run, record):
+        return _ENDINGS["HARNESS_LIMIT"]
+    ending = _ENDINGS.get(status, f"the solver reports status {status}")
     known = (
         {} if record is None else {key.name: text for key, text in record.known_failures.items()}
     )
@@ -81,6 +86,13 @@ def _describe_ending(status: str, run: RunRecord) -> str:
     if status == "INACCURATE" and not isnan(run.iterations_max):
         return f"{ending} after at most {format_count(run.iterations_max)} iterations"
     return ending
+
+
+def _has_only_limit_of_harness(run: RunRecord, record: SolverRecord | None) -> bool:
+    """Return whether the harness ended a run's slow calls, or set the solver's own time limit."""
+    if record is not None and record.time_limit:
+        return record.time_limit not in decode_options_from_json(run.options)
+    return any(words in run.outcome_message for words in (HANG_DETAIL, INTERRUPT_DETAIL))
 
 
 def _quote_library(run: RunRecord) -> str:
@@ -118,7 +130,7 @@ def describe_finding(finding: Finding) -> str:
     kind: str = finding.kind
     if kind == "failed" and finding.steps:
         kind = "failed steps"
-    all_steps = plural(first.steps_done, "step")
+    all_steps = plural(_count_steps(first, finding), "step")
     first_step = _name_first_step(finding) * (window_of == "")
     over = f", above the limit in {format_count(finding.steps)} of {all_steps}{first_step}"
     over *= finding.steps > 0

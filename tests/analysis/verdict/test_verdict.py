@@ -131,6 +131,27 @@ def test_an_inaccurate_answer_is_named_with_the_most_iterations(
     assert describe_finding(finding).endswith(ended)
 
 
+@pytest.mark.parametrize(
+    ("solver", "columns", "ending"),
+    [
+        ("osqp", {}, "a call takes longer than the time limit of the harness"),
+        ("osqp", {"options": '{"time_limit": 0.1}'}, "the solver reaches its own time limit"),
+        ("mine", {}, "the solver reaches its own time limit"),
+        (
+            "mine",
+            {"outcome_detail": "2 × did not return and was killed"},
+            "a call takes longer than the time limit of the harness",
+        ),
+    ],
+)
+def test_a_step_ended_from_outside_names_the_limit_of_the_harness(
+    solver: str, columns: dict[str, Any], ending: str, records: Any
+) -> None:
+    records.replay(solver, **columns)
+    finding = Finding("failed", tuple(records.view().runs), 2.0, 2, status="TIME_LIMIT")
+    assert describe_finding(finding).endswith(f"as {ending}")
+
+
 def _window(records: Any, scenario: str, **columns: Any) -> None:
     """A replay of the hardest 15 steps of a scenario."""
     source = {"kind": "hardest", "name": f"{scenario} hardest 15", "of": 450}
@@ -234,6 +255,20 @@ def test_late_or_wrong(
     verdict = _verdict(records, "daqp")
     assert verdict.state == state
     assert (verdict.state in MISSED) == (state in ("late", "fail"))
+
+
+@pytest.mark.parametrize("mode", ["closed_loop", "replay"])
+@pytest.mark.parametrize(
+    ("failed", "error", "state"), [(1, math.inf, "fail"), (0, 1e-9, "inconclusive")]
+)
+def test_a_run_stopped_by_its_limit_fails_by_a_step_that_hung(
+    records: Any, mode: str, failed: int, error: float, state: str
+) -> None:
+    """A replay may be stopped in its warm-up; slow calls that return are no hang."""
+    stopped = {"outcome": "timed_out", "done": 0, "failed": failed, "error": error}
+    records.loop("daqp", **(stopped if mode == "closed_loop" else {}))
+    records.replay("daqp", **(stopped if mode == "replay" else {}))
+    assert _verdict(records, "daqp").state == state
 
 
 DOUBTS = [
