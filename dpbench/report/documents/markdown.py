@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import compress
 
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
+from dpbench.analysis.verdict.requirements import OWN_DOING
 from dpbench.analysis.verdict.verdict import (
     Verdict,
     Verdicts,
@@ -35,7 +36,7 @@ from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
 from dpbench.report.ship.ship_text import ShipSummary
 from dpbench.report.topics.study import yield_disturbance_sentences
-from dpbench.report.verdict.findings_text import name_experiment
+from dpbench.report.verdict.findings_text import describe_findings, name_experiment
 from dpbench.report.verdict.verdict_text import (
     describe_hardest_wait,
     describe_which_solvers_pass,
@@ -298,6 +299,14 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
                 len({*found.values()}) == 1 < len(found)
             )
             yield f"The {name} is {_most_and_others(found, 'in')}{alike}."
+    ended = [
+        f"{v.configuration.marked_label}: {describe_findings(causes)}"
+        for v in verdicts
+        if (causes := [finding for finding in v.causes if finding.kind in OWN_DOING])
+    ]
+    if ended:
+        more = f"; and {len(ended) - MOST_EXCEPTIONS} more" * (len(ended) > MOST_EXCEPTIONS)
+        yield f"Runs that crashed or hung: {'; '.join(ended[:MOST_EXCEPTIONS])}{more}."
     own = {
         f"`{v.configuration.solver}` {v.configuration.settings}: {v.configuration.options_text}"
         for v in verdicts

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.requirements import Finding, Requirements
 from dpbench.analysis.verdict.verdict import Verdict, judge_solvers
 from dpbench.bench.record.cell import Configuration
 from dpbench.report.documents.markdown import yield_table_remarks
@@ -35,6 +35,26 @@ def test_rows_of_other_replays_and_own_options_are_named() -> None:
         "The p50 is from the replay of `move`; for `osqp` (native warm, mine), from the replay of "
         "`squall`.",
         "Custom settings: `osqp` mine: rho=1.6.",
+    ]
+
+
+def test_causes_of_crashes_and_hangs_are_named(records: Any) -> None:
+    records.replay("d", "move", outcome="crashed", outcome_detail="killed by SIGSEGV", done=0)
+    run = records.view().runs[0]
+    crash = Finding("crashed", (run,))
+    ended = [
+        replace(
+            _verdict(f"d{i}", "move"), state="fail", causes=(crash, Finding("no answer", (run,)))
+        )
+        for i in range(4)
+    ]
+    assert [*yield_table_remarks([_verdict("daqp", "move"), *ended])] == [
+        "Runs that crashed or hung: "
+        + "; ".join(
+            f"`d{i}` (native warm): its process ended in the replay of `move`: killed by SIGSEGV"
+            for i in range(3)
+        )
+        + "; and 1 more."
     ]
 
 
