@@ -241,6 +241,18 @@ def _format_quantity(column: str, value: float) -> str:
     return significant(value, 4)
 
 
+def describe_changes_in_si_units(answers: Sequence[FigureChange]) -> list[str]:
+    """Return a line that counts the changed metrics of runs in SI units; none without any."""
+    changes = Counter(a.change for a in answers if a.pair.a.units == "si")
+    counts = [f"{format_count(n)} {name}" for name in ("worse", "better") if (n := changes[name])]
+    if not counts:
+        return []
+    return [
+        f"of these in SI units: {', '.join(counts)} (such runs show the effect of scaling and "
+        "count towards no verdict)"
+    ]
+
+
 LISTED = 5
 
 
@@ -491,6 +503,7 @@ def _make_summary_lines(
             f"{format_count(n)} {words.get(change, change)}" for change, n in changes.most_common()
         )
         lines.append(f"accuracy and control: {counts}")
+        lines += describe_changes_in_si_units(figures)
     for what, cells in (
         ("only in A", pairs.only_a),
         ("only in B", pairs.only_b),

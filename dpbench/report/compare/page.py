@@ -18,6 +18,7 @@ from dpbench.report.charts.style import ROW_STEP
 from dpbench.report.compare.comparison import (
     Comparison,
     describe_change,
+    describe_changes_in_si_units,
     describe_shared_factor,
     make_times_table,
 )
@@ -156,7 +157,8 @@ def make_lead_sentences(comparison: Comparison) -> list[str]:
     changed = [
         f"{line[0].upper()}{line[1:]}." for line in describe_changed_options(comparison.pairs)
     ]
-    return [*changed, strip_markdown(f"{_describe_slower(comparison)} {figures}"), *together]
+    si = [f"{line[0].upper()}{line[1:]}." for line in describe_changes_in_si_units(worse)]
+    return [*changed, strip_markdown(f"{_describe_slower(comparison)} {figures}"), *si, *together]
 
 
 def describe_verdict(one: ComparedTimes) -> str:

@@ -309,6 +309,18 @@ def test_few_configurations_are_held_against_the_kernel(make: Make) -> None:
     assert verdicts(times)["piqp"] == "slower"
 
 
+def test_changes_in_si_units_are_counted_apart(make: Make) -> None:
+    a, b, scaled = (
+        make(name, seed=1, configurations=("daqp",), loop={"r_rms_m": r_m, "units": units})
+        for name, r_m, units in (("a", 0.3, "si"), ("b", 0.4, "si"), ("c", 0.4, "scaled"))
+    )
+    reason = "(such runs show the effect of scaling and count towards no verdict)"
+    found = compare(a, b)
+    assert f"of these in SI units: 1 worse {reason}" in found.lines
+    assert f"Of these in SI units: 1 worse {reason}." in make_lead_sentences(found)
+    assert not any("SI units" in line for line in compare(scaled, scaled).lines)
+
+
 @pytest.mark.slow
 def test_a_folder_against_itself(make: Make) -> None:
     """No claim, every figure the same, ratios of exactly 1."""
