@@ -35,6 +35,29 @@ def test_a_refused_call_mode_is_not_run(select: Callable[[str], Any]) -> None:
     assert not any(word in text for word in ("null", "inconclusive", "verdict", "largest error"))
 
 
+def test_the_query_is_of_the_limiting_p99_at_opening(select: Callable[[str], Any]) -> None:
+    page = select("")
+    assert page.evaluate("facts.experiments[state.p].label") == "paper"
+    assert "turn, window of 30 steps" in page.text_content("#data-query")
+    page.locator("#table-body tr", has_text="paper").nth(0).locator("button").click()
+    page.wait_for_function("location.hash.includes('sc=paper')")
+    assert "in paper\n" in f"{page.text_content('#data-query')}\n"
+
+
+def test_replays_alone_open_with_the_replay_of_the_first_line(
+    records: Any, chromium: Any, tmp_path: Path
+) -> None:
+    records.replay("daqp", "paper")
+    records.replay("daqp", "rough", median_us=90.0)
+    with opening(chromium, write_report(records.write(tmp_path / "replays"))) as opener:
+        page = opener.select("")
+        assert "in rough" in page.inner_text("#chosen")
+        shown = page.evaluate(
+            "document.querySelector('#choose-experiment').selectedOptions[0].text"
+        )
+        assert shown.startswith("rough")
+
+
 def test_a_window_in_the_table_shows_its_closed_loop(select: Callable[[str], Any]) -> None:
     page = select("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
     row = page.locator("#table-body tr", has_text="turn, window of 30 steps")

@@ -84,19 +84,27 @@ function scaled(value, column) {
 // The value of a column of the table in a row.
 const valueOf = (name, i) => facts.table.values[facts.table.columns.findIndex((column) => column.name === name)][i];
 
+// The row of the run with the limiting p99, until the reader selects a scenario; then null.
+function limitingRow() {
+  const ids = facts.table.columns.findIndex((column) => column.name === "run_id");
+  const row = new URLSearchParams(location.hash.slice(1)).has("sc") ? -1
+    : facts.table.values[ids].indexOf(C().p99_run_id?.[state.c]);
+  return row < 0 ? null : row;
+}
+
 // The steps of the selected run.
 function drawQuery() {
-  const run = cell(state.c, state.p), window = state.window;
-  const id = window === null ? run?.id : valueOf("run_id", window);
-  const where = window === null ? facts.experiments[state.p]?.label : valueOf("where", window);
+  const run = cell(state.c, state.p), row = state.window ?? limitingRow();
+  const id = row === null ? run?.id : valueOf("run_id", row);
+  const where = row === null ? facts.experiments[state.p]?.label : valueOf("where", row);
   $("data-query").closest("details").hidden = !id;
   $("data-query").textContent = !id ? ""
     : `steps = pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${id}")])`
       + `  # ${label(state.c)} in ${where}`
-      + (window !== null || facts.experiments[state.p].mode === "replay"
+      + (row !== null || facts.experiments[state.p].mode === "replay"
         ? `\ntotal_ns = steps.filter(regex="^(setup|update|solve|read|allocation)_ns$").sum(axis=1)`
           + `\ntotal_ns[steps.counts].groupby(steps.k).min()`
-          + (window === null ? `.quantile([0.5, 0.99]) / 1e3  # p50 and p99 [µs]`
+          + (!facts.table.windows.includes(row) ? `.quantile([0.5, 0.99]) / 1e3  # p50 and p99 [µs]`
             : ` / 1e3  # time of each step [µs]; k = 0 is the first step of the window`)
         : "");
 }

@@ -69,6 +69,8 @@ function read() {
     asked.get("set") ?? (asked.has("s") ? null : C().settings[first])) ?? first;
   let p = facts.experiments.findIndex((experiment) => experiment.label === asked.get("sc"));
   if (p < 0 && !asked.has("s")) p = facts.answer.experiment ?? p;
+  // Without a closed loop, the replay whose times the line of the selection shows.
+  if (p < 0 && facts.experiments.every(({ mode }) => mode === "replay")) p = C().timed_experiment_index[c] ?? p;
   if (p < 0) p = facts.experiments.findIndex((_, i) => cell(c, i)?.t != null);
   const [bs, bw, bset] = (asked.get("b") ?? "").split("~");
   const b = configuration(bs, bw, bset) ?? null;
