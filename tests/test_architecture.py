@@ -172,6 +172,9 @@ def test_every_public_name_has_an_example(name: str) -> None:
     if inspect.isclass(thing):
         texts |= {f"{name}.{label}": text for label, text in _list_public_members(thing)}
     assert [label for label, text in texts.items() if "\n>>> " not in text] == []
+    use = re.compile(r"^(>>>|\.\.\.) .*\bnp\.", re.M)
+    own = [text for text in texts.values() if use.search(text)]
+    assert [text for text in own if "\n>>> import numpy as np\n" not in text] == []
 
 
 def test_the_hard_kernels_have_an_example() -> None:

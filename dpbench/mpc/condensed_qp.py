@@ -205,6 +205,7 @@ class CondensedQP:
 
         Examples
         --------
+        >>> import numpy as np
         >>> from dpbench import condense
         >>> condense("paper").emit(x=np.zeros(9), y_ref=np.ones(3), u_prev=np.zeros(3))
         <QPStep: 15 variables, 15 rows, vectors>
@@ -283,6 +284,7 @@ class CondensedQP:
 
         Examples
         --------
+        >>> import numpy as np
         >>> from dpbench import condense
         >>> builder = condense("paper")
         >>> int(builder.repeat_flags_for_each_move(np.array([True, False, False])).sum())
@@ -298,6 +300,7 @@ class CondensedQP:
 
         Examples
         --------
+        >>> import numpy as np
         >>> from dpbench import condense
         >>> builder = condense("paper")
         >>> builder.problem(builder.emit(np.zeros(9), np.ones(3), np.zeros(3)))
@@ -314,6 +317,7 @@ class CondensedQP:
 
         Examples
         --------
+        >>> import numpy as np
         >>> from dpbench import condense
         >>> condense("paper").moves(np.ones(15))[0]
         array([ 32736.,  11008., 475200.])
@@ -325,6 +329,7 @@ class CondensedQP:
 
         Examples
         --------
+        >>> import numpy as np
         >>> from dpbench import condense
         >>> builder = condense("paper")
         >>> z = builder.convert_increments_to_variables(builder.moves(np.ones(15)))
@@ -342,6 +347,7 @@ class CondensedQP:
 
         Examples
         --------
+        >>> import numpy as np
         >>> from dpbench import condense
         >>> condense("paper").constant_part_of_cost(x=np.zeros(9), y_ref=np.ones(3))
         1530.0

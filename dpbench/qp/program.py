@@ -34,6 +34,7 @@ class Refresh(Flag):
 
     Examples
     --------
+    >>> import numpy as np
     >>> QPStep(q=np.array([-1.0]), l=np.zeros(1), u=np.ones(1)).refresh
     <Refresh.VECTORS: 1>
     """
@@ -122,12 +123,12 @@ class QuadraticProgram:
 
     Examples
     --------
-    >>> qp = QuadraticProgram(np.eye(2), np.full(2, -3.0), [[1, 1]], [-np.inf], [2], [0, 0], [9, 9])
+    >>> qp = QuadraticProgram([[1, 0], [0, 1]], [-3, -3], [[1, 1]], [-9], [2], [0, 0], [1, 1])
     >>> qp
     <QuadraticProgram: 2 variables, 1 row>
-    >>> qp.objective(np.ones(2))
+    >>> qp.objective(qp.ub)
     -5.0
-    >>> QuadraticProgram(np.eye(2), [-3.0, -3.0], lb=[0.0, 0.0], ub=[9.0, 9.0])
+    >>> QuadraticProgram([[1, 0], [0, 1]], [-3.0, -3.0], lb=[0.0, 0.0], ub=[9.0, 9.0])
     <QuadraticProgram: 2 variables, 0 rows>
     """
 
@@ -181,7 +182,7 @@ class QuadraticProgram:
 
         Examples
         --------
-        >>> QuadraticProgram(np.eye(2), [-3.0, -3.0]).n
+        >>> QuadraticProgram([[1, 0], [0, 1]], [-3.0, -3.0]).n
         2
         """
         return int(self.q.shape[0])
@@ -192,7 +193,7 @@ class QuadraticProgram:
 
         Examples
         --------
-        >>> QuadraticProgram(np.eye(2), [-3.0, -3.0], [[1, 1]], [-9], [2]).m
+        >>> QuadraticProgram([[1, 0], [0, 1]], [-3.0, -3.0], [[1, 1]], [-9], [2]).m
         1
         """
         return int(self.A.shape[0])
@@ -202,7 +203,7 @@ class QuadraticProgram:
 
         Examples
         --------
-        >>> qp = QuadraticProgram(np.eye(2), [-3.0, -3.0], [[1, 1]], [-9], [2], [0, 0], [9, 9])
+        >>> qp = QuadraticProgram([[1, 0], [0, 1]], [-3, -3], [[1, 1]], [-9], [2], [0, 0], [9, 9])
         >>> qp.stack_row_and_bound_limits()
         (array([-9.,  0.,  0.]), array([2., 9., 9.]))
         """
@@ -213,7 +214,8 @@ class QuadraticProgram:
 
         Examples
         --------
-        >>> QuadraticProgram(np.eye(2), [-3.0, -3.0]).objective(np.ones(2))
+        >>> import numpy as np
+        >>> QuadraticProgram([[1, 0], [0, 1]], [-3.0, -3.0]).objective(np.ones(2))
         -5.0
         """
         return float(0.5 * z @ self.P @ z + self.q @ z)
@@ -223,7 +225,7 @@ class QuadraticProgram:
 
         Examples
         --------
-        >>> qp = QuadraticProgram(np.eye(2), [-3.0, -3.0])
+        >>> qp = QuadraticProgram([[1, 0], [0, 1]], [-3.0, -3.0])
         >>> qp.copy().P is qp.P
         False
         """
@@ -236,9 +238,8 @@ class QuadraticProgram:
 
         Examples
         --------
-        >>> qp = QuadraticProgram(np.eye(1), [-3.0])
-        >>> none = np.zeros(0)
-        >>> qp.changed_by(QPStep(np.ones(1), none, none, lb=np.zeros(1)))
+        >>> qp = QuadraticProgram([[1]], [-3.0], lb=[0.0])
+        >>> qp.changed_by(QPStep(qp.q, qp.l, qp.u, lb=qp.lb + 1))
         True
         """
         if step.P is step.A is step.lb is step.ub is None:
@@ -252,8 +253,8 @@ class QuadraticProgram:
 
         Examples
         --------
-        >>> qp = QuadraticProgram(np.eye(1), [-3.0])
-        >>> qp.at(QPStep(np.ones(1), np.zeros(0), np.zeros(0))).q
+        >>> qp = QuadraticProgram([[1]], [-3.0])
+        >>> qp.at(QPStep(qp.q + 4, qp.l, qp.u)).q
         array([1.])
         """
         given = {name: getattr(step, name) for name in ARRAYS}
@@ -272,7 +273,7 @@ class QuadraticProgram:
 
         Examples
         --------
-        >>> QuadraticProgram(np.eye(1), [-3.0]).for_setup().q
+        >>> QuadraticProgram([[1]], [-3.0]).for_setup().q
         array([0.])
         """
         return self._copy_with_replaced_arrays({"q": np.zeros(self.n)})
@@ -291,6 +292,7 @@ class QPStep:
 
     Examples
     --------
+    >>> import numpy as np
     >>> step = QPStep(q=np.array([-1.0]), l=np.zeros(1), u=np.ones(1))
     >>> step
     <QPStep: 1 variable, 1 row, vectors>
@@ -321,6 +323,7 @@ class QPStep:
 
         Examples
         --------
+        >>> import numpy as np
         >>> QPStep(q=np.array([-1.0]), l=np.zeros(1), u=np.ones(1), lb=np.zeros(1)).refresh
         <Refresh.VECTORS|MATRICES: 3>
         """
@@ -333,6 +336,7 @@ class QPStep:
 
         Examples
         --------
+        >>> import numpy as np
         >>> step = QPStep(q=np.array([-1.0]), l=np.zeros(1), u=np.ones(1))
         >>> step.copy().q is step.q
         False
@@ -350,6 +354,7 @@ class Units:
 
     Examples
     --------
+    >>> import numpy as np
     >>> Units(z=np.array([250.0, 250.0]), row=np.ones(1)).z
     array([250., 250.])
     """
@@ -387,7 +392,7 @@ class QPSequence:
 
     Examples
     --------
-    >>> qp = QuadraticProgram(np.eye(1), [-1.0], np.eye(1), [0.0], [1.0], [-9.0], [9.0])
+    >>> qp = QuadraticProgram([[1]], [-1.0], [[1]], [0.0], [1.0], [-9.0], [9.0])
     >>> sequence = QPSequence("two", qp, q=[[-1.0], [2.0]], l=[[0.0], [0.0]], u=[[1.0], [1.0]])
     >>> sequence
     <QPSequence two: 2 QPs of 1 variable, 1 row, constant matrices>
@@ -435,8 +440,8 @@ class QPSequence:
 
         Examples
         --------
-        >>> qp = QuadraticProgram(np.eye(1), [-1.0])
-        >>> two = QPSequence("two", qp, q=[[-1.0], [2.0]], l=np.zeros((2, 0)), u=np.zeros((2, 0)))
+        >>> qp = QuadraticProgram([[1]], [-1.0])
+        >>> two = QPSequence("two", qp, q=[[-1.0], [2.0]], l=[[], []], u=[[], []])
         >>> two.step(1).q
         array([2.])
         """
@@ -451,8 +456,8 @@ class QPSequence:
 
         Examples
         --------
-        >>> qp = QuadraticProgram(np.eye(1), [-1.0])
-        >>> two = QPSequence("two", qp, q=[[-1.0], [2.0]], l=np.zeros((2, 0)), u=np.zeros((2, 0)))
+        >>> qp = QuadraticProgram([[1]], [-1.0])
+        >>> two = QPSequence("two", qp, q=[[-1.0], [2.0]], l=[[], []], u=[[], []])
         >>> two.problem(1)
         <QuadraticProgram: 1 variable, 0 rows>
         """

@@ -53,8 +53,9 @@ def residuals(qp: QuadraticProgram, solution: Solution) -> Residuals[float]:
     --------
     Minimise ½ z² − 2 z with z ≤ 1: z = 1 with multiplier 1. At z = 0.9 the gradient is off by 0.1.
 
-    >>> from dpbench.qp.solution import Status
-    >>> qp = QuadraticProgram(np.eye(1), [-2.0], np.zeros((0, 1)), [], [], [-9.0], [1.0])
+    >>> import numpy as np
+    >>> from dpbench import Status
+    >>> qp = QuadraticProgram([[1]], [-2.0], lb=[-9.0], ub=[1.0])
     >>> answer = Solution(Status.SOLVED, np.array([0.9]), np.zeros(0), np.array([1.0]))
     >>> round(residuals(qp, answer).dual, 12)
     0.1

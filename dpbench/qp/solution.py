@@ -86,6 +86,7 @@ class Solution:
 
     Examples
     --------
+    >>> import numpy as np
     >>> Solution(Status.SOLVED, z=np.ones(2), y=np.zeros(1), y_box=np.zeros(2), iterations=3)
     <Solution SOLVED: 2 variables, 3 iterations>
     """
@@ -122,6 +123,7 @@ class Solution:
 
         Examples
         --------
+        >>> import numpy as np
         >>> answer = Solution(Status.SOLVED, np.ones(1), np.zeros(0), np.zeros(1))
         >>> answer.copy_with_other_vectors(np.zeros(1), answer.y, answer.y_box).z
         array([0.])

@@ -46,6 +46,7 @@ class Optimum:
 
     Examples
     --------
+    >>> import numpy as np
     >>> Optimum(np.array([1.0]), np.zeros(0), np.array([2.0]), bound=0.0, kind="linear")
     <Optimum of 1 variable: z within 0.0e+00 of the exact one, 1 limit active>
     """

@@ -416,7 +416,7 @@ def certify(qp: QuadraticProgram) -> Optimum:
     Examples
     --------
     >>> limits = {"l": [-9.0], "u": [2.0], "lb": [-9.0, -9.0], "ub": [1.0, 1.0]}
-    >>> certify(QuadraticProgram(P=np.eye(2), q=[-3.0, -3.0], A=[[1.0, 1.0]], **limits)).z
+    >>> certify(QuadraticProgram(P=[[1, 0], [0, 1]], q=[-3.0, -3.0], A=[[1.0, 1.0]], **limits)).z
     array([1., 1.])
     """
     if not isinstance(qp, QuadraticProgram):
