@@ -69,6 +69,8 @@ _UNITS = {unit: unit for unit in ("ns", "ms", "s", "m", "cm", "N", "kN", "mps", 
 """Units that column names end with."""
 _AMOUNT = re.compile(r"_for_\d+$")
 """Words after which a unit is not the unit of the column."""
+_ESTIMATE = ("effect", "ratio", "median", "low", "high")
+"""Columns of an estimate and of its interval in a table with one estimate a row."""
 _HEAD_NAMES = {"p_differs": "p-value"}
 
 
@@ -76,10 +78,10 @@ def make_tabular(table: pd.DataFrame) -> str:
     r"""Return a table as a LaTeX `tabular` with the rules of `booktabs`, one line a row.
 
     Numbers have three digits, with trailing zeros, and stand to the right; a column of whole
-    numbers has no decimals. If one number of a column needs a power of ten, all have one. The
-    values of a solver's options are as in its settings. Speed margins are rounded down, as on the
-    page. A missing value is an empty cell. Heads are column names with spaces and the unit in
-    brackets.
+    numbers has no decimals. If one number of a column needs a power of ten, all have one, and so
+    have the ends of its interval. The values of a solver's options have no trailing zeros. Speed
+    margins are rounded down, as on the page. A missing value is an empty cell. Heads are column
+    names with spaces and the unit in brackets.
 
     Examples
     --------
@@ -96,7 +98,7 @@ def make_tabular(table: pd.DataFrame) -> str:
     align = "".join("r" if _has_only_numbers(table[name]) else "l" for name in table)
     heads = (escape_latex(make_table_head(str(name))) for name in table)
     whole = [_has_only_whole_numbers(table[name]) for name in table]
-    has_powers = [_has_powers_of_ten(table[name]) for name in table]
+    has_powers = _find_columns_in_powers(table)
     are_options = [_is_option_column(str(name)) for name in table]
     are_margins = [str(name).partition("_")[0] == "margin" for name in table]
     rows = [
@@ -106,7 +108,7 @@ def make_tabular(table: pd.DataFrame) -> str:
                 if is_whole and pd.notna(value)
                 else _round_margin_down(value)
                 if is_margin
-                else f"{value:g}"
+                else _format_option(value, in_powers)
                 if is_option and isinstance(value, float) and pd.notna(value)
                 else value,
                 in_powers=in_powers,
@@ -170,12 +172,35 @@ def _has_only_whole_numbers(column: pd.Series) -> bool:
     return bool(len(known)) and bool(((known % 1.0 == 0.0) & (known.abs() < 1e7)).all())
 
 
+def _find_columns_in_powers(table: pd.DataFrame) -> list[bool]:
+    """Return of each column whether it, or a column of the same estimate, needs powers of ten."""
+    estimates = [_name_estimate(str(name)) for name in table]
+    in_powers = {
+        estimate
+        for estimate, name in zip(estimates, table, strict=True)
+        if _has_powers_of_ten(table[name])
+    }
+    return [estimate in in_powers for estimate in estimates]
+
+
 def _has_powers_of_ten(column: pd.Series) -> bool:
     """Return whether a number of a column is written as a power of ten."""
     if not _has_only_numbers(column):
         return False
     known = column.dropna().astype(float).abs()
     return any(r"\cdot" in _format_number(value) for value in known)
+
+
+def _name_estimate(name: str) -> str:
+    """Return a name that the columns of an estimate and of the ends of its interval share."""
+    is_of_row = name.partition(" [")[0] in _ESTIMATE
+    return _ESTIMATE[0] if is_of_row else name.removesuffix("_low").removesuffix("_high")
+
+
+def _format_option(value: float, in_powers: bool) -> str:
+    """Return the value of a solver's option as text without trailing zeros."""
+    mantissa, exponent = f"{value:e}".split("e")
+    return f"{float(mantissa):g}e{exponent}" if in_powers else f"{value:g}"
 
 
 def format_latex_cell(value: object, *, in_powers: bool = False) -> str:

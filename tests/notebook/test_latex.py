@@ -102,6 +102,16 @@ def test_a_column_has_one_notation_and_an_option_that_of_its_settings() -> None:
     table = pd.DataFrame({"x_rho": [0.1, 1e-6], "error": [3.28e-4, 9.55e-15]})
     rows = [line for line in make_tabular(table).splitlines() if "cdot" in line]
     assert rows == [
-        r"0.1 & $3.28\cdot 10^{-4}$ \\",
+        r"$10^{-1}$ & $3.28\cdot 10^{-4}$ \\",
         r"$10^{-6}$ & $9.55\cdot 10^{-15}$ \\",
     ]
+    table = pd.DataFrame({"x_rho": [0.1, 1.6], "error": [3.28e-4, 0.5]})
+    assert make_tabular(table).splitlines()[4:6] == [r"0.1 & 0.000328 \\", r"1.6 & 0.500 \\"]
+
+
+@pytest.mark.parametrize("names", [("cost_cm", "cost_cm_low"), ("effect [cm]", "high [cm]")])
+def test_an_estimate_and_its_interval_have_one_notation(names: tuple[str, str]) -> None:
+    """Other columns of the table keep theirs."""
+    table = pd.DataFrame({names[0]: [2e-5], names[1]: [0.25], "p50_us": [0.25]})
+    row = make_tabular(table).splitlines()[4]
+    assert row == r"$2.00\cdot 10^{-5}$ & $2.50\cdot 10^{-1}$ & 0.250 \\"
