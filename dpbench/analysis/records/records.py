@@ -27,7 +27,7 @@ from dpbench.analysis.records.untimed_iterations import relate_replays_to_closed
 from dpbench.bench.judge.rules import has_comparable_times, mask_failed_steps
 from dpbench.bench.record.cell import COMMON_FORMULATION
 from dpbench.bench.record.recorded_steps import ALL_COLUMNS, find_row_ranges_by_label
-from dpbench.bench.record.result_folder import Results
+from dpbench.bench.record.result_folder import Results, SuiteDescription
 from dpbench.bench.record.schema import STEP_COLUMNS, convert_to_columns
 from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 from dpbench.solvers.calibration import CALIBRATION
@@ -73,7 +73,7 @@ class Records:
 
     def __init__(self, results: Results) -> None:
         self.machine, self.suite = results.machine, results.suite
-        every = build_run_records(results.runs)
+        every = build_run_records(results.runs, _list_study_keys(self.suite))
         runs = [
             run if self.has_comparable_times(run) else run.copy_without_times() for run in every
         ]
@@ -238,6 +238,12 @@ class Records:
             files = next(filter(None, carried), None)
             self._scenarios[name] = None if files is None else build_scenario_from_documents(files)
         return self._scenarios[name]
+
+
+def _list_study_keys(suite: SuiteDescription) -> list[str]:
+    """Return the keys of `product` and `zip` of a suite's studies in the order of the suite."""
+    tables = suite.get("study", [])
+    return [key for t in tables for key in (*t.get("product", {}), *t.get("zip", {}))]
 
 
 def _map_default_route_by_solver(runs: Sequence[RunRecord]) -> dict[str, str]:

@@ -1,6 +1,6 @@
 """Typed rows of `runs.parquet`, and their grouping."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, TypeVar
 
@@ -393,18 +393,21 @@ class _RunDescription(_Table):
     backup: str = ""
 
 
-def build_run_records(runs: pd.DataFrame) -> list[RunRecord]:
-    """Return a list of `RunRecord`, one for each row of a data frame of runs."""
+def build_run_records(runs: pd.DataFrame, keys: Sequence[str] = ()) -> list[RunRecord]:
+    """Return a list of `RunRecord`, one for each row of a data frame of runs.
+
+    keys : those of studies in the order of the suite, for `x`; a run's description sorts them.
+    """
     names = [name for name in RunRecord.__annotations__ if name in RUN_COLUMNS]
     values = [_READ[RUN_COLUMNS[name][0]](runs[name]) for name in names]
     shared: dict[str, Any] = {}
     return [
-        RunRecord(**dict(zip(names, row, strict=True)), **_parse_description(str(cell), shared))
-        for *row, cell in zip(*values, runs["cell"], strict=True)
+        RunRecord(**dict(zip(names, row, strict=True)), **_parse_description(cell, shared, keys))
+        for *row, cell in zip(*values, runs["cell"].astype(str), strict=True)
     ]
 
 
-def _parse_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
+def _parse_description(cell: str, shared: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
     """Return the record fields of a run's JSON description; equal parts share one object."""
     if not cell.startswith("{"):
         return {}
@@ -425,7 +428,9 @@ def _parse_description(cell: str, shared: dict[str, Any]) -> dict[str, Any]:
         except ValueError as error:
             raise _make_description_error("cell.source", error) from error
     same = {name: getattr(read, name) for name in ("first", "fallback", "backup")}
-    x = shared.setdefault(repr(read.study.x), read.study.x)
+    values = read.study.x
+    ordered = {key: values[key] for key in (*keys, *values) if key in values}
+    x = shared.setdefault(repr(values), ordered)
     return {"files": files, "source": shared[key], "x": x, **same}
 
 

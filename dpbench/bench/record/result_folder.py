@@ -102,11 +102,13 @@ class _Report(TypedDict, total=False):
 
 
 class StudyDescription(TypedDict, total=False):
-    """Table `[[study]]` of `suite.json`: base scenario, name and radius of a study."""
+    """Table `[[study]]` of `suite.json`: base scenario, name, radius and keys of a study."""
 
     base: Required[str]
     name: str | None
     radius_m: float
+    product: dict[str, list[Any]]
+    zip: dict[str, list[Any]]
 
 
 class UncountedSolver(TypedDict):
