@@ -35,7 +35,7 @@ from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
 from dpbench.report.ship.ship_text import ShipSummary
-from dpbench.report.topics.study import yield_disturbance_sentences
+from dpbench.report.topics.study import yield_disturbance_sentences, yield_tolerance_sentences
 from dpbench.report.verdict.findings_text import describe_findings, name_experiment
 from dpbench.report.verdict.verdict_text import (
     describe_hardest_wait,
@@ -82,7 +82,7 @@ def make_report_markdown(report: Report) -> str:
         wording = [recommendation.sentence, *(note for _, note in recommendation.notes)]
     after = list(filter(None, [describe_failures_in_si(data, beyond_verdicts=True)]))
     after += _yield_verdicts_by_scenario(data, recommendation)
-    after += yield_disturbance_sentences(data.studies)
+    after += [*yield_disturbance_sentences(data.studies), *yield_tolerance_sentences(data.studies)]
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
     if data.counts.sequences:
         after += yield_uncounted_sentences(data.counts.not_counted)

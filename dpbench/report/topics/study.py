@@ -107,8 +107,7 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
             else ", as with all other configurations"
         )
         yield f"{stays[0].upper()}{stays[1:]}{others}."
-    if study.loosest_cheap_by_solver:
-        yield _describe_loosest_tolerances(study)
+    yield from yield_tolerance_sentences([study])
     if dominated := describe_dominated_effects(study):
         yield dominated
 
@@ -207,6 +206,13 @@ def _format_share_with_bound(share: float, study: Study) -> str:
     return wording
 
 
+def yield_tolerance_sentences(studies: Sequence[Study]) -> Iterator[str]:
+    """Yield sentences on each study's loosest tolerances, and on those of them that do not pass."""
+    for study in studies:
+        if study.loosest_cheap_by_solver:
+            yield f"`{study.name}`: {_describe_loosest_tolerances(study)}"
+
+
 def _describe_loosest_tolerances(study: Study) -> str:
     """Return in words each solver's loosest tolerance that costs no more than a small limit."""
     cheap = {s: c for s, c in study.loosest_cheap_by_solver.items() if c is not None}
@@ -216,8 +222,8 @@ def _describe_loosest_tolerances(study: Study) -> str:
         f"below {100 * SMALL_COST:g} %"
     )
     parts = [
-        f"`{solver}` {c.tolerance:g} ({format_share(c.accurate)} of the steps verified)"
-        for solver, c in cheap.items()
+        f"{mark_solver(c.name)} with {format_share(c.accurate)} of the steps verified"
+        for c in cheap.values()
     ]
     wording = (
         f"The loosest tolerance with an {limits.replace('and excess', 'and an excess')}: "
@@ -240,7 +246,7 @@ def _describe_inaccuracy(configuration: StudiedConfiguration, study: Study) -> s
     if c.false_claims:
         steps = f"{format_count(c.false_claims)} of {plural(c.steps, 'step')}"
         reasons.append(f"{steps} were reported as solved but not verified")
-    wording = f"`{c.solver}` {c.tolerance:g} does not pass the requirements"
+    wording = f"{mark_solver(c.name)} does not pass the requirements"
     return f"{wording}: {join_with_and(reasons)}" if reasons else wording
 
 

@@ -254,13 +254,25 @@ def test_the_loosest_tolerance_states_its_accuracy(records: Any) -> None:
         records.sea("osqp", 0, sea, {EAST: 1.0}, settings="1e-2", **shared, **accuracy)
     found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None and found.lines[-1] == (
-        "The loosest tolerance with an excess error significantly below 1 cm and an excess cost "
-        "significantly below 1 %: `osqp` 0.01 (25.0 % of the steps verified). `osqp` 0.01 does not "
-        "pass the requirements: the error of the first move is up to 0.028 (limit 0.01) and 168 "
-        "of 240 steps were reported as solved but not verified."
+        "`seas`: The loosest tolerance with an excess error significantly below 1 cm and an excess "
+        "cost significantly below 1 %: `osqp` (1e-2) with 25.0 % of the steps verified. `osqp` "
+        "(1e-2) does not pass the requirements: the error of the first move is up to 0.028 (limit "
+        "0.01) and 168 of 240 steps were reported as solved but not verified."
     )
+    text = make_report_markdown(Report.from_results(records.results()))
+    assert found.lines[-1] in text.splitlines()
     heads, (_, osqp) = found.tables[0].heads, found.tables[0].rows
     assert osqp[heads.index("verified steps")] == "25.0 %"
+
+
+def test_keys_are_in_the_order_of_the_suite(records: Any) -> None:
+    """A run's description sorts its keys; one that the suite does not have comes last."""
+    x = {"a": 1.0, "controller.control_horizon": 5, "controller.prediction_horizon": 30, EAST: 1.0}
+    records.sea("daqp", 0, 1, x)
+    changed = {"controller.prediction_horizon": [30], "controller.control_horizon": [5]}
+    records.suite["study"][0] |= {"zip": changed, "product": {EAST: [1.0]}}
+    (study,) = find_studies(records.view())
+    assert [*study.points] == [EAST, *changed, "a"]
 
 
 def test_what_was_lost_is_a_condition(records: Any) -> None:
