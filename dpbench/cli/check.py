@@ -167,18 +167,19 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
 
 
 def _count_refused_and_rows(planned: Sequence[PlannedCell]) -> str:
-    """Return text on refused cells, and on rows of `runs.parquet` where they outnumber the cells.
+    """Return text on cells of the baseline law, refused cells, and rows of `runs.parquet`.
 
-    A cell has a further row under each other name of equal settings.
+    The rows are given where they outnumber the cells: a cell has a further row under each other
+    name of equal settings.
     """
-    refused = sum(bool(one.refused) for one in planned)
+    from dpbench.bench.plan.configurations import BASELINE_LAW
+
+    counts = {
+        "with the baseline law": sum(one.cell.solver == BASELINE_LAW for one in planned),
+        "refused (reasons: dpbench run SUITE --dry-run)": sum(bool(one.refused) for one in planned),
+    }
     rows = sum(1 + len(one.alias_settings) for one in planned)
-    verb = "is" if refused == 1 else "are"
-    text = (
-        f", of which {refused} {verb} refused (reasons: dpbench run SUITE --dry-run)"
-        if refused
-        else ""
-    )
+    text = "".join(f", {count} {kind}" for kind, count in counts.items() if count)
     return text + (f"; {rows} rows in runs.parquet" if rows > len(planned) else "")
 
 

@@ -71,7 +71,8 @@ def test_check_takes_every_suite(suite: str, say: Say) -> None:
     about, _, rest = text.partition(": a suite of ")
     assert about.endswith(f"{suite}.toml") and int(rest.split(" cells")[0]) > 0
     counts = (
-        r" cells(, of which \d+ (is|are) refused \(reasons: dpbench run SUITE --dry-run\))?"
+        r" cells(, \d+ with the baseline law)?"
+        r"(, \d+ refused \(reasons: dpbench run SUITE --dry-run\))?"
         r"(; \d+ rows in runs.parquet)?"
     )
     expected = (
@@ -86,7 +87,7 @@ def test_check_takes_every_suite(suite: str, say: Say) -> None:
 def test_check_and_run_count_the_same_cells(say: Say) -> None:
     """Those to run and the refused ones of `run --dry-run` are the cells of `check`."""
     shown = " ".join(say("check", "thrusters", "--quick").split())
-    checked = re.search(r"a suite of (\d+) cells, of which (\d+) are refused", shown)
+    checked = re.search(r"a suite of (\d+) cells, .*?(\d+) refused ", shown)
     dry = re.search(
         r"([\d ]+) cells to run and ([\d ]+) refused", say("run", "thrusters", "--dry-run")
     )
@@ -122,6 +123,7 @@ def test_the_loops_of_a_suite_that_are_unstable_without_limits_are_named(
     )
     text = " ".join(say("check", "suite.toml").split())
     assert text.count("unstable") == 1
+    assert ": a suite of 4 cells, 2 with the baseline law Estimated time: " in text
     assert (
         "suite.toml: rough, point 1: unstable without limits at `prediction_horizon = 20` "
         "(largest |λ| 1.0091, paper eq. 35)"
