@@ -293,8 +293,9 @@ class Run:
             return []
         has_arrived = self._exact_ship.state != "not arrived"
         away = self._ship.warning or ("" if has_arrived else self._ship.state)
-        exact = f"reference loop: {away}" if away else ""
-        return [text for text in (self._departure_text, exact) if text]
+        own = f"largest offset of this run {significant(self.summary['r_max_m'])} m"
+        both = f"{own}; reference loop: {away}" if away else ""
+        return [text for text in (self._departure_text, both) if text]
 
     def _describe_control(self) -> dict[str, str]:
         """Return a closed loop's position errors, fallbacks and reference loop, by field name."""

@@ -191,7 +191,8 @@ def test_a_ship_that_only_the_solver_loses_is_named() -> None:
     assert words in repr(run_closed_loop("move", zero))
     text = repr(run_closed_loop("move", zero, steps=30))
     assert "With this solver" not in text
-    assert "reference loop: The ship is not at its setpoint at the end of `move`" in text
+    exact = "m; reference loop: The ship is not at its setpoint at the end of `move`"
+    assert re.search(rf"; largest offset of this run [\d.]+ {exact}", text)
 
 
 def test_a_function_that_fails_is_named_with_its_reason() -> None:
