@@ -38,10 +38,9 @@ from dpbench.report.page.data import (
     convert_to_json_number,
 )
 from dpbench.report.page.live import SECTIONS, select_static_charts
-from dpbench.report.page.pack import FLAGS
 from dpbench.report.page.recommendation import Recommendation, format_python_call
 from dpbench.report.page.section import Topic
-from dpbench.report.page.terms import GlossaryEntry, Terms, describe_experiments
+from dpbench.report.page.terms import GlossaryEntry, Terms, describe_experiments, find_entry
 from dpbench.report.page.vendored import list_vendored_scripts, read_script
 from dpbench.report.verdict.findings_text import name_experiment
 from dpbench.report.verdict.verdict_text import (
@@ -81,7 +80,7 @@ def make_page_document(
             for p, experiment in enumerate(data.experiments)
         ],
         "cells": convert_rows_to_columns(cells),
-        "flags": FLAGS,
+        "flags": [vars(find_entry(term)) for term in FLAG_TERMS],
         "row_step": style.ROW_STEP,
         "requirements": {
             "error_move": data.requirements.error_move,
@@ -296,6 +295,8 @@ def make_page_html(
 
 SCRIPTS = ("common", "selection", "figures", *(section.id for section in SECTIONS), "page")
 """Scripts of the page in the order of loading; the last one starts the page."""
+FLAG_TERMS = ("failed step", "late", "fallback", "clipped")
+"""Terms of the glossary for a step's flags, `FLAGS` but claimed and true."""
 WORDS = (
     *(
         "requirements",
@@ -310,6 +311,7 @@ WORDS = (
         "move",
     ),
     *("rate limit", "maximum increment", "certified optimum", "fallback", "failed step", "stall"),
+    "clipped",
     *("interval", "pass", "borderline", "inconclusive", "late", "fail", "not run"),
 )
 """Terms of the glossary on the page, before those on how solvers are run."""

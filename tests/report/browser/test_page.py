@@ -226,6 +226,17 @@ def test_the_table_has_pages_and_what_has_no_value_stands_last(opened: Any) -> N
     assert known == sorted(known, reverse=True)
 
 
+def test_the_flags_of_a_step_are_links_to_their_meaning(selected: Any) -> None:
+    page = selected("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper&k=74")
+    change = "run => { array(run.f)[74] = 1 + 4 + 32; drawStep(run); }"
+    page.evaluate(f"({change})(cell(state.c, state.p))")
+    assert "Its solution is not correct. Flags: failed step, clipped. Ship" in page.inner_text(
+        "#step-said"
+    )
+    for term in page.query_selector_all("#step-said a.term"):
+        assert page.query_selector(term.get_attribute("href")) and term.get_attribute("title")
+
+
 def test_a_step_of_a_loop_says_where_the_ship_is(selected: Any, campaign: Path) -> None:
     page = selected("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper&k=74")
     output = page.inner_text("#step-said").replace("−", "-")

@@ -256,7 +256,8 @@ function drawStep(run) {
   if (!stepped(run, k)) { box.hidden = true; return; }
   const f = array(run.f)[j] ?? 0, said = (bit) => Boolean(f & (1 << bit));
   const known = (run.hard ?? []).flat().find((hard) => hard[0] === k);
-  const flags = facts.flags.filter((_, bit) => bit > 1 && said(bit));
+  const flags = facts.flags.filter((_, i) => said(i + 2)).map(({ id, term, meaning }) =>
+    Object.assign(document.createElement("a"), { className: "term", href: `#${id}`, title: meaning.replaceAll("`", ""), textContent: term }));
   // The packed arrays are rounded; what stands on the buttons is not.
   const exact = run.hard?.[0].find((hard) => hard[0] === k), off = run.hard?.[2].find((hard) => hard[0] === k);
   const error = off ? off[1] : array(run.e)[j];
@@ -265,7 +266,8 @@ function drawStep(run) {
   $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}${where}, ${array(run.i)[j] == null ? "iterations not reported" : many(array(run.i)[j], "iteration")}, `
     + `${many(array(run.a)[j], "active limit")}, ${[Infinity, "inf"].includes(error) ? "no solution" : `error of the first move ${figure(error)}${error == null ? "" : " times the maximum increment"}`}. `
     + `The solver ${said(0) ? "reported “solved”" : `did not report “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}. `
-    + `Its solution is ${said(1) ? "correct" : "not correct"}.${flags.length ? ` Flags: ${flags.join(", ")}.` : ""} ${moved(run, k)}`;
+    + `Its solution is ${said(1) ? "correct" : "not correct"}. `;
+  $("step-said").append(...flags.flatMap((flag, i) => [i ? ", " : "Flags: ", flag]), flags.length ? ". " : "", moved(run, k));
   const experiment = facts.experiments[run.p];
   // A sea of a study has no file of its own to export from.
   $("step-export").parentElement.hidden = $("step-history").hidden = !experiment.source;
