@@ -76,6 +76,13 @@ def test_every_figure_of_a_run_has_its_formula() -> None:
     assert missing == []
 
 
+def test_the_columns_that_the_guide_of_python_lists_are_those_of_a_run() -> None:
+    _, table = TEXT["guide/python.md"].split("| column of `run.summary` | meaning |\n|---|---|\n")
+    rows = table.split("\n\n")[0].splitlines()
+    named = [name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[1])]
+    assert len(named) > len(rows) and set(named) <= set(schema.RUN_COLUMNS)
+
+
 @pytest.mark.parametrize("page", TEXT)
 def test_every_command_that_a_page_prints_is_one(page: str) -> None:
     commands = [
