@@ -1,6 +1,7 @@
 """Notes below a Markdown table of solvers: replays that differ, options of the user's settings."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
