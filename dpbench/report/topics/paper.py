@@ -8,12 +8,16 @@ from dataclasses import dataclass
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.paper import (
+    OF_PAPER,
     PAPER,
     State,
     assess_paper_claim,
+    find_mpc_and_clipped_runs,
     is_paper_scenario,
     read_laws_in_paper_scenario,
 )
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import find_wrong_answers
 from dpbench.bench.design import STILL, WEATHER, Bracket, Designs
 from dpbench.report.charts.ship import draw_forces, draw_increments, draw_path, draw_pose_errors
 from dpbench.report.formats import (
@@ -26,6 +30,7 @@ from dpbench.report.formats import (
 )
 from dpbench.report.page.citations import PAPER_CITATION
 from dpbench.report.page.section import Figure, Topic
+from dpbench.report.verdict.findings_text import describe_findings
 from dpbench.report.words import fill_template, read_words
 
 DRAWN = (
@@ -58,6 +63,7 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
         names = [strip_markdown(claim.claim) for claim in measured if claim.state == state]
         claims = "the claim" if len(names) == 1 else "the claims"
         wording += [f"The simulation {verb} {claims} “{'”, “'.join(names)}”"] if names else []
+    wording += _describe_inaccurate_solvers(records)
     return Topic(
         id="paper",
         title="The paper",
@@ -84,6 +90,19 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
             *([_make_stability_table(records, designs)] if designs is not None else ()),
         ),
     )
+
+
+def _describe_inaccurate_solvers(records: Records) -> list[str]:
+    """Return a sentence on each loop behind the claims that its solver did not solve accurately."""
+    requirements = Requirements.from_suite(records.suite)
+    used = (find_mpc_and_clipped_runs(records, name).constrained for name in OF_PAPER)
+    runs = [run for run in used if run and is_paper_scenario(records, run.scenario)]
+    return [
+        f"The simulation used `{run.solver}`, which is not accurate enough: "
+        f"{describe_findings(wrong)}"
+        for run in runs
+        if (wrong := find_wrong_answers(records, [run], requirements))
+    ]
 
 
 def describe_count_reproduced(judged: "Sequence[Claim]") -> str:

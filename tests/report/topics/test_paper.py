@@ -116,6 +116,17 @@ def test_held_is_to_enter_and_to_stay(records: Any, outside: Any, says: str) -> 
     assert judge_claims(view)[0].found == says
 
 
+def test_an_inaccurate_solver_is_named_with_its_error(records: Any) -> None:
+    """A claim that its loop contradicts is not held against the paper."""
+    records.loop("osqp", steps=WHOLE, error=0.22, limit_violations=9)
+    line = build_paper_topic(records.view()).lines[0]
+    assert "does not reproduce the claim “No limit is ever violated (Figs 6, 7)”. The" in line
+    used = "The simulation used `osqp`, which is not accurate enough: the error of its first move "
+    assert f"{used}reaches 0.22 times the maximum increment in `paper`" in line
+    records.loop("daqp", steps=WHOLE)
+    assert "The simulation used" not in build_paper_topic(records.view()).lines[0]
+
+
 def test_without_the_paper_nothing_is_claimed(records: Any) -> None:
     records.loop("daqp", "calm")
     assert set(_states(records).values()) == {"not simulated"}
