@@ -99,6 +99,13 @@ class SearchRequest:
         """Number of settings that the search tries: those it draws, the user's and presets."""
         return self.trials + len(self.first_trials)
 
+    @property
+    def given(self) -> str:
+        """Names of the settings that are tried besides those the search draws; "" for none."""
+        yours, names = int(self.start is not None), join_with_and(self.presets[1:])
+        presets = len(self.first_trials) > yours
+        return join_with_and(["yours"] * yours + [f"the presets {names}"] * presets)
+
     def find_iteration_limit(self, options: Options) -> tuple[str, float] | None:
         """Return name and value of the solver's limit of iterations, or None if it is unknown.
 
@@ -294,7 +301,8 @@ class SearchForecast:
         request = self.request
         return (
             f"{request.settings_count} settings of {request.solver.name} in {self._batches}, "
-            f"then the measurement of the best: about {format_duration(self.time_s)}"
+            f"then the measurement of the best: about {format_duration(self.time_s)}, plus "
+            "waits for an idle machine"
         )
 
     @property
@@ -311,15 +319,13 @@ class SearchForecast:
             ", ".join(problem.name for problem in problems)
             for problems in (request.training, request.test)
         )
-        yours = int(request.start is not None)
-        first = ["yours"] * yours + ["the presets"] * (len(request.first_trials) > yours)
         names = ", ".join([*request.presets, *request.name_settings({})])
         compiled = f", including {format_duration(self.compile_s)} to compile kernels, once"
         rates = "finished batches" if self.measured else STATED_RATES.origin.partition(";")[0]
         return [
             f"{request.settings_count} settings of {request.solver.name} on {training}: "
             f"{self._batches}",
-            *([f"the first batch includes {join_with_and(first)}"] if first else []),
+            *([f"the first batch includes {request.given}"] if request.given else []),
             f"then {names} are measured on these and on {test}",
             f"about {format_duration(self.time_s)} on this machine"
             f"{compiled if self.compile_s else ''}, estimated from {rates}",

@@ -220,8 +220,9 @@ class Tuning:
                 *self._not_done,
             ]
         found = "best so far, of" if self.is_interrupted else "best of"
+        given = f", including {self.request.given}" if self.request.given else ""
         lines = [
-            f"{found} {self.trials} settings of {self._call}: {self.best.name}",
+            f"{found} {self.trials} settings of {self._call}{given}: {self.best.name}",
             "this is not a proven optimum; a higher --trials or another --seed may find better "
             "settings",
             *edges,

@@ -121,7 +121,8 @@ def test_an_interrupted_search_writes_the_best_so_far(
     assert main(["tune-solver", "osqp", *words.split(), "--out", str(tmp_path)]) == 130
     said = capsys.readouterr()
     shown, text = " ".join(said.out.split()), (tmp_path / "tuned.toml").read_text()
-    assert f"best so far, of {tried + 3} settings of osqp (native fresh): " in shown
+    best = f"best so far, of {tried + 3} settings of osqp (native fresh), including the presets "
+    assert f"{best}low, mid and high: " in shown
     for written in (shown, text):
         # The last of a first batch of default, three presets and eight settings.
         assert "accurate; 0.0833 times the step time of default" in written
@@ -275,7 +276,9 @@ def test_the_expected_time_is_shown_before_the_first_batch(
             "osqp", training=["calm"], test=["move"], steps=75, out=tmp_path, progress=progress
         )
     first = progress.remarks[0]
-    assert re.match(r"51 settings of osqp in 6 batches, then the .* best: about \d+ (s|min)", first)
+    assert re.match(
+        r"51 settings of osqp in 6 batches, then the .* best: about \d+ (s|min), plus waits", first
+    )
 
 
 @pytest.mark.parametrize(("eps_rel", "advised"), [(1.22e-6, False), (1e-8, True)])
@@ -404,7 +407,7 @@ def test_a_dry_run_forecasts_and_writes_nothing(
     unwrapped = capsys.readouterr().out.replace("\n  ", " ")
     first, given, then, time, waits, *_ = unwrapped.splitlines()
     assert first == "15 settings of osqp on calm-30-5[:300:4]: 2 batches"
-    assert given == "the first batch includes yours and the presets"
+    assert given == "the first batch includes yours and the presets low, mid and high"
     measured = "default, low, mid, high, yours, best are measured on these and on move-30-5[:300:4]"
     assert then == f"then {measured}"
     assert time.startswith("about ") and waits.startswith("not included: waits")
