@@ -20,7 +20,7 @@ from dpbench.solvers.own import compiling
 from dpbench.solvers.own.library import ActiveSet, Problem, load_own_c_library
 from dpbench.solvers.own_settings import format_each_option_as_toml, format_options_as_toml
 from dpbench.solvers.settings import resolve_settings_to_options
-from dpbench.solvers.table import get_native_adapter
+from dpbench.solvers.table import CONTROLLER_SOLVERS, get_native_adapter
 from dpbench.temporary_folders import make_temporary_folder_for_block, process_temporary_folder
 
 TOLERANCE = 1e-6
@@ -187,9 +187,10 @@ def _count_static_solver_memory_bytes(qp: CondensedQP) -> int:
     return 8 * (2 * qp.n + 2 * (qp.n + qp.m)) + 8
 
 
-SOLVERS: dict[str, Callable[..., SolverSources]] = {
-    "paper_active_set": make_c_sources_of_active_set,
-    "osqp": generate_c_sources_of_osqp,
-    "daqp": fetch_c_sources_and_tables_of_daqp,
-}
+_MAKERS: tuple[Callable[..., SolverSources], ...] = (
+    make_c_sources_of_active_set,
+    generate_c_sources_of_osqp,
+    fetch_c_sources_and_tables_of_daqp,
+)
+SOLVERS = dict(zip(CONTROLLER_SOLVERS, _MAKERS, strict=True))
 """Makers of the C sources by the name of the solver, from a QP and settings if there are any."""

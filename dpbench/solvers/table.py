@@ -38,6 +38,8 @@ TABLE: dict[str, SolverRecord] = {
     for name in sorted({*_ON_NATIVE, *THROUGH_QPSOLVERS})
 }
 """The own solvers and the libraries with an adapter, in alphabetical order."""
+CONTROLLER_SOLVERS = ("paper_active_set", "osqp", "daqp")
+"""Solvers that `dpbench codegen` can include in the C code of a controller."""
 # Libraries that qpsolvers looks for and that are not in the table.
 OTHER_LIBRARIES = (
     "coptpy",

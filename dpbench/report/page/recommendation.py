@@ -64,6 +64,7 @@ from dpbench.solvers.settings import (
     has_preset_or_tolerance,
     resolve_settings_with_fixed_options,
 )
+from dpbench.solvers.table import CONTROLLER_SOLVERS
 
 MOST_CHIPS = 16
 """More experiments are counted by state, and named only where they are at most `FEW`."""
@@ -584,7 +585,9 @@ def format_python_call(c: Configuration) -> str:
         f'    policy="{c.policy}",\n    settings={settings},\n)'
     )
     record = find_solver_record_or_none(c.solver)
-    if record is not None and record.project.c_code.value.startswith("yes"):
+    if c.solver in CONTROLLER_SOLVERS:
+        call += f"\n# C code: dpbench codegen SCENARIO --solver {c.solver} --out DIR"
+    elif record is not None and record.project.c_code.value.startswith("yes"):
         call += f"\n# C code: {record.project.c_code.source}"
     if record is None or not (c.options or has_preset_or_tolerance(c.solver, c.settings)):
         return call
