@@ -168,6 +168,11 @@ class WorstStep:
         return int(self.step.k[0])
 
     @property
+    def scenario_step(self) -> int:
+        """Number of the worst step in the scenario, of which a replay may be a range."""
+        return self.run.first_step + self.step_index
+
+    @property
     def export_command(self) -> str:
         """Shell command that writes the worst step's QP and certified optimum to a file.
 
@@ -176,8 +181,8 @@ class WorstStep:
         run = self.run
         if run.mode != "replay":
             return ""
-        k = self.step_index + run.first_step
-        return f"dpbench export {run.export_argument} --at {k} --out worst-{self.measure}.npz"
+        place = f"{run.export_argument} --at {self.scenario_step}"
+        return f"dpbench export {place} --out worst-{self.measure}.npz"
 
 
 def find_worst_steps(records: Records, configuration: Configuration) -> list[WorstStep]:

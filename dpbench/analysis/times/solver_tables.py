@@ -86,10 +86,10 @@ def tabulate_verdicts(matrix: RunMatrix) -> pd.DataFrame:
 
 
 def _name_first_step(verdict: Verdict, kind: Cause) -> str:
-    """Return scenario and index of the worst run's first failed or inaccurate step; "" if none."""
+    """Return scenario and step of the worst run's first failed or inaccurate step; "" if none."""
     known = (f for f in verdict.causes if f.kind == kind and f.first >= 0)
-    texts = (f"{f.runs[0].scenario or f.runs[0].sequence}, k {f.first}" for f in known)
-    return next(texts, "")
+    steps = ((f.runs[0], f.runs[0].first_step + f.first) for f in known)
+    return next((f"{run.scenario or run.sequence}, k {k}" for run, k in steps), "")
 
 
 def _make_margin_columns(matrix: RunMatrix, verdict: Verdict) -> dict[str, Any]:
@@ -241,12 +241,12 @@ def tabulate_hard_steps(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd
     kept : by run id.
     """
     labels = {
-        run.run_id: matrix.configurations[c].label
+        run.run_id: {"configuration": matrix.configurations[c].label, "experiment": where.label}
         for (c, p), run in matrix.runs.items()
-        if not matrix.experiments[p].study
+        if not (where := matrix.experiments[p]).study
     }
     rows = [
-        {"run_id": run_id, "configuration": labels[run_id], "by": measure}
+        {"run_id": run_id, **labels[run_id], "by": measure}
         | hard._asdict()
         | ({"value": hard.value / 1e3} if measure == "time" else {})
         for run_id, of_run in kept.items()

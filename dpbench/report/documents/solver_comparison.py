@@ -175,9 +175,9 @@ def _make_worst_table(data: PageData, worst: Sequence[WorstStep], others: Sequen
 
 
 def _name_worst_step(step: WorstStep) -> str:
-    """Return index and run of a worst step in words."""
+    """Return the number in the scenario and the run of a worst step in words."""
     loop = ", a closed loop" if step.run.mode == "closed_loop" else ""
-    return f"{step.step_index} of {step.run.problem}{loop}"
+    return f"{step.scenario_step} of {step.run.problem}{loop}"
 
 
 def _format_measure(measure: Measure, value: float) -> str:

@@ -31,6 +31,7 @@ from dpbench.bench.record.cell import Configuration
 from dpbench.bench.record.schema import RUN_COLUMNS
 from dpbench.report.formats import as_float, plural
 from dpbench.report.page.pack import MOST_HARD, Block, Room, pack_steps, pack_track
+from dpbench.report.verdict.findings_text import describe_findings
 from dpbench.solvers.calibration import CALIBRATION
 
 MOST_RUNS = 20_000
@@ -212,7 +213,10 @@ class PageData(RunMatrix):
         return sum(not run.is_whole for run in self.thinned_runs.values())
 
     def cells(self) -> Iterator[dict[str, Any]]:
-        """Yield each run's results, packed steps and hardest steps, for the page's script."""
+        """Yield each run's results, packed steps and hardest steps, for the page's script.
+
+        Steps are numbered as in the scenario.
+        """
         references: dict[int, Track] = {}
         hard = max(1, min(5, MOST_HARD // max(1, len(MEASURES) * len(self.runs))))
         # The run nearest to the exact loop comes first: the others' tracks refer to it.
@@ -221,15 +225,17 @@ class PageData(RunMatrix):
             run = self.runs[c, p]
             entry, kept = self._describe_run(c, p, run), self.thinned_runs.get(run.run_id)
             if kept is not None:
-                entry["inaccurate"], entry["first_inaccurate"] = kept.inaccurate
+                first, (entry["inaccurate"], k) = run.first_step, kept.inaccurate
+                entry["first_inaccurate"] = first + k if k >= 0 else None
                 hardest = [
                     [
-                        [k, convert_to_json_number(value), status, int(claimed), int(true), active]
-                        for k, value, status, claimed, true, active in kept.hard[measure][:hard]
+                        [first + k, convert_to_json_number(x), status, int(claimed), int(true), n]
+                        for k, x, status, claimed, true, n in kept.hard[measure][:hard]
                     ]
                     for measure in MEASURES
                 ]
                 entry |= pack_steps(self.block, kept) | {"hard": hardest}
+                entry["first"] += first
                 if kept.track is not None:
                     entry |= pack_track(self.block, kept.track, references.get(p))
                     entry["reference"] = p not in references
@@ -239,11 +245,15 @@ class PageData(RunMatrix):
     def _describe_run(self, c: int, p: int, run: RunRecord) -> dict[str, Any]:
         """Return the facts of a run that the page's script needs: verdict, outcome, errors."""
         known = self.records.failed_steps_by_run.get(run.run_id)
+        verdict, state = self.states[c, p], self.get_state_in_experiment(c, p)
+        # Of a fail, other facts have the reason. The page shows no verdict on a study run.
+        reasons = {"fail": (), "late": verdict.causes}.get(state, (*verdict.doubts, *verdict.near))
         return {
             "c": c,
             "p": p,
             "id": run.run_id,
-            "verdict": self.get_state_in_experiment(c, p),
+            "verdict": state,
+            "reason": "" if self.experiments[p].study else describe_findings(reasons),
             "outcome": run.outcome,
             "why": run.outcome_detail[:200],
             "infeasible": convert_to_json_number(run.infeasible_steps),
@@ -253,7 +263,7 @@ class PageData(RunMatrix):
             "planned": run.steps_planned,
             "error": convert_to_json_number(run.error_move_max),
             "failed": convert_to_json_number(run.failed_steps),
-            "first_failed": known.first if known is not None else None,
+            "first_failed": None if known is None else run.first_step + known.first,
             "untrue": convert_to_json_number(run.claimed_not_true),
             "off_m": convert_to_json_number(run.dev_position_max_m),
             "setpoint_m": convert_to_json_number(run.r_max_m),

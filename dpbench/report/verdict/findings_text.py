@@ -178,10 +178,11 @@ def _format_explained(share: float, only: str = "") -> str:
 
 
 def _name_first_step(finding: Finding) -> str:
-    """Return the first of the wrong steps of a finding, as a clause; "" where it is not known."""
+    """Return the first wrong step of a finding in its scenario, as a clause; "" if unknown."""
     if finding.first < 0:
         return ""
-    return f", {'first ' if finding.steps > 1 else ''}at step {finding.first}"
+    step = finding.runs[0].first_step + finding.first
+    return f", {'first ' if finding.steps > 1 else ''}at step {step}"
 
 
 def _describe_uncertain_part(finding: Finding) -> str:

@@ -131,7 +131,7 @@ def test_a_hard_step_opens(selected: Any) -> None:
     wait_for_strips(page)
     assert selection(page)["k"] == k[1]
     assert f"Step {k[1]}:" in page.inner_text("#step-said")
-    assert f"--at {k[1]} " in page.inner_text("#step-export")
+    assert f"--at {k[1]} --out step-{k[1]}.npz" in page.inner_text("#step-export")
     assert page.evaluate("views.strips.then((view) => view.signal('at'))") == int(k[1])
     assert page.locator("#hard button[aria-pressed=true]").count() >= 1
     run_id = page.evaluate("cell(state.c, state.p).id")
@@ -147,6 +147,25 @@ def test_a_hard_step_opens(selected: Any) -> None:
     assert rows_in(page, "strips", "forces") >= 100
     assert page.locator("#figure-strips canvas").bounding_box()["width"] < wide
     assert page.locator("#figure-strips canvas").count() == 1
+
+
+def test_a_range_has_the_steps_of_its_scenario_and_a_doubt_its_reason(opened: Any) -> None:
+    """`k` of the table of steps starts at the range."""
+    page = opened("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper (replay)")
+    page.evaluate("""async () => {
+      facts.experiments[state.p].first = 900;
+      facts.cells.first = facts.cells.first.map((first) => first + 900);
+      facts.cells.reason = facts.cells.reason.map(() => "its p99 is unknown");
+      select({ k: 907 });
+      await draw();
+    }""")
+    said = page.text_content("#one-said"), page.text_content("#matrix-said")
+    assert "Reason for this verdict: its p99 is unknown." in said[0]
+    assert ": its p99 is unknown. Show" in said[1]
+    assert page.text_content("#step-said").startswith("Step 907:")
+    assert "--at 907 --out step-907.npz" in page.text_content("#step-export")
+    assert '("k", "==", 7)' in page.text_content("#step-query")
+    assert page.evaluate("views.strips.then((view) => view.signal('at'))") == 907
 
 
 def test_a_click_among_the_strips_opens_the_nearest_step(selected: Any) -> None:
@@ -196,6 +215,8 @@ def test_the_call_is_that_of_the_chosen_one(selected: Any) -> None:
     assert page.text_content("#one-call") == format_python_call(
         Configuration("osqp", "qpsolvers", "fresh", "high")
     )
+    codegen = "# C code: dpbench codegen SCENARIO --solver osqp --out DIR"
+    assert codegen in page.text_content("#one-call")
     assert "eps_abs=" in page.text_content("#one-call")
     assert page.locator("[data-copy='one-call']").is_visible()
     page.select_option("#choose-solver", "piqp")

@@ -8,6 +8,7 @@ import pytest
 from dpbench.analysis.times.solver_tables import tabulate_experiment_verdicts
 from dpbench.analysis.verdict.requirements import Cause, Doubt, Gap, Near, Requirements
 from dpbench.analysis.verdict.verdict import judge_solvers
+from dpbench.report.documents.solver_comparison import compare_solver, format_worst_steps
 from dpbench.report.page import data as page_data
 from dpbench.report.page.data import PageData, convert_to_json_number, select_tiles
 from dpbench.report.page.live import (
@@ -45,6 +46,34 @@ def test_a_cell_holds_the_figures_of_its_run(records: Any) -> None:
     assert by_error[0][:2] == [49, 1e-6], "the largest error is planted in the last step"
     assert (daqp["inaccurate"], scs.get("inaccurate")) == (0, None)
     assert "t" not in scs and (scs["outcome"], scs["why"]) == ("crashed", "signal 11")
+
+
+def test_steps_of_a_range_are_numbered_as_in_the_scenario(records: Any) -> None:
+    """Also in the reasons for a verdict and the export of the worst steps."""
+    cell = json.dumps({"scenario": records.scenario("rough").files, "first": 900})
+    range_of = {"scenario": "rough", "cell": cell, "steps": 500, "slow": {392: 100.0}}
+    records.replay("daqp", "rough[900:1400]", error=0.5, failed=1, lost=(3,), **range_of)
+    report = Report.from_results(records.results())
+    (found,) = report.data.cells()
+    assert (found["first"], found["first_failed"]) == (900, 903)
+    assert found["hard"][0][0][0] == 1292
+    assert 900 <= found["first_inaccurate"] < 1400
+    why = report.data.verdicts.all_verdicts[0]
+    assert f"at step {found['first_inaccurate']}" in report.recommendation.why(why)
+    assert report.tables["verdicts"]["first_failed_step"].tolist() == ["rough, k 903"]
+    worst = dict(format_worst_steps(compare_solver(report, "daqp")[1]))["worst time"]
+    assert worst.startswith("step 1292 of rough[900:1400] ") and "--at 1292 " in worst
+
+
+def test_a_cell_has_the_reason_for_an_inconclusive_verdict(records: Any) -> None:
+    """None for a fail, of which the page states the count of wrong steps."""
+    records.loop("daqp")
+    records.loop("osqp", error=0.5)
+    records.loop("scs", outcome="timed_out", done=10)
+    facts = _facts(records)
+    reasons = {facts.configurations[cell["c"]].solver: cell["reason"] for cell in facts.cells()}
+    stopped = "`paper` was stopped at its time limit (10 of 120 steps)"
+    assert reasons == {"daqp": "", "osqp": "", "scs": stopped}
 
 
 def test_the_page_and_the_verdict_count_the_same_inaccurate_steps(

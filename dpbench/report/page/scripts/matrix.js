@@ -22,7 +22,7 @@ function drawSelected() {
   link.textContent = "Show its steps";
   link.addEventListener("click", (event) => { event.preventDefault(); go("one"); });
   $("matrix-said").replaceChildren(...coded(!run ? `${marked(state.c)} was not run in \`${facts.experiments[state.p].label}\`.`
-    : `${verdictOf(run, marked(state.c))}${unverifiedOf(run) ? `, although ${unverifiedOf(run)}` : wrongOf(run) && `: ${wrongOf(run)}`}.`), " ", link);
+    : `${verdictOf(run, marked(state.c))}${unverifiedOf(run) ? `, although ${unverifiedOf(run)}` : [wrongOf(run), run.reason].filter(Boolean).map((text, i) => `${i ? ";" : ":"} ${text}`).join("")}.`), " ", link);
 }
 
 async function drawMatrix() {

@@ -108,6 +108,7 @@ function resultOf(run) {
     `${verdictOf(run, solver)}${facts.experiments[state.p].study ? `, ${solver}` : ": it"} ran ${grouped(run.steps)} of ${grouped(run.planned)} steps${
       unverified ? "" : wrongOf(run) ? `; ${wrongOf(run)}` : all}.`,
     unverified && `${unverified[0].toUpperCase()}${unverified.slice(1)}.`,
+    run.reason && `Reason for this verdict: ${run.reason}.`,
     largestErrorOf(run),
     run.off_m === null ? "" : `At the start of a step, the ship is at most ${figure(run.off_m)} m from its position in the reference loop and at most ${figure(run.setpoint_m)} m from its setpoint.`,
     run.infeasible > 0 ? `${grouped(run.infeasible)} of the steps have no feasible solution${run.all_true ? ", which the solver reported correctly" : ""}.` : "",
@@ -134,7 +135,7 @@ async function drawOne() {
   text.replaceChildren(...coded([
     state.window === null ? "" : "A window has no chart of its own, so its closed loop is shown.",
     resultOf(run),
-    judged && C().verdict[state.c] !== "pass" ? `Overall verdict, without runs in SI units: ${C().verdict[state.c]}${C().why[state.c] ? `, because ${C().why[state.c]}` : ""}.` : "",
+    judged && C().verdict[state.c] !== "pass" ? `Overall verdict, without runs in SI units: ${C().verdict[state.c]}${[run.reason, ""].includes(C().why[state.c]) ? "" : `, because ${C().why[state.c]}`}.` : "",
     solver.method ? `Method: ${solver.method}.` : "",
   ].filter(Boolean).join(" ")));
   drawHard(run);
@@ -274,9 +275,9 @@ function drawStep(run) {
   $("step-history").textContent = (experiment.mode === "replay" ? "" : "This command writes the QP of the reference loop at this step, not that of the solver's own loop. ")
     + "An exported step has no history. To repeat a warm start, replace --at K by --steps K+1 and replay the file with dpbench run --sequence FILE.";
   $("step-export").textContent =
-    `dpbench export ${experiment.source} --at ${k + (experiment.first ?? 0)} --out step-${k}.npz`;
+    `dpbench export ${experiment.source} --at ${k} --out step-${k}.npz`;
   $("step-query").textContent =
-    `pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${run.id}"), ("k", "==", ${k})])`;
+    `pandas.read_parquet("steps.parquet", filters=[("run_id", "==", "${run.id}"), ("k", "==", ${k - (experiment.first ?? 0)})])`;
   box.hidden = false;
 }
 
