@@ -217,4 +217,7 @@ def test_a_replay_that_is_worse_than_the_limits_alone_is_counted(records: Any) -
     )
     assert load.endswith("remained disturbed (3.1 %, limit 5 %).")
     assert "Individually, 1 of 4 replays " in topic.tables[0].note
-    assert "exceeded the limit of 5 % disturbed rounds. Small differences" in topic.tables[0].note
+    assert (
+        "exceeded the limit of 5 % disturbed rounds. For these, a difference"
+        in topic.tables[0].note
+    )

@@ -147,8 +147,8 @@ def test_times_for_thrusters_are_those_of_thruster_qps(records: Any) -> None:
     assert " of the replay of thrusters, takes " in first
     recommendation = Report.from_results(records.results()).recommendation
     assert "in the replay of `thrusters`." in recommendation.sentence
-    assert " With commanded thrusters, its largest p99 step time is " in recommendation.sentence
+    assert " With commanded thrusters, its limiting p99 is " in recommendation.sentence
     margin = dict(recommendation.notes)["margin"]
     assert margin.startswith("With commanded thrusters, the ship's computer may be up to ")
-    assert " over all replays). " in margin and "the time of step " in margin
+    assert " over all replays); " in margin and "the time of step " in margin
     assert "three_forces" not in margin

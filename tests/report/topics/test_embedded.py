@@ -49,21 +49,6 @@ def test_counts_are_named_beside_the_speed_margin(judged: MadeRecords) -> None:
         in found["counted"]
     )
     assert "do not bound the worst-case execution time" in found["counted"]
-    assert "Over steps 0 to 199 of `paper`, its p99 is " in found["counted"]
-
-
-def test_the_p99_of_each_counted_sequence_is_named(judged: MadeRecords) -> None:
-    """Not that of another core."""
-    counted = [
-        make_counts("quadprog", [4000] * 200),
-        make_counts("quadprog", [1000] * 200, "rough[900:1100]"),
-        make_counts("quadprog", [900] * 200, "rough[900:1100]", target="a53"),
-    ]
-    found = notes(Report.from_results(judged.results(), counted=pd.concat(counted)))
-    assert (
-        "Over steps 0 to 199 of `paper`, its p99 is 4\u202f000 instructions per step; over steps "
-        "900 to 1099 of `rough`, 1\u202f000. "
-    ) in found["counted"]
 
 
 def test_counts_beyond_the_required_error_replace_nothing(judged: MadeRecords) -> None:
