@@ -43,9 +43,9 @@ NOTE = (
     "step with the maximum. Code includes constants; static includes the heap. Error: largest "
     "error of the first move, in maximum increments. The times on this machine are those of the "
     "same steps through the native interface at default settings, with a warm start where "
-    "supported. Solvers whose C code runs at other settings have no rank. The order of two p99 "
-    f"values within {100 * (APART - 1):.0f} % of each other is not compared with that of the times "
-    "on this machine."
+    "supported. Solvers whose C code runs at other settings have no rank. If two p99 values differ "
+    f"by less than {100 * (APART - 1):.0f} %, the order of these solvers is not compared with "
+    "their order by time on this machine."
 )
 """Meaning of the columns of the table of counts."""
 

@@ -157,7 +157,10 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
     pick = style.pick_selection("id")
     families = {f: hue for f, hue in style.FAMILY_COLOURS.items() if f in set(table["family"])}
     colour = style.colour(
-        "family", families, families.values(), columns=_LEGEND_COLUMNS, symbolOpacity=1.0
+        *("family", families, families.values()),
+        columns=_LEGEND_COLUMNS,
+        symbolOpacity=1.0,
+        labelExpr="narrow ? replace(datum.label, 'augmented', 'aug.') : datum.label",
     )
     decades = alt.Axis(format=".0e")
     call_mode = style.tooltip("call_mode:N", "call mode")

@@ -222,7 +222,7 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
     requirements = data.requirements
     is_scaled = any(margin.p99.run.untimed_iterations > 1.0 for margin in margins)
     scaled = (
-        " after each is scaled up to the iterations of the closed loop in its scenario. It may "
+        ", each scaled up to the p99 of the iterations in the closed loop of its scenario. It may "
         "exceed the longest step, which the table gives as measured, not scaled"
     ) * is_scaled
     step = "scaled " * any(m.hardest.run.untimed_iterations_max > 1 for m in margins)

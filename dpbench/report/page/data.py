@@ -429,9 +429,10 @@ def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
 def _name_scenario_or_replay(run: RunRecord) -> str:
     """Return the name of what a run solved: a scenario, replay, study realisation or window."""
     if run.steps_searched_for_hardest:
-        return (
-            f"{run.sequence.rsplit(' hardest ')[0]}, window of {plural(run.steps_planned, 'step')}"
-        )
+        steps = plural(run.steps_planned, "step")
+        if not math.isnan(run.first_sample):
+            steps = f"steps {run.first_step} to {run.first_step + run.steps_planned - 1}"
+        return f"{run.sequence.rsplit(' hardest ')[0]}, window of {steps}"
     return replace(Experiment.from_run(run), slowdown=0.0).label
 
 

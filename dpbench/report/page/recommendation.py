@@ -454,8 +454,8 @@ def _list_limiting_steps(
     longest = f"The longest step is {step}."
     if hardest.run.untimed_iterations_max > 1.0:
         longest = (
-            "Scaled up to the most iterations of the closed loop, the longest step takes "
-            f"{format_time(margin.longest_ns)}: {step}."
+            "After scaling to the largest number of iterations in the closed loop, the longest "
+            f"step takes {format_time(margin.longest_ns)}: {step}."
         )
     reached = (
         f"It reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
@@ -484,7 +484,7 @@ def _describe_limiting_p99(margin: SpeedMargin, wait: str, measured_ns: float) -
     )
     return (
         f"The limiting p99 is the time of {step}, {format_time(margin.p99.time_ns)}{wait}, scaled "
-        f"up to the iterations of the closed loop.{beyond}{estimated}"
+        f"up to the p99 of the iterations in the closed loop.{beyond}{estimated}"
     )
 
 
@@ -586,7 +586,7 @@ def format_python_call(c: Configuration) -> str:
     )
     record = find_solver_record_or_none(c.solver)
     if c.solver in CONTROLLER_SOLVERS:
-        call += f"\n# C code: dpbench codegen SCENARIO --solver {c.solver} --out DIR"
+        call += f"\n# C code:\n# dpbench codegen SCENARIO\n#   --solver {c.solver} --out DIR"
     elif record is not None and record.project.c_code.value.startswith("yes"):
         call += f"\n# C code: {record.project.c_code.source}"
     if record is None or not (c.options or has_preset_or_tolerance(c.solver, c.settings)):

@@ -197,7 +197,7 @@ _STATES = ("var(--good)", "var(--near)", "var(--warn)", "var(--late)", "var(--ba
 _HUES = [hue for hue in style.FAMILY_COLOURS.values() if hue not in style.STATE_COLOURS]
 FILES = {
     "runs.parquet": "one row per run",
-    "steps.parquet": "one row per step; published copies may omit it, as a new run writes it again",
+    "steps.parquet": "one row per step; may be missing from published copies",
     "embedded.parquet": "one row per step of C code compiled for an embedded core and emulated",
     "capability.parquet": "one row per QP at the edge of the capability plot",
     "machine.json": "description of the machine, with versions",

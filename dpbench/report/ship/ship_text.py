@@ -345,8 +345,8 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     moves, largest = "", "The largest offset"
     if any(ship.has_transfer for ship in kept):
-        moves = ", apart from approaches that start outside these limits"
-        largest = "Outside these approaches, the largest offset"
+        moves = ", not counting approaches that start farther away"
+        largest = "On station, the largest offset"
     return (
         f"With exactly solved QPs, the controller holds the ship on station "
         f"({_format_station_limits(farthest)}){weather} {where}{moves}. {largest} is "

@@ -87,12 +87,12 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
             f"Waits of known length were measured to within 1 µs or 1 %, whichever "
             f"is larger.{below}"
         )
-    waits = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:.1f} µs" for n, p50 in missed.items()]
+    waits = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:#.3g} µs" for n, p50 in missed.items()]
     worst = max(abs(compute_excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
-        f"Waits were measured outside the tolerance: {join_with_and(waits)} (largest p50 of the "
-        "calibration replays). Absolute times of similar length may be wrong by up to "
-        f"{format_sample_share(worst)}.{below}"
+        "Waits of known length were measured with an error of more than 1 µs and 1 %: "
+        f"{join_with_and(waits)} (largest p50 of the calibration replays). Absolute times of "
+        f"similar length may be wrong by up to {format_sample_share(worst)}.{below}"
     )
 
 
@@ -123,9 +123,8 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
         f"Individually, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
-        f"exceeded the limit of {' or '.join(kinds)}. For these, a difference in step time is "
-        "significant only if the interval of the ratio excludes 1 by more than the spread of "
-        "the rounds."
+        f"exceeded the limit of {' or '.join(kinds)}. Ratios of these runs are judged more "
+        "strictly: the interval must exclude 1 by more than the spread of the rounds."
     )
 
 

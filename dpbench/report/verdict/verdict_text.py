@@ -102,7 +102,10 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
     by_state = group_by_key(list_best_verdict_of_each_solver(verdicts), lambda v: v.state)
     good, run = by_state.get("pass", []), len(verdicts.of) - len(by_state.get("not run", []))
     passing = [verdict.configuration.solver for verdict in good]
-    named = [*(f"`{solver}`" for solver in passing[:MOST_NAMED]), *_count_others(len(passing), "")]
+    named = [
+        *(f"`{solver}`" for solver in passing[:MOST_NAMED]),
+        *_count_others(len(passing), "", ""),
+    ]
     wording = [f"{len(good)} of {plural(run, 'solver')} {'passes' if run == 1 else 'pass'}"]
     by_default = {
         v.configuration.solver for v in verdicts.verdicts_on_references if v.state == "pass"
@@ -120,7 +123,7 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
             f"{describe_main_reason(verdict)}"
             for verdict in alike[:MOST_NAMED]
         ]
-        wording += _count_others(len(alike), f" {verbs}")
+        wording += _count_others(len(alike), verb, verbs)
     return ". ".join(wording) + "."
 
 
@@ -171,13 +174,16 @@ def _describe_passes_outside_default(
     return [
         f"{labels} pass, but not in their {kind}s",
         *clauses,
-        *_count_others(len(of_each), f" do not pass in their {kind}"),
+        *_count_others(
+            len(of_each), f"does not pass in its {kind}", f"do not pass in their {kind}s"
+        ),
     ]
 
 
-def _count_others(count: int, verbs: str) -> list[str]:
-    """Return in words how many more there are than are named; empty where all are named."""
-    return [f"{count - MOST_NAMED} more{verbs}"] if count > MOST_NAMED else []
+def _count_others(count: int, verb: str, verbs: str) -> list[str]:
+    """Return a clause on how many more there are than are named; empty where all are named."""
+    more = count - MOST_NAMED
+    return [f"{more} more {verb if more == 1 else verbs}".rstrip()] if more > 0 else []
 
 
 def describe_main_reason(verdict: Verdict) -> str:
@@ -233,10 +239,11 @@ def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
     stopped = Counter(c.marked_label if is_one else f"`{c.solver}`" for c in late)
     others = "configurations" if is_one else "solvers"
     return (
-        f"The limit on the duration of a run (`cell_limit_s`) stopped {len(late)} of "
+        f"The time limit of a run (`cell_limit_s`) stopped {len(late)} of "
         f"{plural(len(ran), 'started run')}: {name_counts(stopped.most_common(), others)}. "
-        "A configuration with such a run passes only if the run is a replay of which all steps "
-        "were timed. `tables/runs.csv` lists these runs with the outcome `timed_out`."
+        "A configuration with a stopped closed loop cannot pass; one with a stopped replay passes "
+        "only if all steps were timed. `tables/runs.csv` lists these runs with the outcome "
+        "`timed_out`."
     )
 
 

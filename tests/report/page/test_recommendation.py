@@ -565,7 +565,9 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     text = " ".join(list_speed_margin_sentences(data, verdict))
     assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
     assert "The limiting p99 is the time of step " in text
-    assert "20.0 µs, scaled up to the iterations of the closed loop. It therefore" in text
+    assert (
+        "20.0 µs, scaled up to the p99 of the iterations in the closed loop. It therefore" in text
+    )
     assert "It therefore exceeds the longest measured step (20.0 µs)." in text
 
 
@@ -618,10 +620,10 @@ def test_loops_without_times_and_stopped_runs_are_named(records: Any) -> None:
     assert notes["margin"].endswith("Not timed, as no replay has their QPs: `calm` and `rough`.")
     assert " times slower than this machine for the replayed QPs; " in notes["margin"]
     assert notes["stopped"] == (
-        "The limit on the duration of a run (`cell_limit_s`) stopped 1 of 4 started runs: 1 of "
-        "`osqp` (qpsolvers fresh). A configuration with such a run passes only if the run is a "
-        "replay of which all steps were timed. `tables/runs.csv` lists these runs with the "
-        "outcome `timed_out`."
+        "The time limit of a run (`cell_limit_s`) stopped 1 of 4 started runs: 1 of "
+        "`osqp` (qpsolvers fresh). A configuration with a stopped closed loop cannot pass; one "
+        "with a stopped replay passes only if all steps were timed. `tables/runs.csv` lists these "
+        "runs with the outcome `timed_out`."
     )
 
 

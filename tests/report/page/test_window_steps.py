@@ -39,12 +39,13 @@ def test_the_table_of_runs_has_windows_with_their_limiting_p99(records: Any) -> 
     records.loop("daqp", "turn", iterations_p99=9.0)
     cell = json.dumps({"source": {"kind": "hardest", "name": "turn hardest 30", "of": 450}})
     window = {"steps": 30, "scenario": "turn", "cell": cell, "iterations_p99": 4.0}
+    window["first_sample"] = 210
     records.replay("daqp", "turn hardest 30", spread=0.0, window_p99_ns=20e3, **window)
     view = records.view()
     data = PageData.from_verdicts(view, judge_solvers(view, Requirements()))
     table = make_table_of_runs(data, records.results().runs)
     names = [column["name"] for column in table["columns"]]
     assert table["values"][names.index("scaled_p99_ns")] == [None, 40e3]
-    assert table["values"][names.index("where")] == ["turn", "turn, window of 30 steps"]
+    assert table["values"][names.index("where")] == ["turn", "turn, window of steps 210 to 239"]
     assert (table["c"], table["p"]) == ([0, 0], [0, 0])
     assert table["windows"] == [1]
