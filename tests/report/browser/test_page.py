@@ -397,10 +397,10 @@ def _check_speed_margins(page: Any, facts: Any, slow: int) -> None:
         late = (
             " is late beyond a slowdown of × "
             if bound >= 1
-            else " is late on this machine (speed margin × "
+            else " exceeds a limit on this machine (speed margin × "
         )
         assert (late in output) == (bound < slow)
-        other = f" (overall verdict: {verdict.state})"
+        other = f" that were run (overall verdict: {verdict.state})"
         assert (other in output) == (bound >= 1 and verdict.state != "pass")
         assert (
             ", set by its limiting p99 of " in output or ", set by its longest step of " in output

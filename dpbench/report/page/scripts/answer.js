@@ -12,8 +12,8 @@ function paceOf(c, margin) {
   if (verdict === "fail") return "fails, so it has no speed margin";
   const limited = `× ${roundedDown(margin)}, set by its ${C().limited_by[c]}`;
   if (late) return `is late on this machine (${late})${margin < 1 ? `. Its speed margin is ${limited}` : ""}`;
-  if (margin < 1) return `is late on this machine (speed margin ${limited})`;
-  const other = ["pass", "not judged"].includes(verdict) ? "" : ` (overall verdict: ${verdict})`;
+  if (margin < 1) return `exceeds a limit on this machine (speed margin ${limited}; overall verdict: ${verdict})`;
+  const other = ["pass", "not judged"].includes(verdict) ? "" : ` in the replays and windows that were run (overall verdict: ${verdict})`;
   return `${margin < state.slow ? "is late beyond a slowdown of" : "meets both limits up to a slowdown of"} ${limited}${other}`;
 }
 
@@ -28,7 +28,7 @@ function kept() {
   // The summary above states the margin of the recommended configuration.
   const own = margin === null || (state.c === facts.answer.first && state.slow <= 1) ? "" : `${withSettings(state.c)} ${paceOf(state.c, margin)}. `;
   const share = (100 * state.slow) / C().deadline_margin[state.c];
-  const slowed = own && state.slow > 1 ? `Its longest step then takes ${figure(share, 2)} % of the deadline. ` : "";
+  const slowed = own && state.slow > 1 ? `Its scaled longest step then takes ${figure(share, 2)} % of the deadline. ` : "";
   const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
   const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");
   if (!right.length) return own + slowed;
