@@ -353,7 +353,7 @@ def run_campaign(
     InputError : for a bad suite, scenario, solver, job count or engine, or a folder with finished
         runs that are not requested, before anything runs.
     TypeError : for a suite or sequence that is neither a name nor a path, or a name for a list.
-    BusyError : the machine was busy longer than `wait_s`; finished cells are kept.
+    dpbench.locks.BusyError : the machine was busy longer than `wait_s`; finished cells are kept.
 
     Examples
     --------

@@ -59,7 +59,7 @@ def open_workspace(
     """
     require_type("solver", solver, str, "the name of a solver")
     require_type("policy", policy, str, "the name of a policy")
-    allowed = "a name such as 'high', or a mapping of options"
+    allowed = "a name such as 'high', a tolerance as text such as '1e-4', or a mapping of options"
     require_type("settings", settings, str | Mapping, allowed)
     for option in () if isinstance(settings, str) else settings:
         require_type("settings", option, str, "names of options")
