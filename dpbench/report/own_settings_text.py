@@ -263,7 +263,10 @@ def _list_edges(best: Verdict, points: Sequence[Verdict], equals: Sequence[Verdi
 
 def _describe_best_of_grid(records: Records, points: Sequence[Verdict], found: BestSettings) -> str:
     """Return a line on the best of a solver's settings, and whether it is at the grid's edge."""
-    best, count = found.verdict, f"{len(points)} settings of {points[0].configuration.solver}"
+    best, solver = found.verdict, points[0].configuration.solver
+    ran = {run.configuration for run in records.runs if run.solver == solver and run.options}
+    is_mixed = len({(c.route, c.policy) for c in ran}) > 1
+    count = f"{len(points)} settings of {solver}{', each in its best call mode,' * is_mixed}"
     if best is None and found.by == "error":
         return f"None of {count} finished its runs: {_describe_reasons(points[0])}."
     if best is None:

@@ -222,6 +222,10 @@ NO_PROMISE = (
 )
 """Limits of the result, printed after it."""
 UNCHANGED = "unchanged: no trial was better than the scenario's own controller"
+WORSE_IN_TEST = (
+    "in the test, the original controller is no worse in offset and wear: keep it, or increase "
+    "--trials and --realisations"
+)
 _MOST_BYTES = 2**26
 
 
@@ -260,6 +264,13 @@ class ControllerTuning:
         return max(self.chosen.score.share, self.fresh.share) <= self.margin
 
     @property
+    def is_worse_in_test(self) -> bool:
+        """Return whether the scenario's own controller is as good in fresh seas, in both scores."""
+        own, chosen = self.own_fresh, self.fresh
+        is_no_worse = own.share <= chosen.share and own.wear_per_h <= chosen.wear_per_h
+        return not self.is_unchanged and is_no_worse
+
+    @property
     def table(self) -> pd.DataFrame:
         """Table with a row for each trial: options, share, wear_per_h, kind."""
         front = {trial.name for trial in find_pareto_front(self.trials)}
@@ -280,6 +291,7 @@ class ControllerTuning:
             f"{describe(self.trial_of_own_controller.score)})",
             f"test in other realisations, {held} the margin: {describe(self.fresh)} "
             f"(original controller: {describe(self.own_fresh)})",
+            *([WORSE_IN_TEST] if self.is_worse_in_test else []),
             WEAR_IS,
             *(f"wrote {path}" for path in self.paths),
             "Limits of this result:",

@@ -71,6 +71,7 @@ def test_without_a_loss_all_thrust_counts_and_the_rate_limit_is_named(
     text = explain_departure(ship)
     assert text.startswith("From 0 to 150 s in `thrusters`, it uses 98 % of the thrust at most,")
     assert f"limit of thrust or sector in most steps{named}: the thrusters " in text
+    assert text.endswith("balance the mean load, with little thrust left for its variation.")
 
 
 def test_each_thruster_has_a_row_and_its_part_of_a_line(records: Any) -> None:

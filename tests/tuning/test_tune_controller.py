@@ -17,6 +17,7 @@ from dpbench.scenario.variation import copy_scenario_with_values, write_scenario
 from dpbench.tuning.search import Trial
 from dpbench.tuning.tune_controller import (
     NO_PROMISE,
+    WORSE_IN_TEST,
     ControllerTuning,
     LoopScore,
     change_controller,
@@ -64,6 +65,16 @@ def test_a_rounded_offset_is_shown_on_its_side_of_the_margin(
     held = "within" if share <= margin else "NOT within"
     assert any(f"{held} the margin: offset {shown}, wear 9" in line for line in tuning.lines)
     assert f"within {100.0 * margin:g} % of the limits" in tuning.lines[1]
+
+
+@pytest.mark.parametrize(("own", "is_named"), [((0.3, 8.0), True), ((0.3, 9.5), False)])
+def test_an_original_controller_that_is_no_worse_in_the_test_is_named(
+    own: tuple[float, float], is_named: bool
+) -> None:
+    """The chosen one has an offset of 31 % and a wear of 9 there."""
+    trials, tested = [_trial(0.73, 9.0), _trial(0.72, 22.0)], _trial(0.31, 9.0).score
+    tuning = ControllerTuning(trials, trials[1], tested, _trial(*own).score, 0.8, "seas", ())
+    assert (WORSE_IN_TEST in tuning.lines) is is_named
 
 
 @pytest.mark.parametrize("name", ["weather", "thrusters", "thrusters_cascade", "paper_tight"])

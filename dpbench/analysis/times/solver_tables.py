@@ -148,17 +148,22 @@ def tabulate_best_times(matrix: RunMatrix) -> pd.DataFrame:
 def tabulate_experiment_verdicts(matrix: RunMatrix) -> pd.DataFrame:
     """Return a table of the verdict on each solver by scenario or replay, and settings.
 
-    In the call mode of its best configuration where it ran so, else in that of the best verdict.
+    In the call mode of its best configuration, or of its best one with these custom settings; where
+    it did not run so, in that of the best verdict.
     """
     best = {
         v.configuration.solver: v.configuration
         for v in list_best_verdict_of_each_solver(matrix.verdicts)
     }
+    own = {
+        (v.configuration.solver, v.configuration.settings): v.configuration
+        for v in list_best_verdict_of_own_settings(matrix.verdicts)
+    }
     rows = []
     for reference in matrix.reference_configurations:
         usual = best.get(reference.solver, reference)
         for level in matrix.settings_levels:
-            known = _order_call_modes(matrix, usual, level)
+            known = _order_call_modes(matrix, own.get((usual.solver, level), usual), level)
             rows += [
                 _make_experiment_row(matrix, known, p) for p in matrix.judged_experiment_indices
             ]

@@ -586,7 +586,8 @@ def format_python_call(c: Configuration) -> str:
     )
     record = find_solver_record_or_none(c.solver)
     if c.solver in CONTROLLER_SOLVERS:
-        call += f"\n# C code:\n# dpbench codegen SCENARIO\n#   --solver {c.solver} --out DIR"
+        named = f"'{c.solver}[{c.options_text}]'" if c.options else c.solver
+        call += f"\n# C code:\n# dpbench codegen SCENARIO\n#   --solver {named} --out DIR"
     elif record is not None and record.project.c_code.value.startswith("yes"):
         call += f"\n# C code: {record.project.c_code.source}"
     if record is None or not (c.options or has_preset_or_tolerance(c.solver, c.settings)):

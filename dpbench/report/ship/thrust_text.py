@@ -11,6 +11,8 @@ from dpbench.ship.characteristics import compute_mean_weather_force
 
 MOSTLY = 0.5
 """Share of steps from which on a thruster is named as being at a limit."""
+NEARLY_ALL = 0.9
+"""Share of the thrust in use at one time from which on little is left."""
 NOTICED = 0.1
 """Share of steps at the rate limit from which on it is named where no other limit is."""
 AT_LIMIT = "at a limit of thrust or sector"
@@ -48,11 +50,11 @@ def explain_departure(ship: ShipResult) -> str:
     at_rate = ""
     if rates and rates[fastest] >= NOTICED:
         at_rate = f", but `{fastest}` is at its rate limit in {100.0 * rates[fastest]:.0f} %"
-    reason = (
-        "balance the mean load, but the loop does not settle"
-        if _is_mean_load_balanced(ship, use)
-        else "cannot balance the mean load in all axes at once"
-    )
+    reason = "cannot balance the mean load in all axes at once"
+    if _is_mean_load_balanced(ship, use):
+        is_near = use.thrust[1] >= NEARLY_ALL
+        reserve = "with little thrust left for its variation"
+        reason = f"balance the mean load, {reserve if is_near else 'but the loop does not settle'}"
     return (
         f"{used}. No thruster is {AT_LIMIT} in most steps{at_rate}: the {_name_remaining(use)}"
         f"thrusters {reason}."

@@ -123,6 +123,19 @@ def test_settings_that_ran_in_another_call_mode_show_their_verdict_there(records
     assert modes[("mine", "calm")] == "qpsolvers fresh"
 
 
+def test_custom_settings_have_the_verdict_in_their_best_call_mode(records: Any) -> None:
+    """Cold start fails with them, though it is the call mode of the solver's best preset."""
+    own = {"settings": "mine", "options": '{"rho": 1.6}', "route": "native"}
+    records.loop("osqp", route="native", policy="fresh")
+    records.replay("osqp", route="native", policy="fresh", median_us=10.0)
+    for policy, error in (("fresh", 0.5), ("warm", 1e-9)):
+        records.loop("osqp", policy=policy, error=error, **own)
+        records.replay("osqp", policy=policy, error=error, **own)
+    table = tabulate_experiment_verdicts(_matrix(records)).set_index(["settings", "experiment"])
+    assert table.loc["mine", "call_mode"].tolist() == ["native warm"] * 2
+    assert table.loc["mine", "verdict"].tolist() == ["pass"] * 2
+
+
 def test_settings_of_ones_own_are_judged_apart_and_have_their_options_beside(records: Any) -> None:
     """A preset has none."""
     records.loop("osqp", error=0.4)
