@@ -286,9 +286,12 @@ def _yield_compared_ranges(
     )
     # The steps before `repeated` alone are counted: not known of a folder without steps.
     counted_alike = steps[0].empty == steps[1].empty
+    hangs = any(map(_fails_on_every_step, steps))
     for measure in ACCURACY:
-        if counted_alike or measure.column != "failed_steps":
-            yield measure, ranges_a[measure.column], ranges_b[measure.column], accurate
+        is_of_failures = measure.column == "failed_steps"
+        if counted_alike or not is_of_failures:
+            repeats = accurate or (is_of_failures and hangs)
+            yield measure, ranges_a[measure.column], ranges_b[measure.column], repeats
     for measure in CONTROL if pair.a.mode == "closed_loop" else ():
         in_a, in_b = (
             _make_range_of_number(getattr(run, measure.column)) for run in (pair.a, pair.b)
@@ -324,6 +327,11 @@ def _find_first_step_cut_by_time_limit(steps: pd.DataFrame) -> float:
     """Return a run's first step whose solve the solver's time limit cut short; inf for none."""
     stopped = steps["k"][steps["status"] == Status.TIME_LIMIT.name]
     return float(stopped.min()) if len(stopped) else np.inf
+
+
+def _fails_on_every_step(steps: pd.DataFrame) -> bool:
+    """Return whether a run fails on every step, which the speed of a machine does not explain."""
+    return not steps.empty and bool(mask_failed_steps(steps).all())
 
 
 def _compute_accuracy_ranges(

@@ -402,6 +402,30 @@ def test_steps_after_a_solvers_own_time_limit_are_not_comparable(make: Make) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("answered", [0, 1])
+def test_a_solver_that_hangs_on_every_step_is_worse(make: Make, answered: int) -> None:
+    """With one answer among four steps, the speed of the machine may explain the others."""
+    a, b = make("a", seed=1), make("b", seed=1)
+    steps, runs = (pd.read_parquet(b / name) for name in ("steps.parquet", "runs.parquet"))
+    own = steps["run_id"] == "replay-osqp"
+    steps = steps[~own | (steps["k"] < 4)]
+    cut = own & (steps["k"] >= answered)
+    steps.loc[cut, ["status", "unconverged"]] = "TIME_LIMIT", True
+    steps.to_parquet(b / "steps.parquet", index=False)
+    run = runs["run_id"] == "replay-osqp"
+    runs["failed_steps"] = 0
+    runs.to_parquet(a / "runs.parquet", index=False)
+    runs.loc[run, ["outcome", "steps_done", "failed_steps"]] = "timed_out", 4, 4 - answered
+    runs.to_parquet(b / "runs.parquet", index=False)
+    suite = json.loads((b / "suite.json").read_text()) | {"step_rows": len(steps)}
+    (b / "suite.json").write_text(json.dumps(suite))
+    found = compare(a, b)
+    assert found.worse is (answered == 0)
+    own_changes = found.answers[found.answers["solver"] == "osqp"].set_index("figure")["change"]
+    assert own_changes["failed_steps"] == ("same" if answered else "worse")
+
+
+@pytest.mark.slow
 def test_rounds_are_cut_to_the_fewer(make: Make, tmp_path: Path) -> None:
     a = make("a", seed=1)
     b = make("b", seed=1)
