@@ -38,7 +38,7 @@ def test_a_refused_call_mode_is_not_run(select: Callable[[str], Any]) -> None:
 def test_the_query_is_of_the_limiting_p99_at_opening(select: Callable[[str], Any]) -> None:
     page = select("")
     assert page.evaluate("facts.experiments[state.p].label") == "paper"
-    assert "turn, window of 30 steps" in page.text_content("#data-query")
+    assert "turn, window of steps 210 to 239" in page.text_content("#data-query")
     page.locator("#table-body tr", has_text="paper").nth(0).locator("button").click()
     page.wait_for_function("location.hash.includes('sc=paper')")
     assert "in paper\n" in f"{page.text_content('#data-query')}\n"
@@ -60,7 +60,7 @@ def test_replays_alone_open_with_the_replay_of_the_first_line(
 
 def test_a_window_in_the_table_shows_its_closed_loop(select: Callable[[str], Any]) -> None:
     page = select("#s=daqp&w=qpsolvers-fresh&set=default&sc=paper")
-    row = page.locator("#table-body tr", has_text="turn, window of 30 steps")
+    row = page.locator("#table-body tr", has_text="turn, window of steps 210 to 239")
     row.locator("button").click()
     page.wait_for_function("state.window !== null")
     assert page.input_value("#choose-experiment") == page.evaluate(
@@ -71,7 +71,7 @@ def test_a_window_in_the_table_shows_its_closed_loop(select: Callable[[str], Any
     assert page.locator("#table-body tr[aria-current]").count() == 1
     query = page.text_content("#data-query")
     run_id = page.evaluate("valueOf('run_id', state.window)")
-    assert run_id in query and "turn, window of 30 steps" in query
+    assert run_id in query and "turn, window of steps 210 to 239" in query
     page.locator("#table-body tr", has_text="turn").nth(0).locator("button").click()
     page.wait_for_function("state.window === null")
     assert "A window" not in page.inner_text("#one-said")
