@@ -223,7 +223,7 @@ def _describe_unstable_loops(planned: Sequence[PlannedCell]) -> list[str]:
     found = {key: find_unstable_radius(files) for key, files in loops.items()}
     unstable = {key: radius for key, radius in found.items() if not math.isnan(radius)}
     shown = [
-        f"{name}: {describe_unstable_loop(horizon, radius)}"
+        f"{name}: {describe_unstable_loop(str(horizon), radius)}"
         for (name, horizon), radius in list(unstable.items())[:MOST_UNSTABLE]
     ]
     others = len(unstable) - len(shown)

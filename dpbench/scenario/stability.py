@@ -53,9 +53,9 @@ def _find_spectral_radius(text: str) -> float:
     return float(abs(compute_loop_eigenvalues(scenario)[0]))
 
 
-def describe_unstable_loop(horizon: int, radius: float) -> str:
-    """Return words for an unstable loop: its prediction horizon and its largest |λ|."""
+def describe_unstable_loop(horizons: str, radius: float) -> str:
+    """Return words for unstable loops: their prediction horizons and their largest |λ|."""
     return (
-        f"unstable without limits at `prediction_horizon = {horizon}` "
+        f"unstable without limits at `prediction_horizon = {horizons}` "
         f"(largest |λ| {radius:.4f}, paper eq. 35)"
     )

@@ -113,9 +113,10 @@ def _warn_of_lost(lost: Sequence[ShipResult], known: Sequence[ShipResult]) -> It
         opening = "Elsewhere it starts" if driven else f"{LOST}: it starts"
         yield f"{opening} off its station and ends farther away: {_describe_lost(away)}."
     if unstable:
-        worst = max(unstable, key=lambda ship: ship.unstable_radius)
-        horizon = worst.run.files["scenario"]["controller"]["prediction_horizon"]
-        loop = describe_unstable_loop(horizon, worst.unstable_radius)
+        controllers = [ship.run.files["scenario"]["controller"] for ship in unstable]
+        horizons = sorted({controller["prediction_horizon"] for controller in controllers})
+        radius = max(ship.unstable_radius for ship in unstable)
+        loop = describe_unstable_loop(_join_first(map(str, horizons)), radius)
         opening = "Elsewhere its loop is" if driven or away else f"{LOST}: its loop is"
         yield f"{opening} {loop}, whatever weather and solver: {_describe_lost(unstable)}."
 
@@ -455,15 +456,15 @@ def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
     sentences = []
     if moving:
         sentences.append(
-            f"The ship is still moving away when the run ends in {_name_ships(moving)}: only a "
-            "longer run shows whether it stays on station."
+            "The ship is still moving away when the run ends in "
+            f"{_join_first(map(_locate_ship, moving))}: only a longer run shows whether it stays "
+            "on station."
         )
     if rising:
-        parts = [_describe_rise(ship) for ship in rising[:MOST_NAMED]]
-        parts += [f"{len(rising) - MOST_NAMED} more"] if rising[MOST_NAMED:] else []
         sentences.append(
-            f"The offset after a loss still rises when the run ends in {join_with_and(parts)}: a "
-            "longer `duration_s` shows where it settles."
+            "The offset after a loss still rises when the run ends in "
+            f"{_join_first(map(_describe_rise, rising))}: a longer `duration_s` shows where it "
+            "settles."
         )
     if near:
         up_to = "up to " if len(near) > 1 else ""
@@ -473,11 +474,10 @@ def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
             f"the limits of its station in {_name_ships(near)}."
         )
     if far := [s for s in kept if (loop := s.farther_loop) and is_accurate_loop(loop)]:
-        parts = [f"{_locate_ship(ship)}{_format_farther_loop(ship)}" for ship in far[:MOST_NAMED]]
-        parts += [f"{len(far) - MOST_NAMED} more"] if far[MOST_NAMED:] else []
+        parts = _join_first(f"{_locate_ship(ship)}{_format_farther_loop(ship)}" for ship in far)
         sentences.append(
             "With an accurate solver the ship leaves the station that it keeps with exactly solved "
-            f"QPs in {join_with_and(parts)}."
+            f"QPs in {parts}."
         )
     return sentences
 
@@ -564,6 +564,12 @@ def _describe_point(run: RunRecord) -> str:
 
 def _name_ships(ships: Sequence[ShipResult]) -> str:
     """Return the names of the first scenarios of some ships, and a count of the others."""
-    names = [f"`{name}`" for name in dict.fromkeys(ship.run.study or ship.name for ship in ships)]
-    others = len(names) - MOST_NAMED
-    return join_with_and([*names[:MOST_NAMED], *([f"{others} more"] if others > 0 else [])])
+    names = dict.fromkeys(ship.run.study or ship.name for ship in ships)
+    return _join_first(f"`{name}`" for name in names)
+
+
+def _join_first(texts: Iterable[str]) -> str:
+    """Return the first of some texts as a list in words, and a count of the others."""
+    known = [*texts]
+    others = len(known) - MOST_NAMED
+    return join_with_and([*known[:MOST_NAMED], *([f"{others} more"] if others > 0 else [])])
