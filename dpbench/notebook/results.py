@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.suites.study import Study, find_studies
 from dpbench.analysis.times.chosen_pairs import compare_chosen
 from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.analysis.verdict.verdict import list_best_verdict_of_each_solver
@@ -64,13 +65,17 @@ EXCESS_NOTE = (
 )
 
 
-def _describe_studies(runs: pd.DataFrame) -> list[str]:
-    """Return for each study of some runs a sentence on its points and realisations."""
-    return [
-        f"Study `{name}`: {plural(own['study_point'].nunique(), 'point')}, "
-        f"at most {plural(own['replicate'].nunique(), 'realisation')} each."
-        for name, own in runs[runs["study"].fillna("") != ""].groupby("study", sort=False)
+def _describe_studies(studies: Sequence[Study]) -> list[str]:
+    """Return sentences on the points and realisations in each study's means, and on the others."""
+    # The report draws, and Altair takes its time.
+    from dpbench.report.topics.study import yield_excluded_points_sentences
+
+    compared = [
+        f"Study `{study.name}`: {plural(len(study.points) - len(study.points_left_out), 'point')}, "
+        f"at most {plural(study.seas_per_point, 'realisation')} each."
+        for study in studies
     ]
+    return [*compared, *yield_excluded_points_sentences(studies)]
 
 
 class RatioTable(pd.DataFrame):
@@ -317,7 +322,8 @@ class Results(result_folder.Results):
 
         caption = TABLES.get(name, "")
         if name == "study_excess":
-            caption = " ".join([caption, EXCESS_NOTE, *_describe_studies(self.runs)])
+            studies = find_studies(Records(self))
+            caption = " ".join([caption, EXCESS_NOTE, *_describe_studies(studies)])
         is_timed = any(column.endswith(_TIME_ENDINGS) for column in self.tables[name].columns)
         runs = self.runs[(self.runs["mode"] == "replay") & (self.runs["rounds"] > 0)]
         if not (is_timed and len(runs)):

@@ -59,7 +59,10 @@ from dpbench.report.ship.open_losses import find_open_losses
 from dpbench.report.study_effects_table import build_effects_table, build_interactions_table
 from dpbench.report.topics.all import build_topics
 from dpbench.report.topics.embedded import tabulate_counts
-from dpbench.report.topics.study import yield_disturbance_sentences
+from dpbench.report.topics.study import (
+    yield_disturbance_sentences,
+    yield_excluded_points_sentences,
+)
 from dpbench.report.verdict.machine_text import describe_calibration
 from dpbench.report.verdict.verdict_text import describe_which_solvers_pass
 from dpbench.report.words import read_words, render_document
@@ -162,6 +165,8 @@ class Report:
         rows += [(about, text.removeprefix("The next fastest is ")) for about, text in noted]
         beside = (topic for topic in self.topics if topic.id in BESIDE and not topic.leads)
         rows += [(topic.id, topic.lines[0]) for topic in beside]
+        if excluded := " ".join(yield_excluded_points_sentences(self.data.studies)):
+            rows.append(("points", excluded))
         if self.data.counts.sequences:
             missing = yield_uncounted_sentences(self.data.counts.not_counted)
             rows += [("not counted", line.removeprefix("Not counted: ")) for line in missing]

@@ -168,11 +168,16 @@ def test_the_legend_explains_every_table_and_column(written: Any) -> None:
 
 
 def test_the_caption_of_a_study_defines_it(records: Any, tmp_path: Path) -> None:
+    """The reference loop leaves its station at point 1, which is in no mean."""
     for solver in ("daqp", "osqp"):
         for replicate in (1, 2, 3):
             records.sea(solver, 0, replicate, {"scale": 1.0})
+            records.sea(solver, 1, replicate, {"scale": 2.0}, exact_left_s=9.0)
     write_results(tmp_path, records.results())
     caption = dpbench.load_results(tmp_path).to_latex("study_excess").splitlines()[-1]
     assert "less that of the reference in the same realisation" in caption
     assert "95 \\% interval of the mean" in caption
-    assert caption.endswith("Study seas: 1 point, at most 3 realisations each.")
+    assert caption.endswith(
+        "Study seas: 1 point, at most 3 realisations each. seas: 1 point excluded from every "
+        "difference to daqp, as the reference loop leaves its station there: 1."
+    )

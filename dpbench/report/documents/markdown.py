@@ -35,7 +35,11 @@ from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.report import Report
 from dpbench.report.ship.ship_text import ShipSummary
-from dpbench.report.topics.study import yield_disturbance_sentences, yield_tolerance_sentences
+from dpbench.report.topics.study import (
+    yield_disturbance_sentences,
+    yield_excluded_points_sentences,
+    yield_tolerance_sentences,
+)
 from dpbench.report.verdict.findings_text import describe_findings, name_experiment
 from dpbench.report.verdict.verdict_text import (
     describe_hardest_wait,
@@ -84,6 +88,7 @@ def make_report_markdown(report: Report) -> str:
     after += _yield_verdicts_by_scenario(data, recommendation)
     after += [*yield_disturbance_sentences(data.studies), *yield_tolerance_sentences(data.studies)]
     after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
+    after += yield_excluded_points_sentences(data.studies)
     if data.counts.sequences:
         after += yield_uncounted_sentences(data.counts.not_counted)
     parts = [

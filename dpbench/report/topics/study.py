@@ -88,14 +88,7 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
         f"`{study.name}`: {plural(len(runs), 'run')} at {plural(points, 'point')} in {seas}; "
         f"{f'{stays}.' if is_alone else _describe_larger_errors(study)}"
     )
-    if left_out := study.points_left_out:
-        named = join_with_and([str(point) for point in left_out[:MOST_NAMED]])
-        more = f" and {len(left_out) - MOST_NAMED} more" if left_out[MOST_NAMED:] else ""
-        yield (
-            f"`{study.name}`: {plural(len(left_out), 'point')} excluded from every difference to "
-            f"{mark_solver(study.reference_name)}, as the reference loop leaves its station "
-            f"there: {named}{more}."
-        )
+    yield from yield_excluded_points_sentences([study])
     yield from _yield_unfinished_sentences(study)
     yield from yield_disturbance_sentences([study])
     yield from _yield_failed_steps_sentences(study)
@@ -110,6 +103,20 @@ def _yield_study_sentences(study: Study) -> Iterator[str]:
     yield from yield_tolerance_sentences([study])
     if dominated := describe_dominated_effects(study):
         yield dominated
+
+
+def yield_excluded_points_sentences(studies: Sequence[Study]) -> Iterator[str]:
+    """Yield a sentence on the points of each study that are in no difference between solvers."""
+    for study in studies:
+        left_out = study.points_left_out
+        if left_out and len(study.results_by_cost) > 1:
+            named = join_with_and([str(point) for point in left_out[:MOST_NAMED]])
+            more = f" and {len(left_out) - MOST_NAMED} more" if left_out[MOST_NAMED:] else ""
+            yield (
+                f"`{study.name}`: {plural(len(left_out), 'point')} excluded from every difference "
+                f"to {mark_solver(study.reference_name)}, as the reference loop leaves its station "
+                f"there: {named}{more}."
+            )
 
 
 def _yield_unfinished_sentences(study: Study) -> Iterator[str]:

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from dpbench.analysis.suites import study_tables
-from dpbench.analysis.suites.study import find_studies
+from dpbench.analysis.suites.study import Study, find_studies
 from dpbench.analysis.suites.study_tables import (
     tabulate_differences_from_reference,
     tabulate_study_points,
@@ -418,6 +418,10 @@ def test_points_left_out_are_named(records: Any) -> None:
         "`seas`: 1 point excluded from every difference to `daqp`, as the reference loop leaves "
         "its station there: 0."
     )
+    assert records.ending()["points"] == built.lines[1].replace("`", "")
+    assert built.lines[1] in make_report_markdown(Report.from_results(records.results()))
+    alone = [run for run in records.view().study if run.solver == "daqp"]
+    assert not list(topic.yield_excluded_points_sentences([Study("seas", alone, 1.0)]))
 
 
 def test_of_one_configuration_the_answer_is_what_it_does(records: Any) -> None:
