@@ -15,6 +15,8 @@ from dpbench.solvers.calibration import CALIBRATION
 MOST_COMMANDS = 3
 """Commands, and sequences, that are named; of the others their number is."""
 
+BASELINE = "Baseline law (the unconstrained optimum, clipped to the limits)"
+
 
 def describe_subject(records: Records, suite: SuiteDescription) -> str:
     """Return what the results are about, and the title of their suite, as text."""
@@ -82,7 +84,7 @@ def describe_how_results_were_made(
     return (
         f"The suite `{suite.get('name', '')}` was run with {describe_version(suite)}, {ran}. "
         f"It has {plural(len(runs), 'run')} with {plural(steps, 'step')}{note}. "
-        f"Solvers: {solvers}. {f'Baseline law: {laws}. ' if laws else ''}"
+        f"Solvers: {solvers}. {f'{BASELINE}: {laws}. ' if laws else ''}"
         f"Machine: {computer}; {software}."
     )
 

@@ -40,11 +40,11 @@ def name_core_and_precision(target: str, *, single: bool) -> str:
 
 NOTE = (
     "p50, p99 and maximum: instructions per step. Iterations and active limits are those of the "
-    "step with the maximum. Code includes constants; static includes the heap. Error: largest "
-    "error of the first move, in maximum increments. The times on this machine are those of the "
-    "same steps through the native interface at default settings, with a warm start where "
-    "supported. Solvers whose C code runs at other settings have no rank. If two p99 values differ "
-    f"by less than {100 * (APART - 1):.0f} %, the order of these solvers is not compared with "
+    "step with the maximum. Code includes constants; static memory includes the heap. Error: "
+    "largest error of the first move, in maximum increments. The times on this machine are those "
+    "of the same steps through the native interface at default settings, with a warm start where "
+    "supported. Solvers whose C code runs at other settings have no rank. If the p99 values of "
+    f"two solvers differ by less than {100 * (APART - 1):.0f} %, their order is not compared with "
     "their order by time on this machine."
 )
 """Meaning of the columns of the table of counts."""

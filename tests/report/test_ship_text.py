@@ -553,7 +553,7 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     text = _summary(records).text
     assert text.startswith(
         "With exactly solved QPs, the controller holds the ship on station (5 m, 5°) in 2 of 2 "
-        "scenarios, not counting approaches that start farther away. On station, the "
+        "scenarios. An approach that starts off station is not counted. On station, the "
         "largest offset is 1.77 m in `paper` at the start (0.0400 m at its end)."
     )
     assert text.endswith(

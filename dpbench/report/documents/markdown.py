@@ -67,7 +67,7 @@ CALL_MODES = (
     "A call mode is a route and a policy. Route `native` is the solver's own interface, "
     "`qpsolvers` the Python package. Policy `fresh` sets up the solver at every step, `reuse` "
     "keeps its workspace, and `warm` also starts from its last solution. Settings are `default` "
-    "unless named."
+    "unless named; `low`, `mid` and `high` are tolerance presets."
 )
 FAILED_STEPS = (
     "The failed steps of all closed loops, replays and windows are added up: a step counts once "
@@ -227,8 +227,8 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
     requirements = data.requirements
     is_scaled = any(margin.p99.run.untimed_iterations > 1.0 for margin in margins)
     scaled = (
-        ", each scaled up to the p99 of the iterations in the closed loop of its scenario. It may "
-        "exceed the longest step, which the table gives as measured, not scaled"
+        ", each scaled up to the p99 of the iterations per step in the closed loop of its "
+        "scenario. It may exceed the longest step, which the table gives as measured, not scaled"
     ) * is_scaled
     step = "scaled " * any(m.hardest.run.untimed_iterations_max > 1 for m in margins)
     return (
@@ -296,7 +296,8 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
         yield f"The p50 is {_most_and_others(usual, 'from')}."
     if any(v.p99_run is not None and v.p99_run.steps_searched_for_hardest for v in timed):
         yield (
-            "A limiting p99 from a window has no interval, as only the hardest steps were replayed."
+            "A limiting p99 from a window has no confidence interval, as only the hardest steps "
+            "were replayed."
         )
     for name, found in (("limiting p99", worst), ("longest step", hardest)):
         if any(found[label] != usual[label] for label in found):
@@ -335,7 +336,7 @@ def _most_and_others(names: Mapping[str, str], preposition: str) -> str:
     Examples
     --------
     >>> _most_and_others({"daqp": "turn", "osqp": "turn", "piqp": "rough"}, "in")
-    'in turn; for piqp, in rough'
+    'in turn (except piqp: in rough)'
     """
     of_name = group_by_key(names, lambda label: names[label])
     most, *others = sorted(of_name, key=lambda name: -len(of_name[name]))
@@ -344,8 +345,9 @@ def _most_and_others(names: Mapping[str, str], preposition: str) -> str:
             f"{name} ({plural(len(of_name[name]), 'configuration')})" for name in (most, *others)
         ]
         return f"{preposition} {join_with_and(counts)}"
-    texts = [f"for {join_with_and(of_name[name])}, {preposition} {name}" for name in others]
-    return "; ".join([f"{preposition} {most}", *texts])
+    texts = [f"{join_with_and(of_name[name])}: {preposition} {name}" for name in others]
+    exceptions = f" (except {'; '.join(texts)})" if texts else ""
+    return f"{preposition} {most}{exceptions}"
 
 
 def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:

@@ -74,7 +74,7 @@ def _explain_step_times(data: PageData) -> str:
 
 BARS = (
     "The limiting p99 is the largest p99 of all replays and windows, each scaled up to the p99 of "
-    "the iterations in the closed loop. It may exceed the longest step, which is drawn as "
+    "the iterations per step in the closed loop. It may exceed the longest step, which is drawn as "
     "measured. The call overhead is the time of a call that only copies its data; the grey bar "
     "is cut off at the solver's p50. Below 5 µs, differences may be due to the interfaces, not the "
     "algorithms."
@@ -238,7 +238,7 @@ def _explain_other_replays(points: pd.DataFrame, names: str, usual: str) -> str:
     has_p99 = points["p99_us"].notna()
     if has_p99[points["timed_on"] == names].any() or not has_p99[points["timed_on"] == usual].all():
         return f"For {solvers}, the step time is "
-    return f"Exceptions with too few steps for a p99: {solvers}. Their step time is always a p50, "
+    return f"For {solvers}, with too few steps for a p99, the step time is always a p50: "
 
 
 def _mark_names(names: Iterable[str]) -> list[str]:

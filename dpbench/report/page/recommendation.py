@@ -40,6 +40,7 @@ from dpbench.report.formats import (
     format_time,
     join_with_and,
     plural,
+    significant,
 )
 from dpbench.report.page.data import PageData
 from dpbench.report.ship.capability_text import describe_consequence_solver, describe_unanswered_qps
@@ -454,8 +455,8 @@ def _list_limiting_steps(
     longest = f"The longest step is {step}."
     if hardest.run.untimed_iterations_max > 1.0:
         longest = (
-            "After scaling to the largest number of iterations in the closed loop, the longest "
-            f"step takes {format_time(margin.longest_ns)}: {step}."
+            "After scaling to the largest number of iterations in the closed loop, the step that "
+            f"takes longest is {step}, with {format_time(margin.longest_ns)}."
         )
     reached = (
         f"It reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
@@ -483,8 +484,9 @@ def _describe_limiting_p99(margin: SpeedMargin, wait: str, measured_ns: float) -
         margin.limiting_p99_ns > measured_ns * (1.0 + ROUNDING)
     )
     return (
-        f"The limiting p99 is the time of {step}, {format_time(margin.p99.time_ns)}{wait}, scaled "
-        f"up to the p99 of the iterations in the closed loop.{beyond}{estimated}"
+        f"The limiting p99 is the time of {step}, {format_time(margin.p99.time_ns)}{wait}, times "
+        f"{significant(run.untimed_iterations)}, as the closed loop takes more iterations "
+        f"(formula: page “Method” of the documentation).{beyond}{estimated}"
     )
 
 

@@ -23,7 +23,7 @@ _OWN_PHRASES = (
 )
 PHRASES = {
     **{name: name for name in _OWN_PHRASES.split(", ")},
-    "first move": "error of the first move (error_move)",
+    "error of the first move": "error of the first move (error_move)",
     "single timing": "single timing",
     "scaled up": "limiting p99",
     "limiting p99": "limiting p99",

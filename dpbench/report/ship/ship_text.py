@@ -346,7 +346,7 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     moves, largest = "", "The largest offset"
     if any(ship.has_transfer for ship in kept):
-        moves = ", not counting approaches that start farther away"
+        moves = ". An approach that starts off station is not counted"
         largest = "On station, the largest offset"
     return (
         f"With exactly solved QPs, the controller holds the ship on station "

@@ -87,10 +87,13 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
             f"Waits of known length were measured to within 1 µs or 1 %, whichever "
             f"is larger.{below}"
         )
-    waits = [f"{WAITS_NS[n] / 1e3:g} µs as {p50 / 1e3:#.3g} µs" for n, p50 in missed.items()]
+    waits = [
+        f"{WAITS_NS[n] / 1e3:g} µs as {significant(p50 / 1e3, 4)} µs" for n, p50 in missed.items()
+    ]
     worst = max(abs(compute_excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
-        "Waits of known length were measured with an error of more than 1 µs and 1 %: "
+        f"{len(missed)} of {plural(len(measured), 'wait')} of known length were measured with an "
+        "error of more than both 1 µs and 1 %: "
         f"{join_with_and(waits)} (largest p50 of the calibration replays). Absolute times of "
         f"similar length may be wrong by up to {format_sample_share(worst)}.{below}"
     )
