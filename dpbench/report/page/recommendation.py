@@ -589,7 +589,7 @@ def format_python_call(c: Configuration) -> str:
     record = find_solver_record_or_none(c.solver)
     if c.solver in CONTROLLER_SOLVERS:
         named = f"'{c.solver}[{c.options_text}]'" if c.options else c.solver
-        call += f"\n# C code:\n# dpbench codegen SCENARIO\n#   --solver {named} --out DIR"
+        call += f"\n# C code:\n# dpbench codegen SCENARIO --out DIR\n#   --solver {named}"
     elif record is not None and record.project.c_code.value.startswith("yes"):
         call += f"\n# C code: {record.project.c_code.source}"
     if record is None or not (c.options or has_preset_or_tolerance(c.solver, c.settings)):

@@ -94,8 +94,8 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
     return (
         f"{len(missed)} of {plural(len(measured), 'wait')} of known length were measured with an "
         "error of more than both 1 µs and 1 %: "
-        f"{join_with_and(waits)} (largest p50 of the calibration replays). Absolute times of "
-        f"similar length may be wrong by up to {format_sample_share(worst)}.{below}"
+        f"{join_with_and(waits)}. Absolute times of similar length may be wrong by up to "
+        f"{format_sample_share(worst)}.{below}"
     )
 
 

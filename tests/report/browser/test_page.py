@@ -215,7 +215,7 @@ def test_the_call_is_that_of_the_chosen_one(selected: Any) -> None:
     assert page.text_content("#one-call") == format_python_call(
         Configuration("osqp", "qpsolvers", "fresh", "high")
     )
-    codegen = "# C code:\n# dpbench codegen SCENARIO\n#   --solver osqp --out DIR"
+    codegen = "# C code:\n# dpbench codegen SCENARIO --out DIR\n#   --solver osqp"
     assert codegen in page.text_content("#one-call")
     assert "eps_abs=" in page.text_content("#one-call")
     assert page.locator("[data-copy='one-call']").is_visible()

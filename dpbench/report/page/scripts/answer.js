@@ -2,7 +2,7 @@
 "use strict";
 
 // Names, of many only where the computer is slower.
-const listed = (rows, say = (row) => `\`${row.solver}\``) => (rows.length && (rows.length <= 6 || state.slow > 1)
+const listed = (rows, say = (row) => `\`${row.solver}\``) => (rows.length && (rows.length <= 4 || state.slow > 1)
   ? `: ${rows.map(say).join(", ")}` : "");
 
 // How much slower a computer may be for the chosen configuration, of which a cause of its verdict may
