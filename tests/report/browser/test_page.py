@@ -361,7 +361,7 @@ def _check_speed_margins(page: Any, facts: Any, slow: int) -> None:
     assert f"{len(keep)} of {len(right)} passing solvers {meet} {limits}" in output
     assert len(right) < len(drawn)
     named = [f"{r['solver']} (up to × {format_rounded_down(bounds[int(r['id'])])})" for r in keep]
-    assert all((name in output) == (slow > 1 or len(keep) <= 6) for name in named)
+    assert all((name in output) == (slow > 1 or len(keep) <= 4) for name in named)
     labels = page.locator("#figure-ladder .mark-symbol path[aria-label]").evaluate_all(
         "(all) => all.map((one) => one.getAttribute('aria-label'))"
     )
