@@ -15,6 +15,7 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.study import Study, find_studies
 from dpbench.analysis.times.chosen_pairs import compare_chosen
+from dpbench.analysis.times.paired_times import RATIO_COLUMNS
 from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.analysis.verdict.verdict import list_best_verdict_of_each_solver
 from dpbench.bench.capability.edge_qps import load_capability_plots
@@ -242,7 +243,8 @@ class Results(result_folder.Results):
         """
         if choices:
             self.recorded.require_file()
-            return RatioTable([one.table_row for one in compare_chosen(Records(self), choices)])
+            rows = [one.table_row for one in compare_chosen(Records(self), choices)]
+            return RatioTable(rows, columns=list(RATIO_COLUMNS))
         return RatioTable(self.tables["paired_ratios"])
 
     def to_latex(

@@ -207,9 +207,8 @@ def build_tables(
 ) -> dict[str, pd.DataFrame]:
     """Return all tables of the report as data frames by name; some may be empty."""
     verdicts, ladder = tabulate_verdicts(data), tabulate_best_times(data).drop(columns="id")
-    if len(verdicts):
-        why = [strip_markdown(recommendation.why(v)) for v in data.verdicts.all_verdicts]
-        verdicts.insert(list(verdicts).index("verdict") + 1, "why", why)
+    why = [strip_markdown(recommendation.why(v)) for v in data.verdicts.all_verdicts]
+    verdicts.insert(list(verdicts).index("verdict") + 1, "why", why)
     times = [name for name in ladder.columns if name.endswith("_ms")]
     ladder[times] = 1e3 * ladder[times]
     tables = {

@@ -4,6 +4,7 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -132,6 +133,17 @@ def test_rows_of_a_table_keep_its_caption_in_latex(results: Results) -> None:
     assert results.to_latex(some).splitlines()[-1] == caption
     assert caption.startswith("% Caption: ") and " rounds." in caption
     assert "Caption" not in results.to_latex(pd.DataFrame({"a": [1.0]}))
+
+
+@pytest.mark.parametrize("name", ["verdicts", "experiments", "hard_steps", "paired_ratios"])
+def test_tables_of_a_study_alone_have_columns_without_rows(
+    name: str, results: Results, records: Any, tmp_path: Path
+) -> None:
+    records.sea("daqp", 0, 1, {"N_p": 20.0})
+    study = load_results(records.write(tmp_path / "study"))
+    assert study.tables[name].empty
+    assert list(study.tables[name].columns) == list(results.tables[name].columns)
+    assert study.verdict().query("solver == 'daqp' and p50_us > 0").empty
 
 
 def test_a_table_without_ratios_names_the_study() -> None:

@@ -27,6 +27,13 @@ UNSTABLE = "unstable"
 """Finding on a difference whose sign depends on the measure, such as the mean or the p99."""
 
 
+RATIO_COLUMNS = (
+    *("first", "second", "variables", "sequences", "ratio", "low", "high"),
+    *("first_us", "second_us", "steps", "finding"),
+)
+"""Columns of the table of ratios, see `PairedComparison.table_row`."""
+
+
 @dataclass(frozen=True)
 class PairedComparison:
     """Step time ratio second/first of two configurations on the same steps of equal QP size.

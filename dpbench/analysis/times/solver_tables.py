@@ -17,8 +17,9 @@ import pandas as pd
 from dpbench.analysis.records.machine import compute_round_spread, find_library_call_ns
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
-from dpbench.analysis.records.thinned_runs import ThinnedRun
+from dpbench.analysis.records.thinned_runs import HardRow, ThinnedRun
 from dpbench.analysis.times.paired_times import (
+    RATIO_COLUMNS,
     PairedComparison,
     TimedReplay,
     compare_paired_times,
@@ -53,6 +54,17 @@ def make_configuration_columns(configuration: Configuration) -> dict[str, str]:
     return {name: getattr(configuration, name) for name in names} | {"options": options}
 
 
+VERDICT_COLUMNS = (
+    *("solver", "route", "policy", "settings", "options", "verdict", "closed_loops", "replays"),
+    *("windows", "steps", "error_move", "failed_steps", "first_failed_step"),
+    *("first_inaccurate_step", "p50_us", "replay_p99_us", "raw_p99_us", "limiting_p99_us"),
+    *("p99_low_us", "p99_high_us", "max_us", "raw_max_us", "timed_on", "p99_on", "margin"),
+    *("margin_p99", "p99_step", "p99_step_us", "p99_step_iterations", "p99_step_active"),
+    *("margin_deadline", "deadline_step", "deadline_step_us", "deadline_step_iterations"),
+    "deadline_step_active",
+)
+
+
 def tabulate_verdicts(matrix: RunMatrix) -> pd.DataFrame:
     """Return a table of the verdict, errors and step times [µs] of every configuration."""
     return pd.DataFrame(
@@ -81,7 +93,8 @@ def tabulate_verdicts(matrix: RunMatrix) -> pd.DataFrame:
                 **_make_margin_columns(matrix, v),
             }
             for v in matrix.verdicts.all_verdicts
-        ]
+        ],
+        columns=list(VERDICT_COLUMNS),
     )
 
 
@@ -145,6 +158,12 @@ def tabulate_best_times(matrix: RunMatrix) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(TIMES))
 
 
+EXPERIMENT_COLUMNS = (
+    *("solver", "settings", "call_mode", "experiment", "verdict", "error", "failed"),
+    *("id", "experiment_id", "detail"),
+)
+
+
 def tabulate_experiment_verdicts(matrix: RunMatrix) -> pd.DataFrame:
     """Return a table of the verdict on each solver by scenario or replay, and settings.
 
@@ -167,7 +186,7 @@ def tabulate_experiment_verdicts(matrix: RunMatrix) -> pd.DataFrame:
             rows += [
                 _make_experiment_row(matrix, known, p) for p in matrix.judged_experiment_indices
             ]
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=list(EXPERIMENT_COLUMNS))
 
 
 def _order_call_modes(matrix: RunMatrix, usual: Configuration, level: str) -> list[Configuration]:
@@ -259,7 +278,8 @@ def tabulate_hard_steps(matrix: RunMatrix, kept: Mapping[str, ThinnedRun]) -> pd
         for measure, of_measure in of_run.hard.items()
         for hard in of_measure
     ]
-    return pd.DataFrame(rows)
+    heads = ["run_id", "configuration", "experiment", "by", *HardRow._fields]
+    return pd.DataFrame(rows, columns=heads)
 
 
 def _list_timed_best_fastest_first(verdicts: Verdicts) -> list[Verdict]:
@@ -300,7 +320,7 @@ def tabulate_time_ratios(matrix: RunMatrix) -> pd.DataFrame:
     pairs += compare_own_settings_with_fastest(records, verdicts)
     pairs += compare_settings_of_solvers(records)
     rows = map_first_by_key(pairs, lambda one: (one.first, one.second, one.variables)).values()
-    return pd.DataFrame([one.table_row for one in rows])
+    return pd.DataFrame([one.table_row for one in rows], columns=list(RATIO_COLUMNS))
 
 
 @dataclass(frozen=True, eq=False)
