@@ -25,7 +25,7 @@ from dpbench.bench.run.formulation import (
 )
 from dpbench.bench.run.slow_computer import make_delay_of_cell, read_process_usage
 from dpbench.bench.run.timed_solver import STEP_SHARE, ResumedSolver, TimedSolver
-from dpbench.errors import InputError
+from dpbench.errors import InputError, UnknownNameError
 from dpbench.qp.program import QPSequence
 from dpbench.scenario.plants.contract import PlantMaker
 from dpbench.scenario.plants.linear_mpc import LinearMPC
@@ -110,7 +110,11 @@ def build_closed_loop_setup(
 
 def open_backup_workspace(solver: str, step_limit_s: float | None) -> Workspace:
     """Return the workspace of a backup solver, set up anew at each step; InputError without one."""
-    route: Route = "native" if "native" in find_solver_record(solver).routes else "qpsolvers"
+    try:
+        routes = find_solver_record(solver).routes
+    except UnknownNameError as error:
+        raise UnknownNameError("`backup`", "", error.found, error.allowed) from None
+    route: Route = "native" if "native" in routes else "qpsolvers"
     workspace = open_workspace(solver, route=route, step_limit_s=step_limit_s)
     workspace.setup_every_step = True
     return workspace

@@ -172,6 +172,11 @@ def test_an_unknown_backup_is_one_line() -> None:
         plan_suite(suite(backup="dapq"))
 
 
+def test_an_unknown_backup_of_a_loop_names_its_argument(scenario: Scenario) -> None:
+    with pytest.raises(UnknownNameError, match=r"^`backup`: found 'dapq'; allowed: daqp, "):
+        run_closed_loop(scenario, "daqp", backup="dapq")
+
+
 def test_a_backup_from_a_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from dpbench.bench.plan import configurations
 
