@@ -33,10 +33,11 @@ def compare_chosen(records: Records, choices: Sequence[str]) -> list[PairedCompa
         for choice in choices
     )
     points = list(dict.fromkeys(chain.from_iterable(expanded)))
-    if len(points) < 2:
-        found = " and ".join(points) or "none"
-        raise InputError("`choices`", "", found, "two or more, such as daqp and osqp")
     chosen = [select_timed_configurations(records, choice) for choice in points]
+    if len(points) < 2:
+        found = f"{points[0]} alone" if points else "none"
+        allowed = "two or more, such as daqp, 'osqp high' and 'osqp[rho=1.6]'"
+        raise InputError("`choices`", "", found, allowed)
     pairs = [pair for two in combinations(chosen, 2) for pair in _pair_in_equal_call_modes(*two)]
     return [one for pair in dict.fromkeys(pairs) for one in compare_configurations(records, *pair)]
 
@@ -77,8 +78,8 @@ def select_timed_configurations(records: Records, choice: str) -> list[Configura
 
 def _has_options(choice: str) -> bool:
     """Return whether a choice is a solver with options, not a name such as `osqp grid[rho=1]`."""
-    solver, bracket, _ = choice.partition("[")
-    return bool(bracket) and " " not in solver
+    solver, _, options = choice.partition("[")
+    return "=" in options and " " not in solver
 
 
 def _list_names(configuration: Configuration) -> tuple[str, ...]:

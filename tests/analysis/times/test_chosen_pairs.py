@@ -72,7 +72,8 @@ def test_a_solver_alone_is_its_default_settings_or_the_first_that_were_timed(rec
     [
         (["osqp", "scs"], "found 'scs'; allowed: one of osqp, osqp high"),
         (["osqp", "osqp[rho=7]"], r"found 'osqp\[rho=7\]'"),
-        (["osqp"], "`choices`: found osqp; allowed: two or more, such as daqp and osqp"),
+        (["osqp"], "`choices`: found osqp alone; allowed: two or more, such as daqp, 'osqp high'"),
+        (["osqp[high]"], r"`choices`: found 'osqp\[high\]'; allowed: one of osqp, osqp high"),
         (["osqp", "osqp[rho="], "allowed: names with TOML values"),
     ],
 )
