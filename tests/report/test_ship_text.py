@@ -226,6 +226,13 @@ def test_a_ship_near_the_limits_of_its_station_is_named(
     assert _summary(records).caution == (expected if share else "")
 
 
+def test_the_smallest_margin_in_a_study_has_its_point(records: Any) -> None:
+    for point, far_m in enumerate((4.1, 4.6, 1.0)):
+        records.sea("daqp", point, 1, {"N_p": 20.0 + point}, exact_offset_max_m=far_m)
+    worst = "92.0 % (point 1 with `N_p = 21`, realisation 1 of `seas`)"
+    assert f"up to {worst} of the limits of its station in `seas`." in _summary(records).caution
+
+
 def test_the_longest_loop_of_a_scenario_counts_whichever_solver_ran_it(records: Any) -> None:
     records.loop("osqp", "rough", steps=60)
     records.loop("daqp", "rough", steps=90, done=3, outcome="crashed", **LOST)

@@ -469,6 +469,7 @@ def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
     if near:
         up_to = "up to " if len(near) > 1 else ""
         share = format_share(near[0].used_share_of_station_limits)
+        share += f" ({_locate_ship(near[0])})" * bool(near[0].run.study)
         sentences.append(
             f"The margin is small: the ship reaches {up_to}{share} of "
             f"the limits of its station in {_name_ships(near)}."
