@@ -40,6 +40,7 @@ from dpbench.report.verdict.verdict_text import (
     describe_requirements,
     describe_short_times,
 )
+from dpbench.solvers.own_settings import split_into_solver_and_options_text
 
 USUAL = ("osqp", "daqp")
 """Solvers to compare with by default."""
@@ -62,7 +63,11 @@ def compare_solver(
     best = {v.configuration.solver: v for v in list_best_verdict_of_each_solver(data.verdicts)}
     for option, name in (("--for", solver), *(("--against", other) for other in others)):
         if name not in best:
-            raise UnknownNameError(option, "", repr(name), format_allowed_names(name, sorted(best)))
+            bare, options = split_into_solver_and_options_text(name)
+            allowed = format_allowed_names(bare, sorted(best))
+            if options:
+                allowed += ", without options; `dpbench compare DIR --solver` accepts options"
+            raise UnknownNameError(option, "", repr(name), allowed)
     named = others or [name for name in USUAL if name in best]
     chosen = [best[name] for name in dict.fromkeys(named) if name != solver]
     own = [v for v in data.verdicts.of[solver] if v.state != "not run"]

@@ -127,6 +127,9 @@ def test_other_names_and_names_of_nobody(written: Any) -> None:
         compare_solver(written.report, "piq")
     with pytest.raises(InputError, match="--against: found 'nobody'"):
         compare_solver(written.report, "piqp", ["nobody"])
+    form = r"--for: found 'piqp\[tol=1\]'; allowed: piqp, .*, without options; `dpbench compare DIR"
+    with pytest.raises(InputError, match=form):
+        compare_solver(written.report, "piqp[tol=1]")
 
 
 @pytest.mark.slow
