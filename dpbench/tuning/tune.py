@@ -96,14 +96,25 @@ class TunedRole:
         others = {name: runs for name, runs in self.runs.items() if name != BEST}
         ratios = {n: score_runs(best, runs, requirements).ratio for n, runs in others.items()}
         faults = {n: self._describe_faults(runs, requirements) for n, runs in others.items()}
-        usable = [name for name in others if name != YOURS and not faults[name]]
-        fastest = max(usable, key=lambda name: ratios[name], default="")
+        fastest = next(iter(self.rank_presets(requirements)), "")
         for name in (name for name in others if name in {DEFAULT, fastest, YOURS}):
             known = f", which is {faults[name]}" if faults[name] else ""
             known += ", the fastest accurate preset" * (name == fastest)
             known += ": no gain" * (name == fastest and ratios[name] > 1.0 - ALIKE)
             parts.append(f"{significant(ratios[name])} times the step time of {name}{known}")
         return "; ".join(parts)
+
+    def rank_presets(self, requirements: Requirements) -> dict[str, float]:
+        """Return the step time of the best settings over that of each preset, the fastest first.
+
+        Of presets that are accurate and in time on all sequences.
+        """
+        ratios = {
+            name: score_runs(self.runs[BEST], runs, requirements).ratio
+            for name, runs in self.runs.items()
+            if name not in (BEST, YOURS) and not self._describe_faults(runs, requirements)
+        }
+        return dict(sorted(ratios.items(), key=lambda item: -item[1]))
 
     def _describe_faults(self, runs: Sequence[RunRecord], requirements: Requirements) -> str:
         """Return in words on how many sequences settings are inaccurate or late; "" for none."""
@@ -243,10 +254,15 @@ class Tuning:
 
     @property
     def _warning(self) -> list[str]:
-        """Line on the sequences on which the best settings fail, if they fail on any."""
-        failed = join_with_and([role.title for role in self._failed_roles])
-        text = f"the best settings fail on the {failed} sequences: do not use them"
-        return [text] * bool(failed)
+        """Line on the sequences on which the best settings fail, or on a preset to use instead."""
+        if failed := join_with_and([role.title for role in self._failed_roles]):
+            return [f"the best settings fail on the {failed} sequences: do not use them"]
+        ranked = [role.rank_presets(self.solver.requirements) for role in self.roles]
+        for name, ratio in (ranked[-1] if ranked else {}).items():
+            if ratio > 1.0 - ALIKE and all(name in presets for presets in ranked):
+                gain = f"not more than {100.0 * ALIKE:g} % faster on the test sequences"
+                return [f"use the preset {name}: the best settings are {gain}"]
+        return []
 
     @property
     def is_successful(self) -> bool:

@@ -203,6 +203,24 @@ def test_the_best_is_compared_with_the_fastest_accurate_preset(
     assert summarise(best=role.runs["high"])[1:] == [equal]
 
 
+def test_a_preset_as_fast_as_the_best_is_recommended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only one that passes on the training sequences too, and only without a gain on the test."""
+    monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=0))
+    monkeypatch.setattr(tune, "find_step_of_largest_error", lambda *_: 0)
+    found = tune_solver("osqp", training=["calm"], test=["move"], steps=75, trials=8, out=tmp_path)
+    training, test = found.roles
+    assert "use the preset" not in found.toml
+    equal = replace(test, runs={**test.runs, "best": test.runs["high"]})
+    text = "use the preset high: the best settings are not more than 3 % faster on the test sequenc"
+    alike = replace(found, roles=(training, equal))
+    assert alike.lines[-1].startswith(text) and alike.toml.startswith(f"# {text}")
+    wrong = [replace(run, error_move_max=0.5) for run in training.runs["high"]]
+    inaccurate = replace(training, runs={**training.runs, "high": wrong})
+    assert "use the preset" not in replace(found, roles=(inaccurate, equal)).toml
+
+
 def test_failed_steps_have_a_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
