@@ -53,7 +53,8 @@ VERDICT_COLUMNS = (
 """The columns of the verdicts in LaTeX."""
 RATIO_NOTE = (
     "Ratio: geometric mean of the step times of the second over those of the first, on the same "
-    "steps. Low and high: its 95 % interval, for this run only: two runs can differ by more."
+    "steps. Low and high: its 95 % interval, for these measurements only: two runs can differ by "
+    "more."
 )
 NO_RATIO_NOTE = (
     "No ratio: two configurations must be timed on the same QPs. One solver at several horizons "

@@ -104,7 +104,7 @@ def _describe_counted_runs(runs: Sequence[RunRecord], records: Records) -> str:
     notes = [f". The number of runs includes {plural(refused, 'refused run')}"] * bool(refused)
     if twice:
         why = "because two settings names select the same settings"
-        notes.append(f". The numbers of runs and steps count {plural(twice, 'run')} twice, {why}")
+        notes.append(f". Both numbers include {plural(twice, 'run')} twice, {why}")
     notes += [f". Both numbers exclude {join_with_and(excluded)}"] * bool(excluded)
     return "".join(notes)
 

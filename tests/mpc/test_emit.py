@@ -151,7 +151,7 @@ def test_scaled_and_si_problems_have_one_answer(case: Any) -> None:
     np.testing.assert_allclose(slope * unit, 0.0, atol=1e-10 * size)
     assert raw.objective(own) == pytest.approx(problem.objective(z), rel=1e-9)
     np.testing.assert_allclose(si.moves(own), scaled.moves(z), rtol=1e-14)
-    # Solved on its own in N and N·m, where P has a condition of up to 1e5, the plan is the same.
+    # Solved on its own in SI units, where P has a condition of up to 1e5, the plan is the same.
     alone = si.moves(solve_by_quadprog(raw)[0]) / case.problem.du_max
     np.testing.assert_allclose(alone, scaled.moves(z) / case.problem.du_max, rtol=0, atol=1e-7)
 

@@ -163,7 +163,7 @@ def test_ratios_are_shown_with_their_definition_and_reach(results: Results) -> N
         stored.replace("\\%", "%"),
     ):
         assert "geometric mean of the step times of the second over those of the first" in text
-        assert "95 % interval, for this run only" in text
+        assert "95 % interval, for these measurements only" in text
     assert type(ratios[["ratio"]]) is pd.DataFrame
 
 

@@ -60,12 +60,12 @@ def test_conditions_follow_from_the_scenario() -> None:
     assert _text(_ship("paper", {})) == IDEAL
     assert _text(_ship("paper", FILTERED)) == (
         "measurement noise (0.3 m, 0.1°), no first-order wave motion, Kalman filter, thruster lag "
-        "2.5 s, delay of 2 samples, model mismatch (mass +10 %; damping -20 %)"
+        "2.5 s, delay of 2 samples, with model mismatch (mass +10 %; damping -20 %)"
     )
     observer = {"estimator": {"kind": "passive", "wave_filter": False}}
     assert "passive observer without wave filter" in list_conditions(_ship("a", observer).run)
     losses = {"plant": {"thrust_loss_percent": [10.0, 0.0, 5.0]}}
-    assert _text(_ship("a", losses)).endswith("model mismatch (thrust loss 10/0/5 %)")
+    assert _text(_ship("a", losses)).endswith("with model mismatch (thrust loss 10/0/5 %)")
     linear = _ship("a", {})
     linear.run.scenario_documents["vessel"] = {"drag": "linear"}
     assert _text(linear) == IDEAL
@@ -88,7 +88,7 @@ def test_scenarios_with_equal_conditions_are_named_together() -> None:
     assert describe_conditions_of_ships(ships) == (
         "Conditions in `calm` and `turn`: exact sensors, no state estimator, no thruster lag, no "
         "delay, no model mismatch. Conditions in `real`: one realisation (seed 0), measurement "
-        "noise (0.3 m, 0.1°), Kalman filter, thruster lag 2.5 s, delay of 2 samples, model "
+        "noise (0.3 m, 0.1°), Kalman filter, thruster lag 2.5 s, delay of 2 samples, with model "
         "mismatch (mass +10 %; damping -20 %). Conditions of every result: no first-order wave "
         "motion."
     )

@@ -49,7 +49,7 @@ class Experiment:
         if self.study:
             return f"{self.study}: point {self.point}, realisation {self.replicate}"
         extra = ["replay"] if self.mode == "replay" else []
-        extra += ["in N and N·m"] if self.units == "si" else []
+        extra += ["in SI units"] if self.units == "si" else []
         extra += [f"computer × {self.slowdown:g}"] if self.slowdown > 0 else []
         extra += [self.formulation.replace("_", " ")] if self.formulation else []
         return self.name + (f" ({', '.join(extra)})" if extra else "")
@@ -190,14 +190,10 @@ class RunMatrix:
         """Return how much slower a computer may be for a configuration; None if not timed."""
         return compute_speed_margins(self.records, self.requirements).get(configuration)
 
-    def count_infeasible_steps(self, configuration: Configuration) -> tuple[int, list[str], bool]:
-        """Return how many QPs of a configuration are infeasible, where, and if it reports all."""
+    def list_runs_with_infeasible_steps(self, configuration: Configuration) -> list[RunRecord]:
+        """Return a configuration's judged runs that have QPs without a feasible solution."""
         judged = self._list_judged_runs(configuration)
-        known = [run for _, run in judged if run.infeasible_steps > 0]
-        # A replay counts a step in each of its rounds.
-        steps = sum(round(run.infeasible_steps / max(1.0, run.rounds)) for run in known)
-        names = list(dict.fromkeys(run.scenario or run.sequence for run in known))
-        return steps, names, all(run.true_share == 1.0 for run in known)
+        return [run for _, run in judged if run.infeasible_steps > 0]
 
     def _list_judged_runs(self, configuration: Configuration) -> list[tuple[Experiment, RunRecord]]:
         """Return a configuration's runs that enter verdicts, with their scenario or replay."""

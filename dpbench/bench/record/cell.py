@@ -382,7 +382,7 @@ class Configuration:
 
     @property
     def label(self) -> str:
-        """Solver and options as text, such as `osqp (native warm, high, in N and N·m, sparse)`."""
+        """Solver and options as text, such as `osqp (native warm, high, in SI units, sparse)`."""
         return self.make_label_with_name(self.solver)
 
     @property
@@ -392,7 +392,7 @@ class Configuration:
 
     def make_label_with_name(self, solver: str) -> str:
         """Return the label with another name of the solver, such as one with its version."""
-        units = "" if self.units == "scaled" else ", in N and N·m"
+        units = "" if self.units == "scaled" else ", in SI units"
         formulated = self.formulation not in (COMMON_FORMULATION, "none")
         formulation = f", {self.formulation.replace('_', ' ')}" if formulated else ""
         return f"{solver} ({self.call_text}{units}{formulation})"

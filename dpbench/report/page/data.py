@@ -351,8 +351,8 @@ COLUMNS = {
     **RUN_COLUMNS,
     "scaled_p99_ns": (
         "float64",
-        "p99 scaled up to the iterations of the closed loop; the largest of a configuration is its "
-        "limiting p99",
+        "p99, scaled up if the closed loop takes more iterations; the largest of a configuration "
+        "is its limiting p99",
     ),
 }
 """Type and meaning of the columns of runs, with that which only the page has."""

@@ -73,11 +73,10 @@ def _explain_step_times(data: PageData) -> str:
 
 
 BARS = (
-    "The limiting p99 is the largest p99 of all replays and windows, each scaled up to the p99 of "
-    "the iterations per step in the closed loop. It may exceed the longest step, which is drawn as "
-    "measured. The call overhead is the time of a call that only copies its data; the grey bar "
-    "is cut off at the solver's p50. Below 5 µs, differences may be due to the interfaces, not the "
-    "algorithms."
+    "The limiting p99 may exceed the longest step, which is drawn as measured. The call overhead "
+    "is the time of a call from Python that copies its data but solves nothing. It may exceed the "
+    "p50 of a solver with a faster interface; the grey bar then ends at the p50. Below 5 µs, "
+    "differences may be due to the interfaces, not the algorithms."
 )
 
 
@@ -238,7 +237,8 @@ def _explain_other_replays(points: pd.DataFrame, names: str, usual: str) -> str:
     has_p99 = points["p99_us"].notna()
     if has_p99[points["timed_on"] == names].any() or not has_p99[points["timed_on"] == usual].all():
         return f"For {solvers}, the step time is "
-    return f"For {solvers}, with too few steps for a p99, the step time is always a p50: "
+    has = "has" if points["solver"][points["timed_on"] == names].nunique() == 1 else "have"
+    return f"{solvers} {has} too few steps for a p99, so the p50 is shown at any choice: "
 
 
 def _mark_names(names: Iterable[str]) -> list[str]:
@@ -308,7 +308,7 @@ SECTIONS = (
     ),
     Section(
         "matrix",
-        "Scenarios",
+        "Verdicts",
         _draw_verdict_grids,
         ("matrix",),
         text=_explain_verdict_grid,

@@ -29,7 +29,7 @@ from dpbench.analysis.verdict.verdict import (
     rank_configurations,
 )
 from dpbench.bench.judge.rules import LEAST_STRETCH
-from dpbench.bench.record.cell import Configuration
+from dpbench.bench.record.cell import DEFAULT_FALLBACK, Configuration
 from dpbench.errors import InputError, format_allowed_names
 from dpbench.report.commands_text import describe_machine, describe_turns
 from dpbench.report.embedded_text import list_embedded_cost_sentences
@@ -281,15 +281,27 @@ def _describe_unverified_steps(data: PageData, c: Configuration) -> str:
 
 
 def _describe_infeasible_steps(data: PageData, c: Configuration) -> str:
-    """Return how many QPs have no solution, and if the solver reported it; "" for none."""
-    steps, names, is_reported = data.count_infeasible_steps(c)
-    reported = ", which the solver reported correctly" if is_reported else ""
-    has = "has" if steps == 1 else "have"
+    """Return which QPs have no solution, if the solver reported it, and the fallback; "" for none.
+
+    The steps are named where there is one run and the folder has its steps.
+    """
+    known = data.list_runs_with_infeasible_steps(c)
+    if not known:
+        return ""
+    # A replay counts a step in each of its rounds.
+    steps = sum(round(run.infeasible_steps / max(1.0, run.rounds)) for run in known)
+    names = dict.fromkeys(run.scenario or run.sequence for run in known)
     where = join_with_and([f"`{name}`" for name in names])
+    table = data.records.read_step_table(known[0], ("k", "certificate"))
+    at = table["k"][table["certificate"] == "infeasible"].unique() if len(known) == 1 else ()
+    named = f" ({join_with_and([f'{k}' for k in at])})" * (0 < len(at) <= FEW)
+    reported = ", which the solver reported correctly"
+    reported *= all(run.true_share == 1.0 for run in known)
+    acting = {run.fallback or DEFAULT_FALLBACK for run in known if run.fallbacks > 0}
+    acted = f"; the fallback `{'`, `'.join(sorted(acting))}` acted" * bool(acting)
+    has = "has" if steps == 1 else "have"
     return (
-        f" {plural(steps, 'step')} of {where} {has} no feasible solution{reported}."
-        if steps
-        else ""
+        f" {plural(steps, 'step')} of {where}{named} {has} no feasible solution{reported}{acted}."
     )
 
 
@@ -484,9 +496,10 @@ def _describe_limiting_p99(margin: SpeedMargin, wait: str, measured_ns: float) -
         margin.limiting_p99_ns > measured_ns * (1.0 + ROUNDING)
     )
     return (
-        f"The limiting p99 is the time of {step}, {format_time(margin.p99.time_ns)}{wait}, times "
-        f"{significant(run.untimed_iterations)}, as the closed loop takes more iterations "
-        f"(formula: page “Method” of the documentation).{beyond}{estimated}"
+        f"The p99 of {name_experiment(run)} is the time of {step}, "
+        f"{format_time(margin.p99.time_ns)}{wait}. The limiting p99 is "
+        f"{significant(run.untimed_iterations)} times as long, because steps of the closed loop "
+        f"take more iterations (formula: page “Method” of the documentation).{beyond}{estimated}"
     )
 
 

@@ -15,7 +15,7 @@ from dpbench.report.ship.ship_text import list_losses
 from dpbench.report.words import term_meanings, topics
 
 _OWN_PHRASES = (
-    "active limits, certified optimum, claimed, closed loop, deadline, requirements, "
+    "active limits, certified optimum, claimed, closed loop, deadline, deployable, requirements, "
     "disturbed, reference loop, failed step, fallback, fresh, interval, jitter, "
     "native, paired ratio, qpsolvers, radial error, rate limit, maximum increment, "
     "on station, referee, region of attraction, replay, reuse, round, settings, warm, call mode, "
@@ -184,8 +184,8 @@ def _describe_replay(data: PageData, run: RunRecord, loop_steps: int) -> str:
         window = f"steps {first} to {first + run.steps_planned - 1} of "
     if 0 < controlled <= first:
         loop = (
-            f"reference loop of {plural(loop_steps, 'step')}, after the end of the solvers' closed "
-            f"loops (step {controlled - 1})"
+            f"reference loop of {plural(loop_steps, 'step')} (the solvers' closed loops end at "
+            f"step {controlled - 1})"
         )
     kept = data.thinned_runs.get(run.run_id)
     if kept is None or not kept.is_whole:  # the steps kept of a long run are its hardest
@@ -194,6 +194,6 @@ def _describe_replay(data: PageData, run: RunRecord, loop_steps: int) -> str:
     end_s = (first + run.steps_planned) * run.sample_s
     lost = ", with those of lost thrusters" * any(at_s < end_s for at_s, _ in list_losses(run))
     return (
-        f"Replay of {window}its {loop}; at least one limit is active in {share} of the "
+        f"Replay of {window}its {loop}. At least one limit is active in {share} of the "
         f"replayed steps{lost}."
     )

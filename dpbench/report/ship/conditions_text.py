@@ -117,4 +117,4 @@ def _list_differences(known: Conditions) -> Iterator[str]:
         found.append(f"thrust loss {losses} %")
     if known.has_drag:
         found.append("the ship has cross-flow drag; the controller's model is linear")
-    yield f"model mismatch ({'; '.join(found)})" if found else "no model mismatch"
+    yield f"with model mismatch ({'; '.join(found)})" if found else "no model mismatch"

@@ -346,13 +346,13 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     moves, largest = "", "The largest offset"
     if any(ship.has_transfer for ship in kept):
-        moves = ". An approach that starts off station is not counted"
+        moves = " (in a transfer, only the time after the arrival counts)"
         largest = "On station, the largest offset"
     return (
         f"With exactly solved QPs, the controller holds the ship on station "
         f"({_format_station_limits(farthest)}){weather} {where}{moves}. {largest} is "
         f"{significant(run.exact_offset_max_m)} m{there} {_format_time_of_offset(run)} "
-        f"({significant(run.exact_offset_end_m)} m at {'its' if there else 'the'} end)."
+        f"({significant(run.exact_offset_end_m)} m at the end{' of this run' if there else ''})."
     )
 
 

@@ -34,13 +34,13 @@ from dpbench.report.verdict.findings_text import describe_findings
 from dpbench.report.words import fill_template, read_words
 
 DRAWN = (
-    ("path", draw_path, "Simulated Fig. 4: path of the ship and the 1 m circle."),
-    ("errors", draw_pose_errors, "Simulated Fig. 5: position and heading errors."),
-    ("forces", draw_forces, "Simulated Fig. 6: forces and their limits."),
+    ("path", draw_path, "Simulated Fig. 4 shows the path of the ship and the 1 m circle."),
+    ("errors", draw_pose_errors, "Simulated Fig. 5 shows the position and heading errors."),
+    ("forces", draw_forces, "Simulated Fig. 6 shows the forces and their limits."),
     (
         "increments",
         draw_increments,
-        "Simulated Fig. 7: control moves and the maximum increments.",
+        "Simulated Fig. 7 shows the control moves and the maximum increments.",
     ),
 )
 """Figures 4 to 7: name, function, caption."""
@@ -120,12 +120,12 @@ def describe_count_reproduced(judged: "Sequence[Claim]") -> str:
 
 
 def _describe_basis(judged: "Sequence[Claim]") -> str:
-    """Return in brackets how many reproduced claims rest on a figure or a choice of dpbench."""
+    """Return how many reproduced claims rest on a figure or a choice of dpbench, as a clause."""
     held = [claim.stated_in_paper for claim in judged if claim.state == "reproduced"]
     marked = sum(any(mark in stated for mark in BASES) for stated in held)
     rest = "rest" if marked > 1 else "rests"
-    why = f"of these, {marked} {rest} on a figure, or on a limit or weights chosen by dpbench"
-    return f" ({why})" * bool(marked)
+    why = f"{marked} of them {rest} on a figure, or on a limit or weights chosen by dpbench"
+    return f"; {why}" * bool(marked)
 
 
 def _make_stability_table(records: Records, designs: Designs) -> Table:
@@ -141,7 +141,7 @@ def _make_stability_table(records: Records, designs: Designs) -> Table:
         ),
         tuple(
             (
-                f"{record.tuning} {record.N_p}/{record.N_c} in {record.vessel}",
+                f"{record.tuning} {record.N_p}/{record.N_c}, ship {record.vessel}",
                 f"{record.spectral_radius:.4f}",
                 *(_format_bracket(record.held.get(weather)) for weather in (STILL, WEATHER)),
             )
@@ -153,8 +153,8 @@ def _make_stability_table(records: Records, designs: Designs) -> Table:
         "prediction horizon and the control horizon (both in steps). "
         f"{_name_scenarios_of_controllers(designs)} Each range gives the largest initial sway "
         "offset from which the ship returned and the smallest from which it did not; ≥ precedes "
-        "the largest offset tested. The weather of the last column is that of scenario "
-        f"`{WEATHER}`{absent}: moderate, and building up over the first minute.",
+        "the largest offset tested. The last column has the weather of scenario "
+        f"`{WEATHER}`{absent}: moderate forces that build up over the first minute.",
         folded=True,
         labels={
             STILL_OFFSET: f"recoverable sway offset, {STILL} [m]",

@@ -220,7 +220,7 @@ def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
         for one in found
     ]
     note = "Geometric mean of the step time ratios on common steps, in one call mode. "
-    note += "The intervals are valid for this run only."
+    note += "The intervals are valid for these measurements only."
     windows = any(run.steps_searched_for_hardest for run in records.runs)
     texts += ["Windows of hardest steps are not counted."] if windows else []
     table = Table.from_rows(rows, text_columns=2)

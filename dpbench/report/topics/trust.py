@@ -63,13 +63,13 @@ def _describe_round_spread(records: Records, *, is_quiet: bool) -> list[str]:
     spread = (
         f"This run gives no estimate of how much times differ between days: {join_with_and(why)}."
         if why
-        else "In 95 % of the configurations the step times of the rounds agree within a factor of "
-        f"{significant(high)}, in half of them within {significant(usual)}. Runs on other days can "
-        "differ by more."
+        else "The median step time of a configuration differs between its slowest and its fastest "
+        f"round by at most a factor of {significant(high)} in 95 % of the configurations, and of "
+        f"{significant(usual)} in half of them. Runs on other days can differ by more."
     )
     beyond = "" if is_quiet else " by more than the spread of the rounds"
     return [
-        "Within this run, a difference in step time is significant only if the 95 % interval of "
+        "In these results, a difference in step time is significant only if the 95 % interval of "
         f"the ratio excludes 1{beyond}.",
         spread,
     ]
@@ -125,9 +125,9 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
-        f"Individually, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
-        f"exceeded the limit of {' or '.join(kinds)}. Ratios of these runs are judged more "
-        "strictly: the interval must exclude 1 by more than the spread of the rounds."
+        f"Taken one by one, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
+        f"exceeded the limit of {' or '.join(kinds)}. A ratio of step times from one of these is "
+        "significant only if its interval excludes 1 by more than the spread of the rounds."
     )
 
 
@@ -171,7 +171,13 @@ def build_trust_topic(records: Records) -> Topic | None:
         ]
         table = pd.DataFrame(requested, columns=["name", "x", "y"])
         chart = draw_dots(table, "Waits of known length", "requested [µs]", "p50 of timings [µs]")
-        figures.append(Figure("calibration", chart, "Measured wait against requested wait."))
+        figures.append(
+            Figure(
+                "calibration",
+                chart,
+                "The calibration compares measured waits with requested waits.",
+            )
+        )
     if disturbance.seconds > 0:
         lines.append(_describe_machine_load(timed))
         notes.append(_describe_worse_replays(records, timed))

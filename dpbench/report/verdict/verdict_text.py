@@ -348,9 +348,10 @@ def describe_times_compared_with(
     by_size, in_windows : as of `describe_paired_times`.
     """
     if by_size and not any(one.separate or one.is_of_one_run for one in by_size):
-        return (
-            f"This solver takes {describe_paired_times(by_size, in_windows, than=f' as {name}')}."
-        )
+        takes = "This solver takes"
+        if len(by_size) == 2:
+            takes = f"At {by_size[0].variables:.0f} variables, this solver takes"
+        return f"{takes} {describe_paired_times(by_size, in_windows, than=f' as {name}')}."
     return f"Compared with {name}: {describe_paired_times(by_size, in_windows)}."
 
 
@@ -374,8 +375,8 @@ def describe_paired_times(
     ratios += [f"{plural(more, 'more size')} in the table `paired_ratios`"] * (more > 0)
     left_out = ". Windows of hardest steps are left out of this comparison" * (in_windows > 0)
     if than and len(ratios) == 2 and not more:
-        second = _describe_time_ratio(shown[1], "")
-        return f"{ratios[0]}. At {shown[1].variables:.0f} variables, it takes {second}{left_out}"
+        first, second = (_describe_time_ratio(*one) for one in zip(shown, (than, ""), strict=True))
+        return f"{first}. At {shown[1].variables:.0f} variables, it takes {second}{left_out}"
     return "; ".join(ratios) + left_out
 
 
@@ -405,7 +406,7 @@ def _describe_time_ratio(compared: PairedComparison, end: str) -> str:
         wording += f" (geometric mean of {plural(compared.steps, 'step')}, {few})"
     else:
         interval = f"{significant(compared.ratio.low)} to {significant(compared.ratio.high)}"
-        wording += f" (95 % interval, for this run only: {interval})"
+        wording += f" (95 % interval, for these measurements only: {interval})"
         if compared.is_tied:
             return f"{wording}: no significant difference, {_describe_slower_steps(compared)}"
     if not compared.is_unstable:

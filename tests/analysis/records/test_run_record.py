@@ -82,7 +82,7 @@ def test_horizons_are_told_from_the_name(sequence: str, without: str) -> None:
         ({}, "osqp (native fresh)", "osqp (native)"),
         ({"policy": "warm"}, "osqp (native warm)", "osqp (native, warm)"),
         ({"settings": "high"}, "osqp (native fresh, high)", "osqp (native, high)"),
-        ({"units": "si"}, "osqp (native fresh, in N and N·m)", "osqp (native), si"),
+        ({"units": "si"}, "osqp (native fresh, in SI units)", "osqp (native), si"),
         ({"formulation": "none"}, "osqp (native fresh)", "osqp (native)"),
         (
             {"formulation": "condensed_stacked"},

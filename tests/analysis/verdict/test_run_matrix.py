@@ -39,7 +39,7 @@ def _window(records: Any, solver: str, steps: int = 30, **columns: Any) -> None:
     [
         (Experiment("closed_loop", "paper", "scaled"), "paper"),
         (Experiment("replay", "paper", "scaled"), "paper (replay)"),
-        (Experiment("closed_loop", "paper", "si"), "paper (in N and N·m)"),
+        (Experiment("closed_loop", "paper", "si"), "paper (in SI units)"),
         (Experiment("closed_loop", "paper", "scaled", 0.5), "paper (computer × 0.5)"),
         (Experiment("closed_loop", "paper", "scaled", 20.0), "paper (computer × 20)"),
         (
@@ -48,7 +48,7 @@ def _window(records: Any, solver: str, steps: int = 30, **columns: Any) -> None:
         ),
         (
             Experiment("replay", "paper", "si", 2.5, "condensed_stacked"),
-            "paper (replay, in N and N·m, computer × 2.5, condensed stacked)",
+            "paper (replay, in SI units, computer × 2.5, condensed stacked)",
         ),
         (
             Experiment("closed_loop", "paper", "scaled", 0.0, "", "seas", 3, 2),
@@ -100,7 +100,7 @@ def test_units_belong_to_the_experiment_of_a_configuration(records: Any) -> None
     records.loop("daqp")
     records.loop("unconstrained_clipped", formulation="none")
     matrix = _matrix(records)
-    assert _labels(matrix) == ["paper", "paper (in N and N·m)", "paper (replay, in N and N·m)"]
+    assert _labels(matrix) == ["paper", "paper (in SI units)", "paper (replay, in SI units)"]
     assert sorted(matrix.runs) == [(0, 0), (0, 1), (0, 2)]
     assert matrix.configurations == [get_configuration_in_common_form(records.view().runs[0])]
     assert {c.units for c in matrix.configurations} == {"scaled"}
@@ -196,7 +196,7 @@ def test_a_window_counts_in_its_loop(records: Any, columns: dict[str, Any], stat
         _window(records, "daqp")
     _window(records, "daqp", **columns)
     matrix = _matrix(records)
-    assert _labels(matrix) == ["paper", "paper (in N and N·m)", "paper (replay)"]
+    assert _labels(matrix) == ["paper", "paper (in SI units)", "paper (replay)"]
     loop = matrix.find_index(get_configuration_in_common_form(matrix.records.all_runs[0]))
     states = [matrix.get_state_in_experiment(loop, p) for p in range(3)]
     assert states == [state, "pass", "pass"]
@@ -246,22 +246,19 @@ def test_the_longest_timing_may_be_in_a_window(records: Any) -> None:
     assert matrix.find_longest_timing(matrix.configurations[0]).raw_max_ns == 4e6
 
 
-@pytest.mark.parametrize(("reported", "all_reported"), [(1.0, True), (0.9, False)])
-def test_infeasible_steps_count_once(records: Any, reported: float, all_reported: bool) -> None:
-    records.replay("daqp", infeasible_steps=18, rounds=3, true_share=1.0)
-    records.loop("daqp", infeasible_steps=4, true_share=reported)
-    records.loop("daqp", "calm", infeasible_steps=0, true_share=0.5)
-    records.loop("daqp", units="si", infeasible_steps=7, true_share=0.5)
-    records.sea("daqp", 0, 1, {"hs_m": 1.0}, infeasible_steps=7, true_share=0.5)
-    records.loop("scs", infeasible_steps=7, true_share=0.5)
+def test_runs_with_infeasible_steps_are_those_that_are_judged(records: Any) -> None:
+    records.replay("daqp", infeasible_steps=18, rounds=3)
+    records.loop("daqp", infeasible_steps=4)
+    records.loop("daqp", "calm", infeasible_steps=0)
+    records.loop("daqp", units="si", infeasible_steps=7)
+    records.sea("daqp", 0, 1, {"hs_m": 1.0}, infeasible_steps=7)
+    records.loop("scs", infeasible_steps=7)
     matrix = _matrix(records, kept=1)
-    assert matrix.count_infeasible_steps(matrix.configurations[0]) == (10, ["paper"], all_reported)
-
-
-def test_one_step_without_a_solution_counts(records: Any) -> None:
-    records.loop("daqp", infeasible_steps=1, rounds=0, true_share=0.5)
-    matrix = _matrix(records)
-    assert matrix.count_infeasible_steps(matrix.configurations[0]) == (1, ["paper"], False)
+    found = matrix.list_runs_with_infeasible_steps(matrix.configurations[0])
+    assert {(run.mode, run.infeasible_steps) for run in found} == {
+        ("closed_loop", 4),
+        ("replay", 18),
+    }
 
 
 def test_the_index_of_a_configuration(records: Any) -> None:

@@ -605,7 +605,7 @@ def test_a_clear_lead_is_called_so(records: Any) -> None:
     assert not found.is_tied and found.finding_text == "slower"
     said = (
         r"[\d.]+ times as long over the same steps in the replay of `[a-z, ]+` "
-        r"\(95 % interval, for this run only: [\d.]+ to [\d.]+\)"
+        r"\(95 % interval, for these measurements only: [\d.]+ to [\d.]+\)"
     )
     assert re.fullmatch(said, describe_paired_times([found]))
 

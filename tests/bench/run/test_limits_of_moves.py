@@ -163,7 +163,7 @@ def test_a_controller_of_forces_limits_axis_by_axis(scenario: Scenario) -> None:
 
 
 def test_clip_is_the_first_move_of_the_unconstrained_optimum(scenario: Scenario) -> None:
-    """The move is the first three entries of −P⁻¹ q of the QP in N and N·m."""
+    """The move is the first three entries of −P⁻¹ q of the QP in SI units."""
     short = replace(scenario.problem, N_p=6, N_c=2)
     si = CondensedQP(short, units="si")
     x, y_ref = np.array([0.1, -0.2, 0.01, 0.02, 0.03, 0.004, 1.5, -2.0, 0.3]), np.ones(3)

@@ -140,13 +140,13 @@ def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None
     assert output["rough"] == (
         f"{start} weather correspond to DP capability numbers of about 6 to 7 (DNV-ST-0111)."
     )
-    assert output["rough (in N and N·m)"].startswith(start)
-    assert output["rough (in N and N·m)"].endswith(
+    assert output["rough (in SI units)"].startswith(start)
+    assert output["rough (in SI units)"].endswith(
         "these runs do not count towards the overall verdict."
     )
     window = (
-        "Replay of steps 900 to 1399 of its reference loop of 2\u202f000 steps, after the end of "
-        "the solvers' closed loops (step 119); at least one limit is active in 0 %"
+        "Replay of steps 900 to 1399 of its reference loop of 2\u202f000 steps (the solvers' "
+        "closed loops end at step 119). At least one limit is active in 0 %"
     )
     assert window in output["rough[900:1400] (replay)"]
     assert list(output) == [p.label for p in facts.experiments if p.name != "robot"]

@@ -521,10 +521,9 @@ def test_a_chip_says_how_other_ways_did_where_the_first_was_not_run(records: Any
     records.loop("osqp", "paper", units="si")
     answer = _answer(records)
     assert answer.first is not None and answer.first.policy == "warm"
-    output = next(chip for chip in answer.chips if "N·m" in chip.text)
+    output = next(chip for chip in answer.chips if "SI" in chip.text)
     assert output.text == (
-        "paper (in N and N·m): not run in this call mode (qpsolvers fresh: pass; native reuse: "
-        "fail)"
+        "paper (in SI units): not run in this call mode (qpsolvers fresh: pass; native reuse: fail)"
     )
     assert output.mark == "none"
 
@@ -564,11 +563,11 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     (verdict,) = data.verdicts.all_verdicts
     text = " ".join(list_speed_margin_sentences(data, verdict))
     assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
-    assert "The limiting p99 is the time of step " in text
+    assert "The p99 of the hardest steps of `turn` is the time of step " in text
     assert (
-        "20.0 µs, times 2.00, as the closed loop takes more iterations (formula: page “Method” of"
-        in text
-    )
+        "20.0 µs. The limiting p99 is 2.00 times as long, because steps of the closed loop take more "
+        "iterations (formula: page “Method” of"
+    ) in text
     assert "It therefore exceeds the longest measured step (20.0 µs)." in text
 
 
@@ -764,21 +763,24 @@ def test_what_is_faster_and_open_is_named(records: Any) -> None:
 
 def test_steps_without_a_solution_are_said(records: Any) -> None:
     records.loop("daqp")
-    records.loop("daqp", "thruster_loss_hard", infeasible_steps=3)
+    records.loop("daqp", "thruster_loss_hard", infeasible_steps=3, fallbacks=3)
+    steps = records._steps[-1]
+    steps.loc[steps["k"].between(7, 9), "certificate"] = "infeasible"
     records.loop("daqp", "thruster_loss_hard", infeasible_steps=40, units="si")
     records.replay("daqp")
     output = (
-        "maximum increment. 3 steps of `thruster_loss_hard` have no feasible solution, which the "
-        "solver reported correctly."
+        "maximum increment. 3 steps of `thruster_loss_hard` (7, 8 and 9) have no feasible "
+        "solution, which the solver reported correctly; the fallback `shifted_plan` acted."
     )
     assert output in _answer(records).accuracy
     records.replay("daqp", "thruster_loss_hard", infeasible_steps=6, rounds=3, true_share=0.99)
     assert (
-        " 5 steps of `thruster_loss_hard` have no feasible solution." in _answer(records).accuracy
+        " 5 steps of `thruster_loss_hard` have no feasible solution; the fallback "
+        in _answer(records).accuracy
     )
     records.loop("osqp")
     facts = _facts(records)
-    assert facts.count_infeasible_steps(facts.configurations[-1]) == (0, [], True)
+    assert facts.list_runs_with_infeasible_steps(facts.configurations[-1]) == []
 
 
 def test_without_a_feasible_step_nothing_is_recommended(records: Any) -> None:

@@ -241,7 +241,7 @@ PARTIAL: list[tuple[Callable[[Any], Any], str]] = [
     ),
     (
         lambda records: records.loop("daqp", units="si", settings="high"),
-        "Accurate on every step of 1 closed loop: daqp (qpsolvers fresh, high, in N and N·m).",
+        "Accurate on every step of 1 closed loop: daqp (qpsolvers fresh, high, in SI units).",
     ),
     (_add_odd_names, "No configuration is accurate on every step of 1 closed loop;"),
 ]

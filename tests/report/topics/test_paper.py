@@ -76,8 +76,8 @@ def test_contradicting_rows_are_believed(
 @pytest.mark.parametrize(
     ("columns", "claim"),
     [
-        ({"limit_violations": 1}, "No limit is ever violated (Figs 6, 7)"),
-        ({"clipped": 1}, "No limit is ever violated (Figs 6, 7)"),
+        ({"limit_violations": 1}, "No limit is ever violated (Figs. 6 and 7)"),
+        ({"clipped": 1}, "No limit is ever violated (Figs. 6 and 7)"),
         ({"at_rate_sway": 0.0}, "The rate limits shape the transfer (Fig. 7)"),
         ({"tail_m": 1.2}, "The ship is held within the 1 m precision circle (Fig. 4)"),
         ({"tail_m": 0.06}, "The ship is nearly stationary in the circle (steady error below 5 cm)"),
@@ -120,7 +120,7 @@ def test_an_inaccurate_solver_is_named_with_its_error(records: Any) -> None:
     """A claim that its loop contradicts is not held against the paper."""
     records.loop("osqp", steps=WHOLE, error=0.22, limit_violations=9)
     line = build_paper_topic(records.view()).lines[0]
-    assert "does not reproduce the claim “No limit is ever violated (Figs 6, 7)”. The" in line
+    assert "does not reproduce the claim “No limit is ever violated (Figs. 6 and 7)”. The" in line
     used = "The simulation used `osqp`, which is not accurate enough: the error of its first move "
     assert f"{used}reaches 0.22 times the maximum increment in `paper`" in line
     records.loop("daqp", steps=WHOLE)
@@ -271,8 +271,8 @@ def _rows(designs: Designs | None, records: Any) -> list[tuple[str, ...]]:
 def test_the_table_shows_the_numbers_of_the_records(records: Any) -> None:
     none = replace(PAPER, held={})
     paper, robust, unknown = _rows(Designs((PAPER, ROBUST, none), (MISSING,)), records)
-    assert paper == ("paper 30/5 in tug", "0.9055", "1.00 – 1.05", "0.500 – 0.516")
-    assert robust == ("robust 60/10 in tug", "1.0200", "≥ 64", "< 0.250")
+    assert paper == ("paper 30/5, ship tug", "0.9055", "1.00 – 1.05", "0.500 – 0.516")
+    assert robust == ("robust 60/10, ship tug", "1.0200", "≥ 64", "< 0.250")
     assert unknown[2:] == ("–", "–")
 
 
@@ -287,8 +287,8 @@ def test_the_count_names_what_a_figure_or_dpbench_decides(records: Any) -> None:
     assert len(claims) == 9
     all_held = [Claim(one.claim, one.stated_in_paper, "", "reproduced") for one in claims]
     assert describe_count_reproduced(all_held) == (
-        "9 of 9 claims of Xia, Liu, Pang & Xue are reproduced (of these, 5 rest on a figure, or "
-        "on a limit or weights chosen by dpbench)"
+        "9 of 9 claims of Xia, Liu, Pang & Xue are reproduced; 5 of them rest on a figure, or "
+        "on a limit or weights chosen by dpbench"
     )
     quoted = [one for one in all_held if one.stated_in_paper.startswith("“")]
     quoted = [one for one in quoted if "dpbench" not in one.stated_in_paper]

@@ -134,7 +134,7 @@ async function drawTwo() {
   $("two-figure").hidden = false;
   const ratio = Math.max(ratioOf(rows), 1 / ratioOf(rows)), reach = reachOf(state.c, second);
   const [slower, faster] = ratioOf(rows) >= 1 ? [second, state.c] : [state.c, second];
-  const interval = reach !== null ? `The 95 % interval, for this run only, is ${twoDigits(ratio / reach)} to ${twoDigits(ratio * reach)}`
+  const interval = reach !== null ? `The 95 % interval, for these measurements only, is ${twoDigits(ratio / reach)} to ${twoDigits(ratio * reach)}`
     : ratio === 1 ? "Both are one run, as the settings make no difference" : "There are too few steps for an interval";
   const text = rows[0].separate
     ? `${marked(state.c)} takes ${time(meanOf(rows, "a"))} per step and ${marked(second)} `
