@@ -565,8 +565,8 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
     assert "The p99 of the hardest steps of `turn` is the time of step " in text
     assert (
-        "20.0 µs. The limiting p99 is 2.00 times as long, because steps of the closed loop take more "
-        "iterations (formula: page “Method” of"
+        "20.0 µs. The limiting p99 is 2.00 times as long, because steps of the closed loop take "
+        "more iterations (formula: page “Method” of"
     ) in text
     assert "It therefore exceeds the longest measured step (20.0 µs)." in text
 
