@@ -251,7 +251,7 @@ COMMANDS: dict[str, CommandHelp] = {
             "compare results/mine --solver 'osqp[rho=1.6]' --solver daqp",
         ),
         f"0 no significant regression; 1 a significant regression; {_BAD_INPUT}; "
-        "CODE of --disturbed-exit: times disturbed, no regression shown",
+        "CODE (--disturbed-exit) other load affects times, no significant regression",
     ),
     "paper": CommandHelp(
         _BENCHMARK,
@@ -273,7 +273,7 @@ COMMANDS: dict[str, CommandHelp] = {
         "Search for a solver's worst step (iterations or error)",
         options.add_worst_case_options,
         ("worst-case osqp --budget 100", "worst-case daqp --goal error --policy warm"),
-        f"0 done; {_BAD_INPUT}; 130 interrupted, the worst step so far is written",
+        f"0 done; {_BAD_INPUT}; 130 interrupted (the worst step so far is written)",
     ),
     "iteration-bound": CommandHelp(
         _ANALYSE,
@@ -282,9 +282,9 @@ COMMANDS: dict[str, CommandHelp] = {
         ("iteration-bound surge", "iteration-bound sway-yaw --box 0.016"),
         "0 proved; 1 not proved in time, or the C code of paper_active_set takes a different "
         f"number of iterations than the proof gives; {_BAD_INPUT}",
-        "Prove a bound on the iterations that the solver paper_active_set takes from a cold start. "
-        "The bound covers all QPs of a controller whose parameters (offset, speed, applied force) "
-        "lie in a given box.",
+        "Prove a bound on the iterations that the solver paper_active_set takes from a cold start "
+        "on the QPs of a controller. The bound covers every QP whose parameters (offset, speed, "
+        "change of speed and applied force) lie in a box; --box scales it.",
     ),
     "active-sets": CommandHelp(
         _ANALYSE,
@@ -300,9 +300,9 @@ COMMANDS: dict[str, CommandHelp] = {
         "0 settings found; 1 no settings are accurate on every training sequence, or the best "
         f"fail in the test; {_BUSY}; 130 interrupted",
         "Search in N trials for the fastest settings of a solver that are accurate on the training "
-        "sequences. Measure the best settings found (not a proven optimum) on test sequences of "
-        "other loops. Ctrl-C writes the best settings so far; the same command continues the "
-        "search.",
+        "sequences. Measure the best settings found on test sequences of other scenarios. The "
+        "settings are not a proven optimum. Ctrl-C writes the best settings so far; the same "
+        "command continues the search.",
     ),
     "init": CommandHelp(
         _SHIP,
@@ -318,9 +318,11 @@ COMMANDS: dict[str, CommandHelp] = {
         "  NAME_thrusters.toml   commanded thrusters; the most severe loss of a\n"
         "                        switchboard after which the ship holds station\n"
         "  NAME_loss_*.toml      other losses\n"
-        "  NAME_intact.toml      no loss, in the largest sea that the intact ship holds\n"
-        "                        off the bow (if larger)\n"
-        "  NAME_weak_side.toml   weather from the direction of the least wind held\n"
+        "  NAME_intact.toml      no loss, in the largest sea off the bow in which the\n"
+        "                        intact ship holds station (only if larger than in\n"
+        "                        NAME_thrusters.toml)\n"
+        "  NAME_weak_side.toml   weather from the direction in which the ship holds the\n"
+        "                        least wind\n"
         "  NAME_capability.svg   capability plot\n"
         "Give the sector or barred zone of an azimuth thruster as the directions in which it "
         "pushes the ship, clockwise from ahead; its race (wash) goes the opposite way. For "
@@ -364,9 +366,9 @@ COMMANDS: dict[str, CommandHelp] = {
         ("embedded paper-30-5 --target m7 --target a53", "embedded rough-60-10 --solver daqp"),
         "0 done; 1 a solver's instructions could not be counted, its largest horizon is unknown, "
         f"or the counts of two tools differ; {_BAD_INPUT}, or no solver could be counted",
-        "Compile the C code of solvers for an embedded core, run it on an emulated core along a "
-        "sequence of QPs, and count instructions, memory and errors of each step (needs "
-        "pip install 'dpbench[embedded]').",
+        "Compile the C code of solvers and run it on an emulated core over a sequence of QPs. "
+        "Report the instructions, memory and error of each step. Needs "
+        "pip install 'dpbench[embedded]'.",
     ),
     "codegen": CommandHelp(
         _DEPLOY,

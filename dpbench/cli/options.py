@@ -45,10 +45,7 @@ def add_run_options(run: Command) -> None:
     _option(engine, "--scheduler", "ADDRESS", scheduler)
     tls = "PEM files for a scheduler at tls://HOST:PORT (default: Dask's configuration)"
     engine.add_argument("--tls", nargs=3, metavar=("CA", "CERT", "KEY"), help=tls)
-    estimate = (
-        "estimate the number of cells (one solver configuration in one scenario or replay), "
-        "time and disk use, then exit"
-    )
+    estimate = "estimate the number of cells, the time and the disk use, then exit"
     _flag(engine, "--dry-run", estimate)
     output = run.add_argument_group("output")
     _option(output, "--out", "DIR", "result folder (default: results/SUITE)")
@@ -67,7 +64,7 @@ def _add_suite_options(run: Command) -> None:
     )
     _repeated(choice, "--solver", "SOLVER", solver, dest="solvers")
     scenario = (
-        "run only this scenario: one of the suite, or a name or file that replaces its scenarios"
+        "run only this scenario: one of the suite's, or another (name or file) in place of them"
     )
     _repeated(choice, "--scenario", "SCENARIO", scenario, dest="scenarios")
     settings = (
@@ -76,8 +73,8 @@ def _add_suite_options(run: Command) -> None:
     )
     _repeated(choice, "--settings", "NAME", settings)
     route = (
-        "interface through which solvers are called: native (the library's own), qpsolvers (that "
-        "Python package) or default (the default of each solver); overrides the suite"
+        "interface through which solvers are called: native (the library's own), qpsolvers (the "
+        "Python package) or default (each solver's own default); overrides the suite"
     )
     _repeated(choice, "--route", "ROUTE", route, dest="routes")
     policy = (
@@ -96,7 +93,11 @@ def _add_execution_options(group: Command) -> None:
         "(default: one per core)"
     )
     _option(group, "--jobs", "N", jobs, type=int)
-    _flag(group, "--fresh", "repeat finished cells too (not related to --policy fresh)")
+    again = (
+        "repeat finished cells too (a cell is one solver configuration in one scenario or replay); "
+        "not related to --policy fresh"
+    )
+    _flag(group, "--fresh", again)
     _add_wait_options(group)
 
 
@@ -144,7 +145,7 @@ def add_report_options(report: Command) -> None:
     more = report.add_argument_group("further documents")
     formats = "also write the figures as svg, pdf or png"
     _repeated(more, "--figures", "FORMAT", formats, default=[])
-    _option(more, "--statement", "FILE.pdf", "write a statement for a class society")
+    _option(more, "--statement", "FILE", "write a statement for a class society (.pdf or .svg)")
     beside = (
         "write DIR/SOLVER.md for a pull request: a comparison of this solver with others, and its "
         "worst steps"
@@ -163,8 +164,8 @@ def add_compare_options(compare: Command) -> None:
     """Add the options of `dpbench compare` to its parser."""
     folders = "two result folders, A and B; one with --solver; two or more with --releases"
     compare.add_argument("folders", metavar="DIR", nargs="+", help=folders)
-    chosen = "compare configurations in one folder, such as osqp or 'osqp[rho=1.6]'; repeatable"
-    _option(compare, "--solver", "SOLVER", chosen, action="append", default=[], dest="choices")
+    chosen = "configuration to compare within one folder, such as osqp or 'osqp[rho=1.6]'"
+    _repeated(compare, "--solver", "SOLVER", chosen, default=[], dest="choices")
     releases = "compare the versions of each solver instead"
     _flag(compare, "--releases", releases)
     reference = (
@@ -178,7 +179,10 @@ def add_compare_options(compare: Command) -> None:
     _option(compare, "--margin", "SHARE", margin, type=float, default=0.05)
     alpha = "family-wise error probability (default: 0.05)"
     _option(compare, "--alpha", "SHARE", alpha, type=float, default=0.05)
-    disturbed = "exit code if other load prevents a verdict and no regression is shown (default: 0)"
+    disturbed = (
+        "exit code if other load prevents a verdict and there is no significant regression "
+        "(default: 0)"
+    )
     codes: dict[str, Any] = {"type": int, "choices": range(256), "default": 0}
     _option(compare, "--disturbed-exit", "CODE", disturbed, **codes)
     output = compare.add_argument_group("output")
@@ -320,8 +324,8 @@ def add_capability_options(capability: Command) -> None:
     )
     _option(capability, "--sides", "N", sides, type=int)
     planned = (
-        "also show the wind held when each azimuth thruster is limited to the half turn (180°) "
-        "that controllers plan with"
+        "also show the wind held with each azimuth thruster restricted to the half turn (180°) of "
+        "the controllers"
     )
     _flag(capability, "--planned", planned)
     solver = "judge this solver's answers to the QPs at the wind limit; all: every installed solver"
@@ -345,7 +349,8 @@ def add_codegen_options(codegen: Command) -> None:
         "'osqp[rho=1.6]'"
     )
     _option(codegen, "--solver", "SOLVER", solver, default="paper_active_set")
-    _option(codegen, "--settings", "NAME", "preset of the solver, such as high or 1e-4")
+    levels = "tolerance preset (default, low, mid or high) or a tolerance such as 1e-4"
+    _option(codegen, "--settings", "NAME", levels)
     steps = "steps of the recorded trajectory (default: 1000)"
     _option(codegen, "--steps", "N", steps, type=int, default=1000)
     output = codegen.add_argument_group("output")
@@ -406,7 +411,7 @@ def add_tune_solver_options(tune: Command) -> None:
     search = tune.add_argument_group("search")
     ranges = "search only this option, in this range, such as 'rho=[1e-3,10]'"
     repeated(search, "--range", "RANGE", ranges, dest="ranges")
-    widened = "also search this option, in this range, in addition to the predefined ones"
+    widened = "search this option too, in this range; the others keep their predefined ranges"
     repeated(search, "--widen", "RANGE", widened, dest="widened")
     error = (
         "largest allowed error of the first control increment, as a share of the maximum increment "
