@@ -234,11 +234,12 @@ class RunComparison:
             return lines
         worst = max(unjudged, key=lambda row: row.disturbed_ratio)
         ratio = significant(worst.disturbed_ratio)
-        why = f"; not judged as gross: {worst.not_gross}" * (worst.disturbed_ratio > GROSS)
+        why = f"; not treated as a gross slowdown (above × {GROSS}): {worst.not_gross}"
+        why *= worst.disturbed_ratio > GROSS
         lines.append(f"largest ratio not judged: × {ratio} ({worst.name}){why}")
         lines.append(EXACT_JUDGED)
         if not self.exit_code(disturbed):
-            lines.append(f"disturbed times pass; {option} CODE selects another exit code")
+            lines.append(f"times affected by other load give exit code 0; {option} CODE changes it")
         return lines
 
     @property

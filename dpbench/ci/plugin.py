@@ -47,7 +47,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Read the stored run of benchmarks before any test; UsageError for bad input."""
     if hasattr(config, "workerinput") or not config.pluginmanager.hasplugin("benchmark"):
         if config.getoption("dpbench_compare") and not hasattr(config, "workerinput"):
-            raise pytest.UsageError("--dpbench-compare: pip install 'dpbench[ci]'")
+            raise pytest.UsageError("--dpbench-compare: needs pip install 'dpbench[ci]'")
         return
     from dpbench.ci.failures import FailedBenchmarks
 

@@ -133,9 +133,9 @@ def _open_solver(solver: Workspace | str | Path, options: dict[str, Any]) -> Wor
             if isinstance(error.__cause__, ModuleNotFoundError) and error.__cause__.name:
                 package = error.__cause__.name.partition(".")[0]
                 remedy = (
-                    f"it imports {package}, which is not installed: run `pip install {package}` "
-                    "or, for a package in src, `pip install .` there, or set "
-                    '`pythonpath = ["src"]` of pytest'
+                    f"it imports {package}, which is not installed: run `pip install {package}`"
+                    "; for a package in src, run `pip install .` in the project folder or set "
+                    '`pythonpath = ["src"]` in the configuration of pytest'
                 )
                 raise SituationError(f"solver module {solver}", remedy) from error
             raise

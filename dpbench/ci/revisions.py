@@ -259,7 +259,7 @@ def describe_early_end(
     base, head = pairs[-1]
     why = ""
     if any(reason.startswith(WRONG_ANSWERS) for reason in head.run.failed.values()):
-        why = "the head has wrong answers"
+        why = "a benchmark of the head has wrong answers"
     elif head.run.failed:
         why = "a benchmark of the head failed"
     elif head.reason:

@@ -353,7 +353,7 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
     lines, why = list(compared.lines), compared.note_on_times or "no regression"
     if compared.is_disturbed and not compared.worse:
         why = "disturbed"
-        hint = "disturbed times pass; --disturbed-exit CODE selects another exit code"
+        hint = "times affected by other load give exit code 0; --disturbed-exit CODE changes it"
         lines += [] if code else [hint]
     lines.append(f"exit code {code} ({compared.headline if compared.worse else why})")
     _print_comparison(compared.markdown(), compared.tables, lines, arguments.markdown)

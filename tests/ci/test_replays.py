@@ -116,6 +116,6 @@ def test_a_missing_package_of_a_plug_in_is_named(few: QPSequence, tmp_path: Path
     file = tmp_path / "needs.py"
     file.write_text("import nowhere_at_all.part\n", encoding="utf-8")
     with pytest.raises(
-        InputError, match=r"nowhere_at_all, which is not installed: .* in src, `pip install"
+        InputError, match=r"nowhere_at_all, which is not installed: .* in src, run `pip install"
     ):
         ReplayBenchmark(CallsTwice())(few, file)

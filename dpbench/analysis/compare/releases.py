@@ -171,7 +171,7 @@ def _choose_reference_solver(folders: Mapping[str, Records], asked: str | None) 
         allowed = (
             format_allowed_names(asked or "", common)
             if common
-            else "a solver that all folders replayed"
+            else "a solver that was replayed in all folders"
         )
         raise UnknownNameError("`reference`", "", found, allowed)
     return known[0]

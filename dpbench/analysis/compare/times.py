@@ -194,7 +194,9 @@ def choose_reference_solver(timings: Sequence[Timing], asked: str | None) -> str
     counts = Counter(t.pair.a.solver for t in timings)
     if asked is not None and asked not in counts:
         allowed = (
-            format_allowed_names(asked, sorted(counts)) if counts else "a solver that both replayed"
+            format_allowed_names(asked, sorted(counts))
+            if counts
+            else "a solver that was replayed in both folders"
         )
         raise UnknownNameError("`reference`", "", repr(asked), allowed)
     known = [name for name in REFERENCES if name in counts]
