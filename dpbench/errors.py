@@ -243,7 +243,8 @@ def find_nearest_names(text: str, known: Iterable[str], *, likeness: float = 0.0
 def format_allowed_names(text: str, known: Sequence[str], *, listing: str = "") -> str:
     """Return as text all known names, or the three nearest to `text` and what lists all."""
     if len(known) <= MOST_NAMES:
-        return f"one of {', '.join(known)}"
+        names = ", ".join(known)
+        return names if len(known) == 1 else f"one of {names}"
     near = find_nearest_names(text, known)
     rest = f"{', '.join(near)}, … {len(known) - len(near)} more"
     return f"{rest}: `{listing}`" if listing else rest

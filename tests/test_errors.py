@@ -19,7 +19,8 @@ NAMES = ("calm", "rough", "squall", "swell", "turn", "turning", "waves")
 
 
 def test_a_short_list_is_given_whole() -> None:
-    """Six names, in their own order."""
+    """Six names, in their own order; a single name is no list."""
+    assert format_allowed_names("tern", ["turn"]) == "turn"
     assert (
         format_allowed_names("tern", NAMES[1:])
         == "one of rough, squall, swell, turn, turning, waves"

@@ -140,7 +140,9 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
             "[limits] or [[thrusters]] (a vessel), [controller] and [environment] (a scenario), "
             f"or {', '.join(f'[[{table}]]' for table in of_suite)} (a suite)"
         )
-        found = f"the keys {', '.join(document)}" if document else "no keys"
+        found = (
+            f"the key{'s' * (len(document) > 1)} {', '.join(document)}" if document else "no keys"
+        )
         raise InputError(str(file), "", found, allowed)
     suite_path, suite = load_path_and_suite(file)
     from dpbench.bench.design import pair_controllers_with_vessels

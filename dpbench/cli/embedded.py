@@ -201,7 +201,7 @@ def _read_settings(texts: list[str], recipes: list[Recipe]) -> dict[str, dict[st
                 "--settings",
                 "",
                 repr(text),
-                f"SOLVER.KEY=N with SOLVER {format_allowed_names(solver, solvers)}",
+                f"SOLVER.KEY=N, where SOLVER is {format_allowed_names(solver, solvers)}",
             )
         try:
             number = float(value)

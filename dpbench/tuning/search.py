@@ -16,7 +16,7 @@ from scipy.stats import qmc
 
 from dpbench.analysis.verdict.requirements import Finding
 from dpbench.arrays import Matrix, Vector
-from dpbench.errors import InputError, format_allowed_names
+from dpbench.errors import InputError, find_nearest_names
 from dpbench.solvers.contract import Options
 from dpbench.solvers.own_settings import format_options_as_toml, parse_options_of_choice
 from dpbench.solvers.table import find_solver_record, list_all_solver_names
@@ -166,8 +166,8 @@ def make_space(
         if usual is None and not widened:
             names = list_all_solver_names()
             ranged = [n for n in names if {n, find_solver_record(n).module} & stated.keys()]
-            nearest = format_allowed_names(solver, ranged)
-            allowed = f"{nearest}; or --range 'OPTION=[MIN,MAX]'"
+            nearest = ", ".join(find_nearest_names(solver, ranged))
+            allowed = f"--range 'OPTION=[MIN,MAX]', or a solver with ranges, such as {nearest}"
             raise InputError("tune-solver", "", f"{solver}, which has no predefined range", allowed)
         found = {name: OptionRange(name, *ends) for name, ends in (usual or {}).items()}
     for option, texts in (("--range", ranges), ("--widen", widened)):

@@ -135,6 +135,7 @@ def test_the_tables_of_a_suite_are_named(place: Path, refuse: Say) -> None:
     tables = "[[study]], [[replay]], [[recorded]], [[random]], [[capability]]"
     line = refuse("check", "else.toml")
     assert tables in line and "[[thrusters]] (a vessel)" in line
+    assert "found the key title; allowed:" in line
 
 
 def test_a_plug_in_is_not_read_as_toml(refuse: Say) -> None:
@@ -178,10 +179,14 @@ def empty(place: Path) -> None:
     [
         ("alone.npz", spoil("alone.npz", q=np.array([1.0, np.nan])), ["q[1]", "nan"]),
         ("alone.npz", spoil("alone.npz", P=np.array([[1.0, 2.0], [0.0, 1.0]])), ["symmetric"]),
-        ("alone.npz", spoil("alone.npz", spam=np.ones(1)), ["spam", "an unknown array"]),
+        (
+            "alone.npz",
+            spoil("alone.npz", spam=np.ones(1)),
+            ["spam", "allowed: the arrays P, q"],
+        ),
         ("alone.npz", cut, ["a damaged file"]),
         ("robot", spoil("robot/step_10.npz", h=np.ones(3)), ["step_10.npz", "h", "(3,)"]),
-        ("robot", other_size, ["step_11.npz", "1 variables and 0 rows"]),
+        ("robot", other_size, ["step_11.npz", "found 1 variable, 0 rows; allowed: 2 variables, "]),
         ("hollow", empty, ["no .npz, .json or .mat file"]),
         ("rough@ovs", None, ["vessel", "'ovs'", "osv"]),
         ("ruogh@osv", None, ["'ruogh'", "rough"]),

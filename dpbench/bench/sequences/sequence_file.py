@@ -66,6 +66,7 @@ from dpbench.qp.program import (
     QuadraticProgram,
     Units,
     convert_sequence_to_units,
+    describe_qp_size,
     require_or_make_symmetric,
     require_units,
 )
@@ -205,7 +206,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
     if units == "scaled":
         return recorded.sequence
     if recorded.sequence.units is None:
-        found = "1 everywhere, so its units in SI are unknown"
+        found = "only ones, so the SI units are unknown"
         raise InputError(str(path), "unit_z, unit_row", found, "units in SI, or units='scaled'")
     return convert_sequence_to_units(recorded.sequence, recorded.sequence.units)
 
@@ -329,7 +330,7 @@ def _read_meta(where: str, texts: dict[str, str]) -> dict[str, Any]:
     return meta
 
 
-_PROBLEM = "a problem written by `qpsolvers.Problem.save` (.npz)"
+_PROBLEM = "a problem written by `qpsolvers.Problem.save()` (.npz)"
 KEYS = ("P", "q", "G", "h", "A", "b", "lb", "ub")
 
 
@@ -370,9 +371,8 @@ def read_problems(place: Path) -> QPSequence:
     base = problems[0]
     for path, qp in zip(files, problems, strict=True):
         if (qp.n, qp.m) != (base.n, base.m):
-            found = f"{qp.n} variables and {qp.m} rows"
-            allowed = f"{base.n} variables and {base.m} rows, as in {files[0].name}"
-            raise InputError(str(path), "", found, allowed)
+            allowed = f"{describe_qp_size(base.n, base.m)}, as in {files[0].name}"
+            raise InputError(str(path), "", describe_qp_size(qp.n, qp.m), allowed)
     vectors: dict[str, Any] = {
         name: np.array([getattr(qp, name) for qp in problems]) for name in ("q", "l", "u")
     }
@@ -396,7 +396,8 @@ def read_problem(path: Path) -> QuadraticProgram:
             raise InputError(where, name, "a pickled sparse matrix", "a dense array, or none")
     for name in [*arrays, *objects]:
         if name not in KEYS:
-            raise InputError(where, name, "an unknown array", f"{', '.join(KEYS)}: {_PROBLEM}")
+            allowed = f"the arrays {', '.join(KEYS)} of {_PROBLEM}"
+            raise InputError(where, name, "an unknown array", allowed)
     shape = arrays["q"].shape if "q" in arrays else ()
     if len(shape) != 1 or shape[0] < 1:
         raise InputError(where, "q", f"shape {shape}" if shape else "nothing", "shape (n,), n ≥ 1")

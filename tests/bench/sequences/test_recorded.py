@@ -115,7 +115,7 @@ def put(name: str, value: object) -> Callable[[Arrays], Arrays]:
         (put("G", np.array(csc_matrix(np.eye(3)))), ["G", "sparse", "dense"]),
         (
             lambda a: a | {"G": np.ones((2, 3)), "h": np.ones(2)},
-            ["3 variables and 3 rows", "3 variables and 2 rows", "step_2.npz"],
+            ["3 variables, 3 rows", "3 variables, 2 rows", "step_2.npz"],
         ),
     ],
 )

@@ -299,7 +299,7 @@ def test_every_figure_is_a_valid_specification(written: Any) -> None:
         ("--figures gif", "--figures: found 'gif'; allowed: svg, pdf, png"),
         (
             "--baseline nope",
-            "--baseline: found 'nope'; allowed: a solver that was run: one of daqp",
+            "--baseline: found 'nope'; allowed: a solver that was run: daqp",
         ),
     ],
 )
