@@ -117,7 +117,7 @@ def _make_common_plan(
                 _WHERE, "", found, f"folders of dpbench {HARNESS_VERSION}, which is installed"
             )
         if shard.digest != first.digest:
-            found = f"{folder} of another suite, or with other options, than {where}"
+            found = f"{folder}, whose suite or options differ from those of {where}"
             raise InputError(_WHERE, "", found, "shards of one suite, run with the same options")
         if shard.asked.solver_module is not None and solver_module is None:
             files = ", ".join(list_plugin_files(shard.asked.solver_module))
@@ -134,8 +134,8 @@ def _make_common_plan(
         raise SituationError(_WHERE, fault)
     plan = asked.make_plan()
     if plan.digest != first.digest:
-        found = f"{plan.path} changed since {where} was run from it"
-        allowed = "the unchanged suite, with --suite, and a plug-in at its original path"
+        found = f"that {plan.path} or a plug-in has changed since {where} was run"
+        allowed = "the unchanged suite (--suite), and each plug-in at its original path"
         raise InputError(_WHERE, "", found, allowed)
     return plan
 
@@ -144,8 +144,8 @@ def _describe_missing_shards(shards: Sequence[ShardRecord]) -> list[str]:
     """Return a remark that names the parts of the suite without a folder; none if complete."""
     counts = {shard.shard.count for shard in shards}
     if len(counts) > 1:
-        found = " and ".join(f"shards of {count}" for count in sorted(counts))
-        raise InputError(_WHERE, "", found, "shards of one division, all I/N with the same N")
+        found = f"shards {' and '.join(f'I/{count}' for count in sorted(counts))}"
+        raise InputError(_WHERE, "", found, "shards I/N with the same N")
     absent = set(range(1, counts.pop() + 1)) - {shard.shard.index for shard in shards}
     named = ", ".join(str(replace(shards[0].shard, index=i)) for i in sorted(absent))
     return [f"missing shards: {named}"] if absent else []

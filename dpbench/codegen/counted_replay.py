@@ -142,10 +142,9 @@ def _replay(
                 left -= counts.instructions
             k += 1
     if not most <= tolerance:
-        limit = f"{tolerance:g} of the maximum increment"
-        raise SituationError(
-            "codegen", f"on {target.title} a command differs by {most:.1g}; allowed: {limit}"
-        )
+        fault = f"a command on {target.title} differs from the recorded one by {most:.1g}"
+        limit = f"at most {tolerance:g} of the maximum increment"
+        raise SituationError("codegen", f"{fault}; allowed: {limit}")
     instructions = np.array([counts.instructions for counts in counted.values()], dtype=float)
     stack = max(counts.stack for counts in counted.values())
     return StepCost(

@@ -70,7 +70,9 @@ def generate_controller(
     if name not in SOLVERS:
         raise InputError("`solver`", "", repr(name), f"one of {', '.join(SOLVERS)}")
     if options and settings:
-        raise InputError("`settings`", "", repr(settings), f"no preset beside {solver}")
+        raise InputError(
+            "`settings`", "", repr(settings), f"no preset together with the options in {solver}"
+        )
     if fmi not in SYSTEMS:
         raise InputError("`fmi`", "", fmi, "2 or 3")
     data = read_controller_data_of_scenario(resolve_to_scenario(scenario))

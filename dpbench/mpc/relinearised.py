@@ -134,8 +134,9 @@ class RelinearisedQP(CondensedQP):
             expected = np.where(finite, condensed, 0.0)
             error = np.abs(np.where(finite, interpolated, 0.0) - expected)
             if (error > _DEGREE_TWO * np.abs(expected).max(axis=0)).any():
-                allowed = "a terminal cost and weights that turn with the ship"
-                raise InputError("RelinearisedQP", name, "another function of heading", allowed)
+                found = "values that do not rotate with the heading"
+                allowed = "a terminal cost and weights that rotate with the ship"
+                raise InputError("RelinearisedQP", name, found, allowed)
 
     @property
     def matrices(self) -> CondensedMatrices:

@@ -467,7 +467,7 @@ def _open_workspace_if_named(given: object) -> Workspace:
     if isinstance(given, Workspace):
         return given
     allowed = (
-        "a Workspace of open_workspace, or the name of a solver; for a function of your own "
+        "a Workspace of open_workspace, or the name of a solver; for your own function, use "
         "`opener(name, function)('fresh', {})`"
     )
     raise TypeError(f"workspace: found {shorten_found(given)}; allowed: {allowed}")

@@ -162,7 +162,7 @@ class QuadraticProgram:
         require_shapes_and_make_contiguous(self, shapes)
         object.__setattr__(self, "P", require_or_make_symmetric(self.P, "QuadraticProgram"))
         if not has_equal_blocks(n, m, self.block):
-            allowed = f"0, or a divisor of n = {n} whose number of moves divides m = {m}"
+            allowed = f"0, or a divisor of n = {n} such that n / block divides m = {m}"
             raise ShapeError("QuadraticProgram", "block", self.block, allowed)
         most = self.block or n
         if not 0 <= self.moves <= most:

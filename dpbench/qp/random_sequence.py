@@ -112,7 +112,7 @@ class RandomRecipe:
                 "seed, steps", (self.seed, self.steps), "0 or more, 1 or more"
             )
         if self.block < 0 or not has_equal_blocks(self.n, self.m, self.block):
-            allowed = f"0, or a divisor of n = {self.n} whose number of moves divides m = {self.m}"
+            allowed = f"0, or a divisor of n = {self.n} such that n / block divides m = {self.m}"
             raise _make_recipe_input_error("block", self.block, allowed)
         if self.cond != 0.0 and not 1.0 <= self.cond <= 1e8:
             raise _make_recipe_input_error(

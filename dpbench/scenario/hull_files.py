@@ -113,7 +113,10 @@ def _read_frequency_dependent_matrices(
 def _read_viscous_damping_by_frequency(vessel: _Fields, path: Path, omega: Matrix) -> Matrix:
     """Return a hull file's viscous damping (frequencies, 6, 6); InputError if it has none."""
     if "vessel.Bv" not in vessel:
-        allowed = "viscous damping (MSS: ABCtransform, viscous): at low frequency there is no other"
+        allowed = (
+            "viscous damping (MSS: ABCtransform, viscous), as there is no other damping at low "
+            "frequency"
+        )
         raise InputError(str(path), "vessel.Bv", "nothing", allowed)
     if _read_numeric_field(vessel, path, "Bv").ndim == 2:
         return np.broadcast_to(_read_numeric_field(vessel, path, "Bv"), (omega.size, 6, 6))

@@ -281,7 +281,10 @@ def test_presets_of_osqp_have_a_constant_rho() -> None:
     ("arguments", "words"),
     [
         (["--solver", "osqp[rho=[1,2]]"], "one value per option"),
-        (["--solver", "osqp[rho=1]", "--settings", "high"], "no preset beside osqp[rho=1]"),
+        (
+            ["--solver", "osqp[rho=1]", "--settings", "high"],
+            "no preset together with",
+        ),
         (["--solver", "paper_active_set[rho=1]"], "allowed: no settings"),
         (["--solver", "daqp[primal=1]"], "primal: found an unknown option"),
     ],

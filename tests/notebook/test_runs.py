@@ -139,7 +139,7 @@ def test_a_function_is_opened_with_what_it_has(
         opener("mine", function)(policy, options)
     assert str(caught.value).startswith(f"solver mine: {words}")
     assert opener("any", lambda qp, **others: qp)("fresh", {"a": 1}).policy == "fresh"
-    with pytest.raises(TypeError, match=r"for a function of your own `opener\(name, function\)\("):
+    with pytest.raises(TypeError, match=r"for your own function, use `opener\(name, function\)\("):
         replay("paper-30-5", function)
 
 

@@ -193,7 +193,7 @@ def test_rows_have_unit_norm_and_paths_are_smooth_but_for_jumps(family: str) -> 
         ({"m": 301}, "0 to 300 for plain"),
         ({"family": "no_rows"}, "0 to 0 for no_rows"),
         ({"family": "degenerate", "m": 5}, "12 to 300 for degenerate"),
-        ({"block": 5}, "0, or a divisor of n = 12 whose number of moves divides m = 30"),
+        ({"block": 5}, "0, or a divisor of n = 12 such that n / block divides m = 30"),
         ({"cond": 1e9}, "1 to 1e8"),
         ({"steps": 0}, "0 or more, 1 or more"),
     ],

@@ -94,7 +94,7 @@ def connect_client(address: str, tls: TlsFiles | None = None) -> Iterator[Client
         # Those that are no OSError: one of both wants TLS, and the other has none.
         except (OSError, TypeError, RuntimeError) as error:
             found = f"{address}, which refuses this client ({type(error).__name__})"
-            allowed = f"a Dask scheduler at tcp://HOST:8786, or tls://HOST:8786 with {TLS} for it"
+            allowed = f"a Dask scheduler at tcp://HOST:8786, or at tls://HOST:8786 with {TLS}"
             raise InputError(WHERE, "", found, allowed) from error
         with client:
             yield client
@@ -273,7 +273,7 @@ def _parse_worker_info(address: str, answer: object) -> WorkerInfo:
     if not isinstance(answer, WorkerInfo):
         found = f"worker {address} without dpbench {HARNESS_VERSION} ({answer!r})"
         raise InputError(
-            WHERE, "", found, "workers with the same Python environment as the campaign"
+            WHERE, "", found, "workers with the same Python environment as this dpbench"
         )
     if answer.harness_version != HARNESS_VERSION:
         found = f"worker {address} with dpbench {answer.harness_version}"

@@ -253,7 +253,7 @@ def _refuse_impossible_window(table: ReplayTable, scenario: Scenario) -> None:
     if table.steps and table.hardest > table.steps:
         allowed = f"at most {table.steps}, the number of steps to choose from"
     elif table.consequence:
-        allowed = "0 with consequence = true, as hardness is that of the controller's QPs"
+        allowed = "0 with consequence = true, as hardness is defined only for the controller's QPs"
     elif table.horizons:
         allowed = "0 with horizons, as the hardest steps of each pair differ"
     if allowed:

@@ -385,10 +385,10 @@ def name_file_in_errors(
 
 
 _OTHER_FILES = {
-    "limits": "a vessel",
-    "thrusters": "a vessel",
-    "environment": "a scenario",
-    "controller": "a scenario",
+    "limits": "vessel",
+    "thrusters": "vessel",
+    "environment": "scenario",
+    "controller": "scenario",
 }
 """Tables that a suite does not have, with the file that does."""
 
@@ -399,9 +399,9 @@ def load_path_and_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     document = read_toml_as_dict(path)
     kind = next((kind for key, kind in _OTHER_FILES.items() if key in document), None)
     if kind is not None:
-        name = "FILE" if kind == "a scenario" else "SCENARIO@FILE"
-        remedy = f'To run it, use `run_campaign(SUITE, scenarios=["{name}"])`'
-        raise SituationError(str(path), f"found {kind}; required: a suite. {remedy}")
+        name = "FILE" if kind == "scenario" else "SCENARIO@FILE"
+        remedy = f'For this {kind}, use `run_campaign(SUITE, scenarios=["{name}"])`'
+        raise SituationError(str(path), f"found a {kind}; required: a suite. {remedy}")
     return path, validate_settings_as_model(document, SuiteFile, str(path))
 
 

@@ -111,7 +111,7 @@ def open_arrays(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
         raise
     except (*DAMAGE, OSError) as error:
         words = f"a damaged file ({type(error).__name__}: {str(error)[:120]})"
-        allowed = "the file that the campaign wrote; run the suite again"
+        allowed = "the unchanged file of the run; run the suite again"
         raise ResultsError(str(path), "", words, allowed) from error
 
 

@@ -161,7 +161,7 @@ def check_document_as_type(document: dict[str, Any], kind: type[_Kind], path: Pa
         first = error.errors(include_url=False)[0]
         key = format_key_path(first["loc"], is_toml=False)
         value = "nothing" if first["type"] == "missing" else repr(first["input"])[:80]
-        allowed = f"what `run_campaign()` writes ({first['msg']}); run the suite again"
+        allowed = f"a value written by `run_campaign()` ({first['msg']}); run the suite again"
         raise ResultsError(str(path), key, value, allowed) from error
 
 
@@ -242,7 +242,7 @@ def lock_result_folder(
     if previous.is_file():
         stored = read_json(previous).get("name")
         if stored != suite:
-            allowed = "another folder, or remove this one"
+            allowed = "another folder; or remove this one"
             raise InputError(where, "", f"{folder} with results of suite {stored!r}", allowed)
     elif folder.is_dir() and any(folder.iterdir()) and not (folder / "cells").is_dir():
         raise InputError(where, "", f"{folder} with other files", "a new or an empty folder")

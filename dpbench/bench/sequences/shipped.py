@@ -91,7 +91,7 @@ def load_rules(path: Path | None = None) -> list[RecordingRule]:
     for table in manifest.left_out:
         for name in table.sequences:
             if rules.pop(name, None) is None:
-                allowed = "scenario-N_p-N_c of [steps] and [[horizons]], once"
+                allowed = "each SCENARIO-N_p-N_c from [steps] and [[horizons]] at most once"
                 raise InputError(str(place), "left_out.sequences", repr(name), allowed)
     return list(rules.values())
 

@@ -404,7 +404,7 @@ def choose_source_file(cell: Cell, report: StepReport | None = None) -> SourceFi
         case RecordedSource() as source:
             return _RecordedFile(source)
         case QPSource() as source:
-            raise TypeError(f"no file is made of {source}")
+            raise TypeError(f"{source} has no file")
 
 
 STATIONARY = 1e-9

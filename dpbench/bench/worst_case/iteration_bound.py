@@ -88,8 +88,10 @@ def choose_parameter_box(scenario: Scenario, axes: Axes, factor: float) -> Param
     )
 
 
-def make_parametric_qp(builder: CondensedQP, box: ParameterBox) -> ParametricQP:
+def make_parametric_qp(builder: CondensedQP, box: ParameterBox, scenario: str) -> ParametricQP:
     """Return a part of a controller's QP as a function of its parameters in a box.
+
+    scenario : its name, for errors.
 
     Raises
     ------
@@ -99,8 +101,8 @@ def make_parametric_qp(builder: CondensedQP, box: ParameterBox) -> ParametricQP:
     own = np.array([3 * i + a for i in range(builder.control.N_c) for a in axes])
     others = np.setdiff1d(np.arange(builder.n), own)
     if np.abs(builder.P[np.ix_(own, others)]).max() > 0.0:
-        allowed = "a scenario whose P does not couple them with other axes"
-        raise InputError("iteration-bound", "AXES", box.axes, allowed)
+        found = f"{scenario}, whose Hessian P couples {box.axes} with other axes"
+        raise InputError("--scenario", "", found, "a scenario without this coupling")
     at, k = builder.control.model.theta, len(axes)
     # [x; y_ref; u_prev; 1] of the parameters: Δν, Δη, and η from a setpoint of 0, then u_prev.
     theta = np.zeros((at.size, 4 * k + 1))
@@ -230,7 +232,7 @@ def prove_iteration_bound(
         allowed = "a scenario with the QP of the paper: three forces, hard limits"
         raise InputError("--scenario", "", loaded.name, allowed)
     box = choose_parameter_box(loaded, axes, factor)
-    qp = make_parametric_qp(builder, box)
+    qp = make_parametric_qp(builder, box, loaded.name)
     result = IterationBound(box, loaded.name, len(qp.P))
     _follow_paths(MethodPaths(qp), IterationCounter(qp), result, limit_s, progress or Silent())
     return result

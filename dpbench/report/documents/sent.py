@@ -72,7 +72,7 @@ def refuse_active_page(page: str, where: str) -> None:
     """
     for at, found in _find_active_parts(page):
         line = page.count("\n", 0, at) + 1
-        allowed = "a page without scripts, written by `dpbench report DIR --send FOLDER`"
+        allowed = "a page without scripts, written by `dpbench report --send`"
         raise ResultsError(where, f"line {line}", found[:120], allowed)
 
 
@@ -116,7 +116,7 @@ PAGE, SENDER = "report.html", "sender.toml"
 SENT = (PAGE, *COPIED, SENDER)
 MOST_BYTES = 4_000_000
 """Twice a run of the suite `standard`; every clone of the repository has every folder."""
-_MADE_BY = "one made by `dpbench report DIR --send FOLDER`"
+_MADE_BY = "one written by `dpbench report --send`"
 _Words = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 _BLANK = """\
 # Who ran this, when, and how. `dpbench check` lists what is missing.
@@ -229,13 +229,12 @@ def _check_runs(folder: Path, results: Results) -> None:
         raise ResultsError(path, "", "no run", "at least one")
     machines = sorted(set(runs["machine_id"]) - {results.machine["id"]})
     if machines:
-        allowed = f"{results.machine['id']!r} of machine.json alone"
+        allowed = f"only {results.machine['id']!r}, as in machine.json"
         raise ResultsError(path, "machine_id", repr(machines[0]), allowed)
     lost = int((runs["outcome"] == "lost").sum())
     if lost:
-        raise ResultsError(
-            path, "outcome", f"{lost} lost", "none; run the same `dpbench run` again"
-        )
+        found = f"{plural(lost, 'run')} with a harness error (lost)"
+        raise ResultsError(path, "outcome", found, "none; run the same `dpbench run` again")
 
 
 def _check_page(folder: Path) -> None:
@@ -245,6 +244,6 @@ def _check_page(folder: Path) -> None:
     page = data.decode("utf-8", errors="replace")
     for name, sha in hash_files(folder, _list_files_to_send(folder)).items():
         if sha not in page:
-            allowed = "the page of these files, written by `dpbench report DIR --send FOLDER`"
+            allowed = "the page of these files, written by `dpbench report --send`"
             raise ResultsError(str(path), "", f"a page of another {name}", allowed)
     refuse_active_page(page, str(path))

@@ -83,7 +83,7 @@ class Block:
         """Add rising indices below `length`; return their index. ValueError for wide gaps."""
         apart = np.diff(np.asarray(values, dtype=np.int64), prepend=0)
         if apart.size and apart.max() > INFINITE:
-            raise ValueError(f"places {apart.max()} apart")
+            raise ValueError(f"offsets are {apart.max()} apart")
         return self._append_encoded_array("place", apart.astype(np.uint16), length)
 
     def _append_encoded_array(

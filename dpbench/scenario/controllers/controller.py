@@ -285,7 +285,10 @@ def build_commanded_thrusters(spec: ControllerSpec) -> ThrusterControl:
         raise InputError(where, key, "true", allowed)
     turning = AzimuthTurning.select_from_thrusters(thrusters, spec.sample_s)
     if not len(turning.x):
-        allowed = f"false, or turning_degps of an azimuth in the file of vessel {spec.vessel.id}"
+        allowed = (
+            "false; true needs turning_degps for an azimuth thruster in the file of vessel "
+            f"{spec.vessel.id}"
+        )
         raise InputError(where, key, "true", allowed)
     return TurningThrusterControl(
         thrusters, rows, W, turning, trips=spec.samples_and_entries_of_trips

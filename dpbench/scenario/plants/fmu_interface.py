@@ -161,11 +161,13 @@ class _VariableReader:
         found = f"{name!r}, which {self._name} does not have"
         if variable is not None:
             kind = f"{variable.type}{'' if not variable.shape else ' array'}"
-            found = f"{name!r}, in {self._name} of causality {variable.causality} and type {kind}"
-        word = "a variable that can be set at the start" if use == "start" else f"an {use}"
-        word = "a parameter" if use == "parameter" else word
+            found = (
+                f"{name!r}, which has causality {variable.causality} and type {kind} in "
+                f"{self._name}"
+            )
+        word = "variable that can be set at the start" if use == "start" else use
         names = format_allowed_names(name, fitting) if fitting else "the FMU has none"
-        raise InputError(self._where, f"plant.fmu.{key}", found, f"{word}, a real number: {names}")
+        raise InputError(self._where, f"plant.fmu.{key}", found, f"a real {word}: {names}")
 
     def _find_factor(self, key: str, variable: Any, dimension: tuple[int, int, int]) -> float:
         """Return what 1 of a variable is in SI units; InputError for another dimension."""

@@ -50,7 +50,7 @@ class FmuSource:
         step_s = sample_s if table.step_s is None else table.step_s
         steps = round(sample_s / step_s)
         if not (steps >= 1 and abs(steps * step_s - sample_s) <= 1e-9 * sample_s):
-            allowed = f"the sample of {sample_s:.6g} s or a whole fraction of it"
+            allowed = f"the sample time of {sample_s:.6g} s, or 1/2, 1/3, … of it"
             raise InputError(where, "plant.fmu.step_s", table.step_s, allowed)
         return cls(table, steps, where)
 

@@ -207,8 +207,8 @@ class LinearMPC:
         )
         eigenvalues = np.linalg.eigvalsh(CondensedQP(problem).P)
         if not eigenvalues[0] > _ROUNDING * len(eigenvalues) * eigenvalues[-1]:
-            found = f"a QP with the smallest eigenvalue {eigenvalues[0]:.1g}"
-            allowed = "weights that make the QP positive definite, such as above 0"
+            found = f"a Hessian with the smallest eigenvalue {eigenvalues[0]:.1g}"
+            allowed = "weights that make it positive definite, such as weights above 0"
             raise InputError(name, "increment_weight", found, allowed)
         return LinearController(
             tuning=name,

@@ -74,7 +74,8 @@ def load_hpipm() -> HpipmLibrary:
     chosen = _find_other_blasfeo(named)
     fault = "" if chosen is None else find_fault_of_blasfeo(chosen.path, casadi / "libblasfeo.so")
     if fault and named:
-        raise InputError(VARIABLE, "", named, f"a BLASFEO that casadi's HPIPM can use: {fault}")
+        allowed = "a BLASFEO library that casadi's HPIPM can use"
+        raise InputError(VARIABLE, "", f"{named} ({fault})", allowed)
     if chosen is None or fault:
         # Some releases of casadi do not name the folder of BLASFEO in libhpipm.
         ctypes.CDLL(str(casadi / "libblasfeo.so"))

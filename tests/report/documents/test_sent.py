@@ -153,7 +153,7 @@ def _gone(name: str) -> Callable[[Path], None]:
         (_edit("suite.json", lambda suite: suite.update(run_rows=3)), ("run_rows", "4 rows")),
         (_edit("machine.json", lambda machine: machine.update(id="x")), ("machine_id", "'x'")),
         (_edit("suite.json", lambda suite: suite.update(name="y")), ("a page of another suite",)),
-        (_runs(outcome="lost"), ("outcome", "4 lost")),
+        (_runs(outcome="lost"), ("outcome", "4 runs with a harness error (lost)")),
         (_runs(schema=1), ("schema", "run the suite again")),
     ],
 )

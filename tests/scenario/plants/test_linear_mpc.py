@@ -167,7 +167,7 @@ def test_a_reference_over_time_keeps_its_last_row() -> None:
         ({"A": "x"}, "cart: A: found 'x'; allowed: finite numbers"),
         (
             {"increment_weight": [0.0], "output_weight": [0.0]},
-            "a QP with the smallest eigenvalue 0; allowed: .*positive definite",
+            "a Hessian with the smallest eigenvalue 0; allowed: .*positive definite",
         ),
     ],
 )

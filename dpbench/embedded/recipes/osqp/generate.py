@@ -31,9 +31,8 @@ def write_sources(
         for pair in ((qp.l, qp.lb), (qp.u, qp.ub))
     )
     if settings["adaptive_rho"]:
-        raise InputError(
-            "settings of osqp", "adaptive_rho", "1", "0: generated code has a fixed rho"
-        )
+        allowed = "0, as generated code has a fixed rho"
+        raise InputError("settings of osqp", "adaptive_rho", "1", allowed)
     generate_c(qp.P, rows, (low, high), folder, settings, single=single)
 
 
