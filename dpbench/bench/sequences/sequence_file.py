@@ -71,7 +71,12 @@ from dpbench.qp.program import (
     require_units,
 )
 from dpbench.qp.referee.optimum import ACTIVE_MULTIPLIER, Kind, Optimum
-from dpbench.scenario.problem_files import list_shipped_problem_names, resolve_sequence_path
+from dpbench.scenario.problem_files import (
+    SEQUENCES,
+    list_shipped_problem_names,
+    make_unknown_problem_name_error,
+    resolve_sequence_path,
+)
 
 if TYPE_CHECKING:
     from dpbench.mpc.condense import UnitSystem
@@ -195,9 +200,10 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
     try:
         path = resolve_sequence_path(name_or_path)
     except UnknownNameError as error:
-        if str(name_or_path) not in list_shipped_problem_names("scenarios"):
-            raise
-        allowed = f"`record_sequence('{name_or_path}')` for the QPs of this scenario"
+        name = str(name_or_path)
+        if name not in list_shipped_problem_names("scenarios"):
+            raise make_unknown_problem_name_error(SEQUENCES, name, "a .npz path") from None
+        allowed = f"`record_sequence('{name}')` for the QPs of this scenario"
         raise UnknownNameError(error.where, error.key, error.found, allowed) from None
     if path.suffix == ".mat" and path.is_file():
         allowed = f"{WHAT}; a .mat file written by dpbench cannot be read back"

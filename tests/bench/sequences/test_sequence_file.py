@@ -205,6 +205,12 @@ def test_a_damaged_file_is_one_line(file: Path, tmp_path: Path) -> None:
         load_sequence(tmp_path / "none.npz")
 
 
+def test_an_unknown_name_is_refused_with_the_one_ending_that_is_read() -> None:
+    """`dpbench run --sequence` reads further files, `load_sequence` and `replay` do not."""
+    with pytest.raises(InputError, match=r"^sequence name: found 'paperr'; .*; or a \.npz path$"):
+        load_sequence("paperr")
+
+
 def test_python_objects_are_refused(file: Path, tmp_path: Path) -> None:
     bad = tmp_path / "bad.npz"
     np.savez(bad, **(arrays_of(file) | {"name": np.array({"a": 1}, dtype=object)}))
