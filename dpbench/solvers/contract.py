@@ -19,6 +19,7 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from shlex import quote
 from typing import Literal
 
 from dpbench.arrays import Vector
@@ -431,9 +432,11 @@ class SolverRecord:
 
     @property
     def install_command(self) -> str:
-        """Shell command that installs the solver."""
+        """Shell command that installs the solver, or where to look for one."""
         # Not through an extra of dpbench: the package index knows another project by that name.
-        return f"pip install {self.distribution}" if self.distribution else "install it"
+        if self.distribution:
+            return f"pip install {quote(self.distribution)}"
+        return "see the documentation of qpsolvers"
 
     @property
     def reason_not_deployable(self) -> str:

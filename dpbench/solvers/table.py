@@ -127,6 +127,12 @@ def _is_solver_of_qpsolvers(name: str) -> bool:
     return name.isidentifier() and PathFinder.find_spec(f"{name}_", folders) is not None
 
 
+@cache
+def _list_extras_of_qpsolvers() -> list[str]:
+    """Return the extras of qpsolvers, which have the names of its solvers, but not of all."""
+    return metadata.metadata("qpsolvers").get_all("Provides-Extra", [])
+
+
 def _make_generic_qpsolvers_adapter(name: str) -> QpsolversAdapter:
     """Return how to call a solver that only qpsolvers has; its settings go unchecked."""
     refused: dict[Policy, str] = {"warm": "whether it accepts a start is not known"}
@@ -135,7 +141,7 @@ def _make_generic_qpsolvers_adapter(name: str) -> QpsolversAdapter:
         name=name,
         family="not stated",
         method="not in the table; as qpsolvers drives it",
-        distribution=name,
+        distribution=f"qpsolvers[{name}]" if name in _list_extras_of_qpsolvers() else "",
         module="qpsolvers",
         extra="qpsolvers",
         form="dense",
@@ -183,7 +189,7 @@ def find_solver_availability(name: str, *, imported: bool = True) -> Availabilit
     if row.extra == "own":
         return Availability(True, _get_installed_package_version("dpbench"))
     if row.extra == "qpsolvers":
-        return _find_qpsolvers_availability(name)
+        return _find_qpsolvers_availability(row)
     plugin = _find_plugin_unless_built_in(name)
     if plugin is not None:
         return Availability(True, plugin.version)
@@ -215,15 +221,15 @@ def require_solver_available(name: str) -> None:
         raise SolverUnavailableError(f"solver {name}", f"{here.reason}{advice}")
 
 
-def _find_qpsolvers_availability(name: str) -> Availability:
+def _find_qpsolvers_availability(row: SolverRecord) -> Availability:
     """Return whether qpsolvers finds the library of a solver that dpbench does not have."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         served = importlib.import_module("qpsolvers").available_solvers
-    if name not in served:
-        return Availability(False, "", f"qpsolvers does not find it: pip install qpsolvers[{name}]")
+    if row.name not in served:
+        return Availability(False, "", f"qpsolvers does not find it: {row.install_command}")
     try:
-        return Availability(True, _get_installed_package_version(name))
+        return Availability(True, _get_installed_package_version(row.name))
     except metadata.PackageNotFoundError:
         return Availability(True, f"qpsolvers {_get_installed_package_version('qpsolvers')}")
 

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 import qpsolvers
 
-from dpbench.errors import InputError, PolicyError, SettingsError, UnknownNameError
+from dpbench.errors import (
+    InputError,
+    PolicyError,
+    SettingsError,
+    SolverUnavailableError,
+    UnknownNameError,
+)
 from dpbench.qp.referee.referee import certify
 from dpbench.qp.solution import Status
 from dpbench.solvers import plugins
@@ -199,6 +205,10 @@ def test_a_solver_that_only_qpsolvers_knows_works_by_its_name(monkeypatch, seque
 
 def test_a_solver_that_qpsolvers_serves_but_does_not_find_says_so():
     assert not find_solver_availability("gurobi").ok
-    assert "pip install qpsolvers[gurobi]" in find_solver_availability("gurobi").reason
+    assert find_solver_availability("gurobi").reason.endswith("it: pip install 'qpsolvers[gurobi]'")
+    with pytest.raises(SolverUnavailableError, match=r"pip install 'qpsolvers\[gurobi\]'$"):
+        open_workspace("gurobi")
+    with pytest.raises(SolverUnavailableError, match=r"it: see the documentation of qpsolvers$"):
+        open_workspace("nppro")
     with pytest.raises(UnknownNameError):
         find_solver_record("gurobii")
