@@ -162,6 +162,24 @@ def test_mean_loads_are_compared_with_those_of_level_1(tmp_path: Path) -> None:
     assert "level 1" in words and "Munk" not in words
 
 
+@pytest.mark.parametrize(("vessel", "whole"), [("osv", "thrust"), ("supply_mss", "limits")])
+def test_a_load_above_the_share_of_level_1_has_a_caution(
+    vessel: str, whole: str, tmp_path: Path
+) -> None:
+    text = find_problem_path("scenarios", "calm").read_text(encoding="utf-8")
+    head, _, controller = text.partition("[environment]")
+    controller = controller[controller.index("\n[") :]
+    said = []
+    for wind_mps in (2.0, 60.0):
+        wind = f"[environment.wind]\nspeed_mps = {wind_mps}\nfrom_deg = 330.0\n"
+        path = tmp_path / "sea.toml"
+        path.write_text(head.replace("supply_fs99", vessel) + wind + controller, encoding="utf-8")
+        lines = check_ship.compare_with_level_1(load_scenario(path))
+        said.append(" ".join(line for line in lines if "at most 72 % is allowed" in line))
+    assert said[0] == ""
+    assert re.fullmatch(rf"CAUTION: the level-1 load needs [\d.]+ % of the {whole}; .*", said[1])
+
+
 def test_thrusters_show_what_they_make_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tunnels in the bow alone: 200 kN sideways, of which mains 4 m off hold 44 kN straight."""
     up_to(monkeypatch, 1.0)

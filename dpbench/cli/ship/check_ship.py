@@ -262,18 +262,23 @@ def compare_with_level_1(scenario: Scenario) -> list[str]:
     lines = [
         "".join(f"{cell:<{at}}" for cell, at in zip(row, _WIDTHS, strict=True)) for row in rows
     ]
-    most = float(shares["simulated"].max())
+    most, whole = float(shares["simulated"].max()), "limits"
+    surge, sway, yaw = map(float, shares[LEVEL_1])
+    needed = max(surge, sway + yaw)  # The same thrusters make sway force and yaw moment.
     about = "Percentages are of the largest force alone."
     if reach is not None:
         taken = {name: reach.find_least_thrust_share(-load) for name, load in loads.items()}
         # A force in one axis may make one in another easier.
-        most = taken["simulated"]
+        most, needed, whole = taken["simulated"], taken[LEVEL_1], "thrust"
         about += (
             f" All axes together need {100 * taken['simulated']:.0f} % of the thrust (simulated) "
             f"or {100 * taken[LEVEL_1]:.0f} % (level 1, which allows at most {100 * SPARE:.0f} %)."
         )
     about += " The ship cannot hold the simulated mean load." if most > 1.0 else ""
-    notes = [about, *_caution_on_difference(loads, shares, has_current=weather.current is not None)]
+    over = f"CAUTION: the level-1 load needs {significant(100.0 * needed)} % of the {whole}; "
+    over += f"at most {100 * SPARE:.0f} % is allowed."
+    notes = [about, *[over] * (needed > SPARE)]
+    notes += _caution_on_difference(loads, shares, has_current=weather.current is not None)
     wrapped = (line for note in notes for line in textwrap.wrap(note, WIDTH))
     return [*(line.rstrip() for line in lines), *wrapped]
 
