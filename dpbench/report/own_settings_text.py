@@ -101,10 +101,10 @@ def describe_own_settings_in_si(data: PageData) -> list[str]:
     failing = [c for c in ran if "fail" in states[c]]
     if not failing:
         return []
+    verb = "fails" if 1 in (len(ran), len(failing)) else "fail"
     return [
-        f"In SI units (N, N·m) {len(failing)} of {len(ran)} custom settings "
-        f"{'fails' if len(ran) == 1 else 'fail'}: scale the QP. These runs do not count "
-        "towards the verdicts."
+        f"In SI units (N, N·m) {len(failing)} of {len(ran)} custom settings {verb}: scale the QP. "
+        "These runs do not count towards the verdicts."
     ]
 
 

@@ -134,7 +134,7 @@ def describe_failures_in_si(data: PageData, *, beyond_verdicts: bool = False) ->
     if not failing or (beyond_verdicts and known.issuperset(failing)):
         return ""
     count = requested["solver"].nunique()
-    verb = "fails" if count == 1 else "fail"
+    verb = "fails" if 1 in (count, len(failing)) else "fail"
     names = [f"`{name}`" for name in failing[:MOST_NAMED]]
     names += [f"{len(failing) - MOST_NAMED} more"] if len(failing) > MOST_NAMED else []
     return (

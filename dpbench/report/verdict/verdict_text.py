@@ -106,7 +106,8 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
         *(f"`{solver}`" for solver in passing[:MOST_NAMED]),
         *_count_others(len(passing), "", ""),
     ]
-    wording = [f"{len(good)} of {plural(run, 'solver')} {'passes' if run == 1 else 'pass'}"]
+    passes = "passes" if 1 in (run, len(good)) else "pass"
+    wording = [f"{len(good)} of {plural(run, 'solver')} {passes}"]
     by_default = {
         v.configuration.solver for v in verdicts.verdicts_on_references if v.state == "pass"
     }
@@ -265,8 +266,11 @@ def describe_selection(listed: Sequence[str], ran: Collection[str]) -> str:
     left_out = [name for name in listed if name not in ran]
     if not left_out:
         return ""
-    count = f"{len(listed) - len(left_out)} of {plural(len(listed), 'solver')}"
-    return f"{count} of the suite were selected; left out: {join_with_and(left_out)}."
+    kept = len(listed) - len(left_out)
+    count = (
+        f"{kept} of {plural(len(listed), 'solver')} of the suite {'was' if kept == 1 else 'were'}"
+    )
+    return f"{count} selected; left out: {join_with_and(left_out)}."
 
 
 def describe_deployment(solver: str) -> str:

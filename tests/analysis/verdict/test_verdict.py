@@ -467,7 +467,7 @@ def test_without_a_deadline_no_time_is_judged(records: Any) -> None:
         "osqp": "fail",
     }
     assert describe_which_solvers_pass(verdicts).startswith(
-        "1 of 2 solvers pass (lateness not judged): `d"
+        "1 of 2 solvers passes (lateness not judged): `d"
     )
     assert describe_requirements(unlimited).endswith(
         "no limit on step time, as no deadline is known."
@@ -485,7 +485,7 @@ def test_borderline_is_counted_as_such(records: Any) -> None:
         records.replay(solver, median_us=median_us, spread=0.0)
     verdicts = judge_solvers(records.view(), REQUIREMENTS)
     assert describe_which_solvers_pass(verdicts).startswith(
-        "1 of 2 solvers pass: `daqp`. `osqp` is borderline: its p99 is 2.90 ms in the replay of "
+        "1 of 2 solvers passes: `daqp`. `osqp` is borderline: its p99 is 2.90 ms in the replay of "
         "`paper`; as rounds differ, it may be "
     )
 
@@ -564,8 +564,9 @@ def test_summary_counts_everybody_once(records: Any) -> None:
     records.refused("qpax", "not installed")
     said = describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
     assert said == (
-        "1 of 3 solvers pass: `daqp`. `osqp` fails: the error of its first move reaches 0.40 times "
-        "the maximum increment in `paper`, above the limit in 120 of 120 steps, first at step 0. "
+        "1 of 3 solvers passes: `daqp`. `osqp` fails: the error of its first move reaches 0.40 "
+        "times the maximum increment in `paper`, above the limit in 120 of 120 steps, first at "
+        "step 0. "
         "`scs` is inconclusive: `paper` was stopped at its time limit (10 of 120 steps). `qpax` "
         "was not run: not installed."
     )

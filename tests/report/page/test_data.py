@@ -191,7 +191,7 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
     assert "N·m" not in _explain_verdict_grid(_facts(records))
     records.loop("osqp", units="si", error=0.5)
     assert _explain_verdict_grid(_facts(records)).endswith(
-        " In SI units (N, N·m) 1 of 2 solvers fail: `osqp`. Scale the QP."
+        " In SI units (N, N·m) 1 of 2 solvers fails: `osqp`. Scale the QP."
     )
     # osqp has the overall verdict "fail" already.
     assert describe_failures_in_si(_facts(records), beyond_verdicts=True) == ""

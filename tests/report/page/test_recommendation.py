@@ -462,7 +462,7 @@ def test_own_settings_that_fail_in_si_units_are_counted(records: Any) -> None:
         records.replay("osqp", **options)
         records.loop("osqp", units="si", error=error, **options)
     rows = Report.from_results(records.results()).summary_rows()
-    line = "In SI units (N, N·m) 1 of 2 custom settings fail: scale the QP. These runs do not count"
+    line = "In SI units (N, N·m) 1 of 2 custom settings fails: scale the QP. These runs do not"
     assert any(about == "options" and text.startswith(line) for about, text in rows)
 
 
