@@ -14,6 +14,7 @@ from dpbench.analysis.statistics import LEAST_STEPS, Interval
 from dpbench.analysis.times.paired_times import PairedComparison
 from dpbench.analysis.verdict.requirements import (
     LATE,
+    OWN_DOING,
     STATES,
     Finding,
     Requirements,
@@ -118,7 +119,8 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
     if otherwise:
         wording += _describe_passes_outside_default(verdicts, otherwise)
     for state, (verb, verbs) in _VERBS.items():
-        alike = by_state.get(state, [])
+        # By time, those that crashed or hung would come last and remain unnamed.
+        alike = sorted(by_state.get(state, []), key=lambda v: not _find_crashes_and_hangs(v.causes))
         wording += [
             f"{_name_solver_with_settings(verdicts, verdict)} {verb}: "
             f"{describe_main_reason(verdict)}"
@@ -190,7 +192,8 @@ def _count_others(count: int, verb: str, verbs: str) -> list[str]:
 def describe_main_reason(verdict: Verdict) -> str:
     """Return the first reason why a configuration does not pass, in the run where it is worst.
 
-    Where a disturbed machine may be that reason, the machine's state and one reason of each kind.
+    With it, that runs crashed or hung. Where a disturbed machine may be that reason, the machine's
+    state and one reason of each kind.
     """
     if verdict.refusal:
         return verdict.refusal
@@ -221,9 +224,18 @@ def describe_first_finding(findings: Sequence[Finding]) -> str:
 
 
 def _describe_first(findings: Sequence[Finding]) -> str:
-    """Return the first reason for a verdict, or all where a disturbed machine may be the first."""
-    shown = findings if describe_machine_state(findings[:1]) else findings[:1]
-    return describe_findings(shown)
+    """Return the first reason for a verdict, and crashes and hangs.
+
+    All reasons where a disturbed machine may be the first.
+    """
+    if describe_machine_state(findings[:1]):
+        return describe_findings(findings)
+    return describe_findings([*findings[:1], *_find_crashes_and_hangs(findings[1:])])
+
+
+def _find_crashes_and_hangs(findings: Sequence[Finding]) -> list[Finding]:
+    """Return the findings on runs that crashed or hung."""
+    return [finding for finding in findings if finding.kind in OWN_DOING]
 
 
 def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:

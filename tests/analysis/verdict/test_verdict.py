@@ -586,6 +586,17 @@ def test_summary_names_three_of_each_verdict(records: Any) -> None:
     assert said.count(" fails: ") == 3 and said.endswith(". 2 more fail.")
 
 
+def test_summary_names_crashes_and_hangs_first_and_beside_wrong_answers(records: Any) -> None:
+    for i, solver in enumerate(("a", "b", "c", "d")):
+        records.loop(solver, error=0.4)
+        records.replay(solver, median_us=10.0 + i, spread=0.0)
+    hung = {"outcome": "hung", "outcome_detail": "did not return and was killed", "done": 0}
+    records.loop("d", "turn", **hung)
+    said = describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
+    assert said.startswith("0 of 4 solvers pass. `d` fails: the error of its first move reaches ")
+    assert "; it did not return in `turn`: did not return and was killed. `a` fails: " in said
+
+
 def _duel(records: Any, median_us: float) -> Any:
     for solver, median in (("first", 20.0), ("second", median_us)):
         records.loop(solver)
