@@ -290,9 +290,9 @@ def _describe_best_of_grid(records: Records, points: Sequence[Verdict], found: B
     edge += f"; {NOT_RANKED}" * (found.by == "iterations")
     if found.by == "time":
         edge += _compare_with_runner_up(records, best, points, is_alone=not equals)
-    return (
-        f"Best of {count}{_describe_figure(found.by, best)}: {best.configuration.settings}{edge}."
-    )
+    c = best.configuration
+    mode = f" ({c.route} {c.policy})" * is_mixed
+    return f"Best of {count}{_describe_figure(found.by, best)}: {c.settings}{mode}{edge}."
 
 
 def _describe_figure(by: str, best: Verdict) -> str:

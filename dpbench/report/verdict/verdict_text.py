@@ -131,17 +131,25 @@ def describe_which_solvers_pass(verdicts: Verdicts) -> str:
 
 
 def _name_solver_with_settings(verdicts: Verdicts, verdict: Verdict) -> str:
-    """Return a solver's name, with the settings of a verdict where others have another one."""
+    """Return a solver's name, with the settings of a verdict where others have another one.
+
+    Of a solver that was run in several call modes, also the one of the verdict.
+    """
     c = verdict.configuration
-    if not any(v.configuration.options for v in verdicts.of.get(c.solver, ())):
-        return f"`{c.solver}`{format_settings_with_other_states(verdicts, verdict)}"
-    return f"`{c.solver}` with default settings" if c.settings == DEFAULT else c.marked_label
+    own = [v for v in verdicts.of.get(c.solver, ()) if v.state != "not run"]
+    is_mixed = len({(v.configuration.route, v.configuration.policy) for v in own}) > 1
+    mode = f"{c.route} {c.policy}" * is_mixed
+    if not any(v.configuration.options for v in own):
+        return f"`{c.solver}`{format_settings_with_other_states(verdicts, verdict, mode)}"
+    if c.settings != DEFAULT:
+        return c.marked_label
+    return f"`{c.solver}`{f' ({mode})' * is_mixed} with default settings"
 
 
-def format_settings_with_other_states(verdicts: Verdicts, verdict: Verdict) -> str:
+def format_settings_with_other_states(verdicts: Verdicts, verdict: Verdict, mode: str = "") -> str:
     """Return the settings of a solver's best verdict in brackets; "" where all have its state.
 
-    If that is no pass, also the states with the other settings.
+    If that is no pass, also the states with the other settings. mode : call mode that precedes.
     """
     c = verdict.configuration
     by_settings = group_by_key(verdicts.of.get(c.solver, ()), lambda v: v.configuration.settings)
@@ -151,9 +159,10 @@ def format_settings_with_other_states(verdicts: Verdicts, verdict: Verdict) -> s
         if settings != c.settings
     }
     if set(others.values()) <= {verdict.state}:
-        return ""
+        return f" ({mode})" if mode else ""
     clauses = [f"with {settings}: {state}" for settings, state in others.items()]
-    return f" ({'; '.join((c.settings, *(clauses if verdict.state != 'pass' else ())))})"
+    first = f"{mode}, {c.settings}".removeprefix(", ")
+    return f" ({'; '.join((first, *(clauses if verdict.state != 'pass' else ())))})"
 
 
 def _describe_passes_outside_default(

@@ -597,6 +597,21 @@ def test_summary_names_crashes_and_hangs_first_and_beside_wrong_answers(records:
     assert "; it did not return in `turn`: did not return and was killed. `a` fails: " in said
 
 
+def test_summary_names_the_call_mode_of_a_solver_that_has_several(records: Any) -> None:
+    for policy, error in (("fresh", 0.4), ("warm", 1e-9)):
+        for settings in ("default", "high"):
+            wrong = error if settings == "default" else 0.5
+            records.loop("osqp", policy=policy, settings=settings, error=wrong)
+            records.replay("osqp", policy=policy, settings=settings, median_us=9000.0)
+    records.loop("daqp", error=0.4)
+    records.replay("daqp")
+    said = describe_which_solvers_pass(judge_solvers(records.view(), REQUIREMENTS))
+    assert said.startswith(
+        "0 of 2 solvers pass. `osqp` (qpsolvers warm, default; with high: fail) is late: its p99 is"
+    )
+    assert "`daqp` fails: " in said
+
+
 def _duel(records: Any, median_us: float) -> Any:
     for solver, median in (("first", 20.0), ("second", median_us)):
         records.loop(solver)

@@ -331,6 +331,10 @@ def test_a_grid_whose_best_is_inside_needs_no_wider_one(records: Any) -> None:
     text = make_report_markdown(Report.from_results(records.results()))
     (best,) = re.findall(r"Best of 4 settings .*", text)
     assert best.endswith("rho=1.0; equally fast within the noise: osqp[rho=2.0].")
+    records.loop("osqp", policy="warm", **options)
+    records.replay("osqp", policy="warm", median_us=90.0, **options)
+    text = make_report_markdown(Report.from_results(records.results()))
+    assert re.search(r"Best of 4 settings .*: rho=1\.0 \(qpsolvers fresh\); equally fast ", text)
 
 
 def test_the_best_of_a_flat_grid_is_the_recommended_one(records: Any) -> None:
