@@ -322,9 +322,22 @@ def explain_no_recommendation(
     if not any(row.has_steps for row in view.select_runs(mode="replay", units="scaled")):
         return "Nothing is recommended, because no replay has a step and therefore no time."
     states = {verdict.state for verdict in verdicts.all_verdicts}
+    why = ": no solver passes in any configuration that was run"
     if "inconclusive" in states:
-        return "Nothing is recommended while the verdict on a solver is inconclusive."
-    return "Nothing is recommended: no solver passes in any configuration that was run."
+        why = " while the verdict on a solver is inconclusive"
+    return f"Nothing is recommended{why}.{_describe_best_verdict_and_time(verdicts)}"
+
+
+def _describe_best_verdict_and_time(verdicts: Verdicts) -> str:
+    """Return a text on the solver with the best verdict and its time; "" if it was not timed."""
+    limits = verdicts.requirements
+    limit = f"; the p99 limit is {limits.p99_ms:g} ms" * limits.judges_step_times
+    return "".join(
+        f" The best verdict is that on {best.configuration.marked_label}: {best.state}. "
+        f"Its {describe_limiting_time(best)}{limit}."
+        for best in list_best_verdict_of_each_solver(verdicts)[:1]
+        if best.timed_on
+    )
 
 
 def _explain_lack_of_optima(runs: Sequence[RunRecord], requirements: Requirements) -> str:

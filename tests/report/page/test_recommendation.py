@@ -650,6 +650,8 @@ def test_nothing_qualifies_is_said_with_why(records: Any, loop: dict[str, Any], 
     records.replay("osqp")
     answer = _answer(records)
     assert says in answer.sentence
+    time = r"on `osqp` \(qpsolvers fresh\): \w+\. Its limiting p99 is .*; the p99 limit is 3 ms\.$"
+    assert re.search(time, answer.sentence)
     assert answer.snippets == () and not {*dict(answer.notes)} - {"stopped"}
 
 
