@@ -8,11 +8,13 @@ A difference is conditional on the runs that both configurations finished. A run
 stopped, or that the benchmark lost, is not judged: it is in no share within the radius.
 """
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import itemgetter
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -277,9 +279,12 @@ class Study:
         self.runs = pd.DataFrame(rows)
         """A row a run: run_id, configuration, point, replicate, whether it ended, whether it was
         within the radius (1 or 0, NaN where it is not judged), its errors and step times."""
-        points = {int(run.study_point): dict(run.x) for run in runs}
+        points = {
+            int(run.study_point): {key: _make_level(value) for key, value in run.x.items()}
+            for run in runs
+        }
         self.points = pd.DataFrame.from_dict(points, orient="index").sort_index()
-        """The values of the keys (columns) at each point (index)."""
+        """The values of the keys (columns) at each point (index), arrays as text."""
 
     @property
     def seas_per_point(self) -> int:
@@ -432,6 +437,11 @@ def _flag_end_within_radius(run: RunRecord, radius_m: float) -> float:
     if run.outcome in NOT_JUDGED:
         return math.nan
     return float(run.outcome == "finished" and run.r_tail_max_m <= radius_m)
+
+
+def _make_level(value: Any) -> Any:
+    """Return a key's value as a level of a factor: an array as its text, which can be compared."""
+    return json.dumps(value) if isinstance(value, list) else value
 
 
 def find_studies(records: Records) -> list[Study]:

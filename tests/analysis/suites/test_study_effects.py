@@ -208,6 +208,14 @@ def test_keys_that_change_together_are_one_factor() -> None:
     assert set(effects) == {(both, "1, 6 → 2.1, 7.5"), (both, "1, 6 → 3.5, 9"), (EAST, "0 → 3")}
 
 
+def test_the_values_of_a_key_may_be_arrays() -> None:
+    amplitudes = [[100, 80, 3000], [110, 88, 3300]]
+    points = [{"amplitude_kN": list(a), EAST: e} for a in amplitudes for e in (0.0, 3.0)]
+    study = _study(points, np.random.default_rng(1).normal(size=(4, 8)))
+    change = ("amplitude_kN", "[100, 80, 3000] → [110, 88, 3300]")
+    assert set(_effects(study)) == {change, (EAST, "0 → 3")}
+
+
 def test_a_design_has_slopes_that_are_found_again() -> None:
     """Errors of 2 m over the range of the wind and -1 m over that of the offset, and seas."""
     rng = np.random.default_rng(5)
