@@ -441,9 +441,9 @@ def _describe_margin_limit(
     longest = f"the longest step ({format_time(margin.longest_ns)} on this machine) then reaches"
     if margin.deadline < margin.p99_limit:
         return f"{longest} the deadline of {requirements.deadline_ms:g} ms"
-    limit = f"the p99 limit of {requirements.p99_ms:g} ms"
     if has_p99:
-        return f"the limiting p99 then reaches {limit}"
+        return f"the limiting p99 then reaches its limit of {requirements.p99_ms:g} ms"
+    limit = f"the p99 limit of {requirements.p99_ms:g} ms"
     return f"{longest} {limit}, as there are too few steps for a p99"
 
 
@@ -495,11 +495,19 @@ def _describe_limiting_p99(margin: SpeedMargin, wait: str, measured_ns: float) -
     beyond = (f" It therefore exceeds the longest measured step ({format_time(measured_ns)}).") * (
         margin.limiting_p99_ns > measured_ns * (1.0 + ROUNDING)
     )
+    time = format_time(margin.p99.time_ns)
+    if run.steps_searched_for_hardest:
+        steps = run.steps_searched_for_hardest
+        measured = (
+            f"{steps // 100} of the {format_count(steps)} steps of `{run.scenario}` may exceed the "
+            f"p99. The next longest is {step}, with {time}{wait}."
+        )
+    else:
+        measured = f"The p99 of {name_experiment(run)} is the time of {step}, {time}{wait}."
     return (
-        f"The p99 of {name_experiment(run)} is the time of {step}, "
-        f"{format_time(margin.p99.time_ns)}{wait}. The limiting p99 is "
-        f"{significant(run.untimed_iterations)} times as long, because steps of the closed loop "
-        f"take more iterations (formula: page “Method” of the documentation).{beyond}{estimated}"
+        f"{measured} Because the closed loop takes more iterations than these steps, the limiting "
+        f"p99 is {significant(run.untimed_iterations)} times as long (formula: page “Method” of "
+        f"the documentation).{beyond}{estimated}"
     )
 
 

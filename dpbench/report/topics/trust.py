@@ -63,9 +63,9 @@ def _describe_round_spread(records: Records, *, is_quiet: bool) -> list[str]:
     spread = (
         f"This run gives no estimate of how much times differ between days: {join_with_and(why)}."
         if why
-        else "The median step time of a configuration differs between its slowest and its fastest "
-        f"round by at most a factor of {significant(high)} in 95 % of the configurations, and of "
-        f"{significant(usual)} in half of them. Runs on other days can differ by more."
+        else "Between the slowest and the fastest round, the median step time of a configuration "
+        f"differs by at most a factor of {significant(usual)} in half of the configurations and "
+        f"{significant(high)} in 95 % of them. Runs on other days can differ by more."
     )
     beyond = "" if is_quiet else " by more than the spread of the rounds"
     return [
@@ -126,8 +126,9 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
         f"Taken one by one, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
-        f"exceeded the limit of {' or '.join(kinds)}. A ratio of step times from one of these is "
-        "significant only if its interval excludes 1 by more than the spread of the rounds."
+        f"exceeded the limit of {' or '.join(kinds)}. For these, a ratio of "
+        "step times is significant only if its whole interval is farther from 1 than their slowest "
+        "round is from their fastest."
     )
 
 
