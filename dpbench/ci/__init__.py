@@ -47,7 +47,7 @@ DISTURBED_EXIT: dict[str, Any] = {
     "metavar": "CODE",
     "type": parse_exit_code,
     "default": 0,
-    "help": "exit code if other load prevents a verdict and no regression is shown, or disturbs a "
-    "stored baseline (default: 0)",
+    "help": "exit code if times are not judged and no regression is shown, or other load disturbs "
+    "a stored baseline (default: 0)",
 }
 """Option that gate, revisions and pytest have in common."""

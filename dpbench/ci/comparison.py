@@ -12,6 +12,7 @@ they grow.
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from shlex import quote
 
 import numpy as np
 from rich.console import Console
@@ -64,7 +65,8 @@ MEANINGS = {
     WORSE: "an exact measure grew",
     GONE: "a benchmark of the base is missing or skipped",
     DISTURBED: "times not judged, other load disturbed the machine",
-    NO_KERNEL: "times not judged, too few other solvers and no fixture dpbench_reference_kernel",
+    NO_KERNEL: "times not judged, too few other solvers and no reference kernel: add the fixture "
+    "dpbench_reference_kernel to the tests and measure the baseline again",
     NOT_VERIFIED: "a smaller time, but not every answer is verified",
     NEW: "the base has no such benchmark",
     NO_BASELINE: "the base has no benchmark, nothing compared",
@@ -79,8 +81,13 @@ NOT_COMPARED = {
     NOT_RUN: "not run",
 }
 """Words behind the number of benchmarks that only one revision has timed, by verdict."""
-NOT_JUDGED = {DISTURBED: "machine disturbed", NO_KERNEL: "too few other solvers"}
+NOT_JUDGED = {
+    DISTURBED: "machine disturbed",
+    NO_KERNEL: "too few other solvers and no reference kernel",
+}
 """Reasons why a compared time has no verdict."""
+OUTCOMES = {NO_BASELINE: NO_BASELINE, DISTURBED: DISTURBED, NO_KERNEL: "times not judged"}
+"""Words for the exit code by verdict, where there is no regression but no full comparison."""
 EXACT_JUDGED = (
     "exact measures are judged on a disturbed machine too: iterations, errors, counts in "
     'extra_info["exact"]'
@@ -174,10 +181,10 @@ class RunComparison:
         return self.verdict in REGRESSIONS and not (self.allow_gone and self.verdict == GONE)
 
     def exit_code(self, disturbed: int) -> int:
-        """Return 1 for a regression, else `disturbed` where load took a verdict, else 0."""
+        """Return 1 for a regression, else `disturbed` where a time has no verdict, else 0."""
         if self.worse:
             return 1
-        return disturbed if self.outcome == DISTURBED else 0
+        return disturbed if self.verdict in NOT_JUDGED else 0
 
     def describe_scope(self, base: str, head: str) -> str:
         """State in one line how many benchmarks the named base and head have in common."""
@@ -214,32 +221,27 @@ class RunComparison:
     @property
     def outcome(self) -> str:
         """Word for the exit code: the regression, or why there is none."""
-        if self.worse or self.verdict == NO_BASELINE:
-            return self.verdict
-        is_disturbed = any(row.verdict == DISTURBED for row in self.rows)
-        return DISTURBED if is_disturbed else "no regression"
+        return self.verdict if self.worse else OUTCOMES.get(self.verdict, "no regression")
 
     def describe_exit(self, disturbed: int) -> str:
         """Return the last line: the exit code and its reason."""
         return f"exit code {self.exit_code(disturbed)} ({self.outcome})"
 
     def describe_unjudged(self, disturbed: int, option: str = "--disturbed-exit") -> list[str]:
-        """Return lines on unused allowances and the largest ratio that load left without a verdict.
+        """Return lines on unused allowances, the largest disturbed ratio, and the exit code.
 
         option : the one that selects the exit code.
         """
         lines = [f"allowed, but measured in no benchmark: {one}" for one in self.unused]
         unjudged = [row for row in self.rows if np.isfinite(row.disturbed_ratio)]
-        if not unjudged:
-            return lines
-        worst = max(unjudged, key=lambda row: row.disturbed_ratio)
-        ratio = significant(worst.disturbed_ratio)
-        why = f"; not treated as a gross slowdown (above × {GROSS}): {worst.not_gross}"
-        why *= worst.disturbed_ratio > GROSS
-        lines.append(f"largest ratio not judged: × {ratio} ({worst.name}){why}")
-        lines.append(EXACT_JUDGED)
-        if not self.exit_code(disturbed):
-            lines.append(f"times affected by other load give exit code 0; {option} CODE changes it")
+        if unjudged:
+            worst = max(unjudged, key=lambda row: row.disturbed_ratio)
+            ratio = significant(worst.disturbed_ratio)
+            why = f"; not treated as a gross slowdown (above × {GROSS}): {worst.not_gross}"
+            why *= worst.disturbed_ratio > GROSS
+            lines += [f"largest ratio not judged: × {ratio} ({worst.name}){why}", EXACT_JUDGED]
+        if self.verdict in NOT_JUDGED and not self.exit_code(disturbed):
+            lines.append(f"times not judged give exit code 0; {option} CODE changes it")
         return lines
 
     @property
@@ -300,12 +302,13 @@ def compare_runs(
     margin: float = MARGIN,
     allow_gone: bool = False,
     allow: Allowed = (),
+    option: str = "--allow",
 ) -> RunComparison:
     """Return a comparison of two revisions' runs, from (base, head) pairs of alternating runs.
 
     A benchmark that the head was not to run is not gone.
 
-    allow : exact measures that may grow.
+    allow : exact measures that may grow; option : the one that names them.
     """
     times = _assess_times(pairs, margin)
     was = {name for base, _ in pairs for name in base.names}
@@ -322,7 +325,7 @@ def compare_runs(
             is_left_out = all(head.selection.leaves_out(name) for _, head in pairs)
             rows.append(Row(name, NOT_RUN if is_left_out else GONE))
         elif name in times:
-            rows.append(_judge_benchmark(name, pairs, *times[name], allow))
+            rows.append(_judge_benchmark(name, pairs, *times[name], allow, option))
         else:
             why = [base.failed[name] for base, _ in pairs if name in base.failed][:1]
             rows.append(
@@ -354,7 +357,12 @@ def _is_allowed(measure: str, was: Benchmark, now: Benchmark, allow: Allowed) ->
 
 
 def _judge_benchmark(
-    name: str, pairs: Pairs, time: Assessment, complaints: Sequence[str], allow: Allowed
+    name: str,
+    pairs: Pairs,
+    time: Assessment,
+    complaints: Sequence[str],
+    allow: Allowed,
+    option: str,
 ) -> Row:
     """Judge a benchmark that both revisions have timed; complaints take its time's verdict."""
     both = [
@@ -363,7 +371,7 @@ def _judge_benchmark(
         if name in base.benchmarks and name in head.benchmarks
     ]
     # What is exact may still have noise of memory: the pair that grew least counts.
-    exact = min((find_exact_changes(*pair, allow) for pair in both), key=len)
+    exact = min((find_exact_changes(*pair, allow, option) for pair in both), key=len)
     allowed = min((find_allowed_changes(*pair, allow) for pair in both), key=len)
     ratio: Interval | None = time.ratio
     verdict, remarks, not_judged, not_gross = NO_CHANGE, [*exact, *allowed], "", ""
@@ -390,14 +398,16 @@ def _judge_benchmark(
     return replace(row, allowed=len(allowed))
 
 
-def find_exact_changes(was: Benchmark, now: Benchmark, allow: Allowed = ()) -> list[str]:
+def find_exact_changes(
+    was: Benchmark, now: Benchmark, allow: Allowed = (), option: str = "--allow"
+) -> list[str]:
     """Return lines on the exact measures of one benchmark that grew or are missing.
 
-    allow : measures that may grow, which are left out.
+    allow : measures that may grow, which are left out; option : the one that names them.
     """
     grown = _yield_grown_measures(was, now)
     changes = [
-        line + _suggest_allowance(name, was, now)
+        line + _suggest_allowance(name, was, now, option)
         for name, line in grown
         if not _is_allowed(name, was, now, allow)
     ]
@@ -406,13 +416,13 @@ def find_exact_changes(was: Benchmark, now: Benchmark, allow: Allowed = ()) -> l
     return changes + [f"{words}: no longer measured" for words in words_of]
 
 
-def _suggest_allowance(measure: str, was: Benchmark, now: Benchmark) -> str:
-    """Return the allowance that accepts the growth of a user's own measure; "" for others."""
+def _suggest_allowance(measure: str, was: Benchmark, now: Benchmark, option: str) -> str:
+    """Return the option that accepts the growth of a user's own measure; "" for others."""
     if measure in MEASURES:
         return ""
     before, after = was.exact[measure], now.exact[measure]
     limit = f"={np.ceil(100.0 * (after - before) / before):.0f}%" if before > 0.0 else ""
-    return f" (to accept: allow {measure}:{was.solver}{limit})"
+    return f" (to accept: {option} {quote(f'{measure}:{was.solver}{limit}')})"
 
 
 def find_allowed_changes(was: Benchmark, now: Benchmark, allow: Allowed) -> list[str]:

@@ -7,8 +7,8 @@ BASELINE is a JSON file, or a folder that keeps one for each machine. What looks
 disturbed is measured again: noise only ever makes a minimum larger. The baseline is not, and so
 nothing whose baseline was disturbed: `dpbench.ci.revisions` measures both alternately. Exit 0: no
 regression shown, or no baseline yet, which is stored; 1: a regression, or a failed or missing
-benchmark; 2: bad input; CODE (0): disturbed by other load, no regression shown, or a disturbed
-baseline stored.
+benchmark; 2: bad input; CODE (0): times not judged, no regression shown, or a disturbed baseline
+stored.
 """
 
 import argparse
@@ -50,7 +50,7 @@ exit codes:
   0     no regression shown, or the baseline was stored
   1     a regression: longer times, more iterations, larger errors, or a failed or missing benchmark
   2     bad input
-  CODE  of --disturbed-exit: times disturbed, no regression shown, or a disturbed baseline stored
+  CODE  of --disturbed-exit: times not judged, no regression shown, or a disturbed baseline stored
 
 examples:
   python -m dpbench.ci.gate now.json base.json
@@ -86,6 +86,7 @@ class SessionComparison:
             margin=self._margin,
             allow_gone=self._config.getoption("dpbench_allow_gone"),
             allow=self._config.getoption("dpbench_allow"),
+            option="--dpbench-allow",
         )
         passed = session.exitstatus == pytest.ExitCode.OK
         selected = self._config.getoption("dpbench_disturbed_exit") if passed else 0

@@ -8,7 +8,7 @@ where there is one. Pairs of runs that other load disturbed are repeated, each o
 such pairs in a row end the measurement. Exit 0: no regression shown, or a base without benchmarks;
 1: a regression, wrong answers, a benchmark that failed or is gone; 2: bad input, a tree without
 dpbench or with imports of files of the other, or no benchmark in either; the code of
---disturbed-exit: disturbed by other load, no regression shown; 128 and the number of the signal:
+--disturbed-exit: times not judged, no regression shown; 128 and the number of the signal:
 interrupted, the complete pairs are compared.
 """
 
@@ -61,7 +61,7 @@ exit codes:
   0     no regression shown, or a base without benchmarks
   1     a regression: longer times, more iterations, larger errors, or a failed or missing benchmark
   2     bad input
-  CODE  of --disturbed-exit: times disturbed, no regression shown
+  CODE  of --disturbed-exit: times not judged, no regression shown
   130   interrupted by Ctrl-C (143: SIGTERM); the complete pairs are compared
 
 examples:

@@ -349,12 +349,11 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
         from dpbench.report.compare.page import write_comparison
 
         write_comparison(Path(arguments.html), compared)
-    code = 1 if compared.worse else arguments.disturbed_exit * compared.is_disturbed
-    lines, why = list(compared.lines), compared.note_on_times or "no regression"
-    if compared.is_disturbed and not compared.worse:
-        why = "disturbed"
-        hint = "times affected by other load give exit code 0; --disturbed-exit CODE changes it"
-        lines += [] if code else [hint]
+    unjudged = "" if compared.worse else compared.reason_without_verdict
+    code = 1 if compared.worse else arguments.disturbed_exit * bool(unjudged)
+    lines, why = list(compared.lines), unjudged or compared.note_on_times or "no regression"
+    if unjudged and not code:
+        lines.append("times not judged give exit code 0; --disturbed-exit CODE changes it")
     lines.append(f"exit code {code} ({compared.headline if compared.worse else why})")
     _print_comparison(compared.markdown(), compared.tables, lines, arguments.markdown)
     return code

@@ -180,8 +180,7 @@ def add_compare_options(compare: Command) -> None:
     alpha = "family-wise error probability (default: 0.05)"
     _option(compare, "--alpha", "SHARE", alpha, type=float, default=0.05)
     disturbed = (
-        "exit code if other load prevents a verdict and there is no significant regression "
-        "(default: 0)"
+        "exit code if step times are not judged and there is no significant regression (default: 0)"
     )
     codes: dict[str, Any] = {"type": int, "choices": range(256), "default": 0}
     _option(compare, "--disturbed-exit", "CODE", disturbed, **codes)

@@ -83,7 +83,7 @@ def test_a_disturbed_time_has_no_verdict(side: int, factor: float) -> None:
     not_gross = "; not treated as a gross slowdown (above × 1.5): 1 pair of runs < 2"
     why = not_gross if factor > 1.5 else ""
     assert ratio == f"largest ratio not judged: × {shown} (t){why}"
-    assert passes.startswith("times affected by other load give exit code 0; --option CODE ")
+    assert passes.startswith("times not judged give exit code 0; --option CODE ")
     assert exact.startswith("exact measures are judged on a disturbed machine too: iterations, ")
     assert describe_end(found, "base", "head", 75)[-2:] == [ratio, exact]
 
@@ -188,20 +188,28 @@ def test_exact_measures_have_one_order_in_the_verdict() -> None:
     assert line.endswith(f"; {exact_line}; 1 increase allowed")
 
 
+@pytest.mark.parametrize("option", ["--allow", "--dpbench-allow"])
 @pytest.mark.parametrize(
     ("before", "after", "allowance"),
     [(3799, 3874, "calls:slsqp=2%"), (10, 11, "calls:slsqp=10%"), (0, 4, "calls:slsqp")],
 )
 def test_a_larger_measure_of_the_user_names_its_allowance(
-    before: int, after: int, allowance: str
+    before: int, after: int, allowance: str, option: str
 ) -> None:
     """The growth of 3799 to 3874 is 1.97 %; that of 0 has no percentage. The allowance suffices."""
     base, head = (
         run_of(entry(solver="slsqp (native)", exact={"calls": x})) for x in (before, after)
     )
-    (row,) = compare_runs([(base, head)]).rows
-    assert row.remarks[0].endswith(f" (to accept: allow {allowance})")
+    (row,) = compare_runs([(base, head)], option=option).rows
+    assert row.remarks[0].endswith(f" (to accept: {option} {allowance})")
     assert not compare_runs([(base, head)], allow=[parse_allowance(allowance)]).worse
+
+
+def test_an_allowance_is_named_as_a_shell_takes_it() -> None:
+    """A benchmark without a solver has its own name, whose brackets need quotes."""
+    base, head = (run_of(entry("t[1]", exact={"calls": x})) for x in (10, 11))
+    (row,) = compare_runs([(base, head)]).rows
+    assert row.remarks == ("calls 10 → 11 (to accept: --allow 'calls:t[1]=10%')",)
 
 
 def test_other_growth_is_no_part_of_an_allowance() -> None:

@@ -251,6 +251,31 @@ def test_few_benchmarks_need_the_reference_kernel(
     assert judged(tmp_path, *runs) == [0, code]
 
 
+@pytest.mark.parametrize(("options", "code"), [([], 0), (["--disturbed-exit", "75"], 75)])
+def test_times_without_a_reference_kernel_have_the_exit_code_of_disturbed_ones(
+    write: Write, capsys: pytest.CaptureFixture[str], options: list[str], code: int
+) -> None:
+    """The first line is the remedy; more iterations are a regression all the same."""
+    common: dict[str, Any] = {"kernel": False, "count": 2}
+    before, slow = write("before", **common), write("later", slow={0: 2.0}, **common)
+    assert gate.main([str(slow), str(before), *options]) == code
+    lines = capsys.readouterr().out.splitlines()
+    cause = "too few other solvers and no reference kernel"
+    remedy = "add the fixture dpbench_reference_kernel to the tests and measure the baseline again"
+    assert lines[0] == (f"no reference kernel (times not judged, {cause}: {remedy}): 2 benchmarks")
+    assert any(one.startswith(f"times not judged ({cause}) in 2 of 2 benchmarks") for one in lines)
+    hint = "times not judged give exit code 0; --disturbed-exit CODE changes it"
+    assert (hint in lines) == (code == 0)
+    assert lines[-1] == f"exit code {code} (times not judged)"
+    worse = write("worse", kernel=False, count=5, iterations=200)
+    assert (
+        gate.main(
+            [str(worse), str(write("base", kernel=False, count=5)), "--retries", "0", *options]
+        )
+        == 1
+    )
+
+
 def test_a_baseline_may_be_one_file(write: Write, tmp_path: Path) -> None:
     """A path that ends in .json is the baseline itself, whatever the machine."""
     before, slow = write("before"), write("later", slow={4: 2.0})

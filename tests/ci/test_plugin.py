@@ -94,6 +94,20 @@ def test_a_session_compared_with_a_stored_one(
     assert info["machine"]["processor_s"] > 0.0
 
 
+def test_a_session_names_its_own_option_of_an_allowance(pytester: pytest.Pytester) -> None:
+    """The options of pytest begin with --dpbench."""
+    test = (
+        "def test_x(benchmark):\n    benchmark.extra_info['exact'] = {'x': 2}\n    benchmark(int)"
+    )
+    pytester.makepyfile(test_it=test)
+    base = write_baseline(pytester.path, "test_it.py::test_x", 1e3, x=1)
+    result = run(pytester, f"--dpbench-compare={base}")
+    assert result.ret == 1
+    assert "(to accept: --dpbench-allow x:test_it.py::test_x=100%)" in " ".join(
+        word for word in result.stdout.str().split() if word != "│"
+    )
+
+
 @pytest.mark.slow
 def test_a_disturbed_baseline_has_an_exit_code_and_a_line(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch

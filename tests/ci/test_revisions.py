@@ -83,7 +83,7 @@ def test_turns_alternate_and_one_disturbed_pair_is_repeated(
     assert advice == ADVICE
     assert ratio == "largest ratio not judged: × 1.00 (t)"
     assert 'iterations, errors, counts in extra_info["exact"]' in exact
-    assert passes.startswith("times affected by other load give exit code 0; --disturbed-exit CODE")
+    assert passes.startswith("times not judged give exit code 0; --disturbed-exit CODE")
     assert last == "exit code 0 (disturbed)"
     stub_runs(monkeypatch, seconds={"base": 1.0, "head": 1.0}, loud=99)
     assert main([*map(str, trees), "--pairs", "3", "--disturbed-exit", "75"]) == 75

@@ -365,6 +365,20 @@ class Comparison:
         return MACHINE_DISTURBED in verdicts or any("disturbed" in s.unjudged for s in self.shared)
 
     @property
+    def reason_without_verdict(self) -> str:
+        """Reason for a step time without a verdict: other load, or no measure of the machine.
+
+        Examples
+        --------
+        >>> isinstance(compare("results/smoke", "results/smoke").reason_without_verdict, str)
+        True
+        """
+        if self.is_disturbed:
+            return "disturbed"
+        is_judged = all(one.assessment.verdict != "not judged" for one in self.compared)
+        return "" if is_judged else "times not judged"
+
+    @property
     def note_on_times(self) -> str:
         """Reason for a verdict on accuracy: no times compared, or none judged; "" elsewhere.
 

@@ -262,19 +262,20 @@ def test_what_all_configurations_share_is_judged_on_a_quiet_machine_alone(
     assert set(compare(a, b).times["verdict"]) == {"equivalent"}
 
 
+@pytest.mark.parametrize(("state", "why"), [(STOLEN, "disturbed"), (HIDDEN, "times not judged")])
 @pytest.mark.parametrize(("code", "hints"), [(0, 1), (75, 0)])
 def test_the_exit_code_of_times_not_judged_is_selected(
-    make: Make, capsys: Any, code: int, hints: int
+    make: Make, capsys: Any, code: int, hints: int, state: dict[str, Any], why: str
 ) -> None:
-    both: dict[str, Any] = {"configurations": ("daqp", "piqp")} | STOLEN
+    both: dict[str, Any] = {"configurations": ("daqp", "piqp")} | state
     folders = [str(make(name, seed=n, **both)) for n, name in enumerate("ab")]
     assert main(["compare", *folders, "--disturbed-exit", str(code)]) == code
     output = capsys.readouterr().out.splitlines()
-    assert output[-1] == f"exit code {code} (disturbed)"
+    assert output[-1] == f"exit code {code} ({why})"
     assert output.count(f"{HINT} changes it") == hints
 
 
-HINT = "times affected by other load give exit code 0; --disturbed-exit CODE"
+HINT = "times not judged give exit code 0; --disturbed-exit CODE"
 
 
 @pytest.mark.slow
