@@ -1,5 +1,6 @@
 """The tables beside the page hold the numbers of the records."""
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -82,6 +83,17 @@ def test_hard_steps_are_the_largest_of_each_run(written: Any) -> None:
         value = row["value"] * (1e3 if measure == "time" else 1.0)
         assert value == pytest.approx(np.nanmax(values), rel=1e-12)
         assert values[list(own.k).index(row["k"])] == pytest.approx(value, rel=1e-12)
+
+
+def test_windows_are_no_runs_of_the_hard_steps(records: Any) -> None:
+    """The README excludes them."""
+    cell = json.dumps({"source": {"kind": "hardest", "name": "turn hardest 30", "of": 450}})
+    records.replay("daqp", steps=20)
+    records.replay("daqp", "turn hardest 30", steps=30, cell=cell)
+    tables = Report.from_results(records.results()).tables
+    assert len(tables["runs"]) == 2
+    assert tables["hard_steps"]["run_id"].nunique() == 1
+    assert "without studies and windows of hardest steps" in TABLES["hard_steps"]
 
 
 def test_a_table_that_the_page_cuts_is_whole_in_its_file(records: Any, tmp_path: Path) -> None:
