@@ -132,6 +132,10 @@ def _make_stability_table(records: Records, designs: Designs) -> Table:
     """Return a table of each controller's closed-loop spectral radius and sway offset it holds."""
     is_run = any(run.scenario == WEATHER for run in records.all_runs)
     absent = "" if is_run else " (not in this suite)"
+    untested = [record.controller for record in designs.records if not record.held]
+    remedy = "".join(
+        f" `dpbench check {name}` computes the ranges shown as –." for name in untested[:1]
+    )
     return Table(
         (
             "controller",
@@ -154,7 +158,7 @@ def _make_stability_table(records: Records, designs: Designs) -> Table:
         f"{_name_scenarios_of_controllers(designs)} Each range gives the largest initial sway "
         "offset from which the ship returned and the smallest from which it did not; ≥ precedes "
         "the largest offset tested. The last column has the weather of scenario "
-        f"`{WEATHER}`{absent}: moderate forces that build up over the first minute.",
+        f"`{WEATHER}`{absent}: moderate forces that build up over the first minute.{remedy}",
         folded=True,
         labels={
             STILL_OFFSET: f"recoverable sway offset, {STILL} [m]",

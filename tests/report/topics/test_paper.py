@@ -276,6 +276,14 @@ def test_the_table_shows_the_numbers_of_the_records(records: Any) -> None:
     assert unknown[2:] == ("–", "–")
 
 
+def test_the_note_names_the_command_for_offsets_that_were_not_tested(records: Any) -> None:
+    """`dpbench paper` tests none; a suite with a table `[design]` tests all."""
+    records.loop("daqp", steps=1000)
+    for record, count in ((replace(PAPER, held={}), 1), (PAPER, 0)):
+        topic = build_paper_topic(records.view(), Designs((record,)))
+        assert topic.tables[-1].note.count("`dpbench check paper` computes") == count
+
+
 @pytest.mark.slow
 def test_without_designs_there_is_no_such_table(records: Any) -> None:
     assert _rows(None, records) == []
