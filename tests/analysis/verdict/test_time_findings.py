@@ -204,6 +204,29 @@ def test_the_times_of_a_replay_at_limits(
 
 
 @pytest.mark.parametrize(
+    ("slow_ns", "waited_ns", "text"),
+    [
+        ((5e6, 4e6), (4e6, 0.0), "takes 5.00 ms (including a wait of 4.00 ms for the core), above"),
+        ((5e6, 4e6), (0.0, 2e6), "takes 5.00 ms, above"),
+        (
+            (2e7, 1e7),
+            (1.9e7, 0.0),
+            "its longest step of 20.0 ms in the replay of `paper` takes 1.00",
+        ),
+    ],
+)
+def test_the_wait_of_the_longest_step_is_its_own(
+    records: Any, slow_ns: tuple[float, float], waited_ns: tuple[float, float], text: str
+) -> None:
+    """Two of 60 steps are slow; the larger own part is that of the other one."""
+    slow = {k: ns / 300_000 for k, ns in enumerate(slow_ns)}
+    _even_replay(records, 300_000, 60, slow=slow, rounds=1)
+    frame = records._steps[-1]
+    frame["waited_ns"] = frame["k"].map(dict(enumerate(waited_ns))).fillna(0.0).astype(int)
+    assert text in describe_findings(_judged(records)[0])
+
+
+@pytest.mark.parametrize(
     ("ns", "kinds"),
     [
         (333_333, []),
