@@ -324,6 +324,11 @@ class RunRecord:
         return self.steps_done > 0
 
     @property
+    def has_all_steps(self) -> bool:
+        """True if every planned step was recorded, of a replay in one round that counts."""
+        return self.steps_done >= self.steps_planned
+
+    @property
     def has_no_optimum(self) -> bool:
         """True if no step of the run has a feasible point, and therefore none an optimum."""
         # Errors are known, or infinite, at every step that has an optimum.

@@ -392,7 +392,7 @@ def build_level_points(
 ) -> dict[str, list[LevelPoint]]:
     """Return, by solver, step times and error at each of its tolerance settings.
 
-    sequences : all of which a configuration was replayed on, or it has no point.
+    sequences : all of which a configuration was replayed on, whole, or it has no point.
     modes : route and policy by solver; one that is not in it has no points.
     """
     replays = records.select_runs(mode="replay", units="scaled", sequence=tuple(sequences))
@@ -415,7 +415,7 @@ def _build_level_point(
     timed = {
         run.sequence: times.algo_ns
         for run in runs
-        if (times := records.get_step_times(run)) is not None
+        if run.has_all_steps and (times := records.get_step_times(run)) is not None
     }
     if len(timed) < len(runs):
         return None

@@ -61,7 +61,7 @@ def is_right_on_every_step(run: RunRecord, requirements: Requirements) -> bool:
     return (
         run.outcome in ("finished", "timed_out")
         and run.caching_sign is None
-        and run.steps_done == run.steps_planned
+        and run.has_all_steps
         and is_accurate
         and run.failed_steps <= requirements.failed_steps
     )
@@ -74,7 +74,7 @@ def is_right_to_the_end(run: RunRecord, requirements: Requirements) -> bool:
 
 def compute_cost_ratio(run: RunRecord) -> float:
     """Return a closed loop's cost over that with exact solutions; NaN if it did not end."""
-    if not run.steps_done >= run.steps_planned:
+    if not run.has_all_steps:
         return math.nan
     return run.closed_loop_cost / run.exact_cost
 

@@ -174,38 +174,25 @@ def judge_replay_times(
     if not figures:
         return findings, {}
     whole = [one for one in figures if not one.run.steps_searched_for_hardest] or figures
+    whole = [one for one in whole if one.run.has_all_steps]
     known = [one for one in whole if math.isfinite(one.algo.p99_ns)]
-    worst = max(known or whole, key=lambda one: one.algo.p99_ns if known else one.algo.p50_ns)
+    by_time = (lambda one: one.algo.p99_ns) if known else (lambda one: one.algo.p50_ns)
+    worst = max(known or whole, key=by_time, default=None)
     limiting = max(figures, key=lambda one: np.nan_to_num(one.bound_ns))
     is_measured = limiting.bound_ns == limiting.algo.p99_ns
     hardest = max(figures, key=lambda one: one.algo.max_ns)
     return findings, {
-        "p50_ns": worst.algo.p50_ns,
+        **(worst.of_sequence if worst else {}),
         "p99_ns": limiting.bound_ns,
         "p99_interval": _estimate_p99_interval_ns(records, limiting.run)
         if is_measured
         else UNKNOWN,
         "p99_run": limiting.run,
-        "timed_on": worst.run.sequence,
-        "rounds_ns": worst.rounds_ns,
-        "iterations": worst.iterations,
         "disturbed_spread": max(one.disturbed_spread for one in figures),
-        "replay_p99_ns": worst.algo.p99_ns,
-        "raw_p99_ns": worst.run.raw_p99_ns,
         "algo_max_ns": hardest.algo.max_ns,
         "max_run": hardest.run,
         "raw_max_ns": max(one.raw_max_ns for one in figures),
-        "of_sequences": {
-            one.run.sequence: {
-                "p50_ns": one.algo.p50_ns,
-                "timed_on": one.run.sequence,
-                "rounds_ns": one.rounds_ns,
-                "iterations": one.iterations,
-                "replay_p99_ns": one.algo.p99_ns,
-                "raw_p99_ns": one.run.raw_p99_ns,
-            }
-            for one in whole
-        },
+        "of_sequences": {one.run.sequence: one.of_sequence for one in whole},
     }
 
 
@@ -307,9 +294,16 @@ class _ReplayTimes:
         )
 
     @property
-    def iterations(self) -> tuple[float, float]:
-        """Median and largest iterations of a step; NaN if the solver does not count them."""
-        return self.run.iterations_p50, self.run.iterations_max
+    def of_sequence(self) -> dict[str, Any]:
+        """Fields of a verdict that is `timed_on` this replay."""
+        return {
+            "p50_ns": self.algo.p50_ns,
+            "timed_on": self.run.sequence,
+            "rounds_ns": self.rounds_ns,
+            "iterations": (self.run.iterations_p50, self.run.iterations_max),
+            "replay_p99_ns": self.algo.p99_ns,
+            "raw_p99_ns": self.run.raw_p99_ns,
+        }
 
     @property
     def bound_ns(self) -> float:

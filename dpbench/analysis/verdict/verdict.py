@@ -63,7 +63,8 @@ class Verdict:
         each by as much longer as the closed loop has more iterations (`untimed_iterations.py`);
         that of `p99_run`, with `p99_interval` [ns], unknown of a window or a longer p99.
     p50_ns : on the sequence `timed_on`, of those replayed whole one that all timed configurations
-        have in common, else that of the worst p99, or of the worst p50 where none supports a p99.
+        have in common, else that of the worst p99, or of the worst p50 where none supports a p99;
+        NaN where the configuration has timed all steps of none.
     rounds_ns, replay_p99_ns, raw_p99_ns : there, median of the fastest and of the slowest round,
         p99 of the algorithmic step time, and of the single timings.
     iterations : there, median and largest of a step; NaN if the solver does not count them.
@@ -364,14 +365,14 @@ def _find_unfinished(runs: Sequence[RunRecord]) -> list[Finding]:
     """Return findings on runs that stopped early or have steps without a certified optimum."""
     doubts = []
     for run in runs:
-        done, asked = run.steps_done, run.steps_planned
         if run.outcome in OWN_DOING:
             continue
-        if run.outcome == "timed_out" and run.mode == "replay" and done >= asked:
+        if run.outcome == "timed_out" and run.mode == "replay" and run.has_all_steps:
             # Every step has an answer and a time; fewer rounds make that time no smaller.
             continue
         if run.outcome == "timed_out":
-            doubts.append(Finding("stopped", (run,), value=done, steps=asked))
+            done = run.steps_done
+            doubts.append(Finding("stopped", (run,), value=done, steps=run.steps_planned))
         elif run.outcome == "lost":
             doubts.append(Finding("lost", (run,)))
         elif run.outcome != "finished":
@@ -517,8 +518,8 @@ def _make_settings_sort_key(verdict: Verdict) -> tuple[int, tuple[str | float, .
 
 
 def find_ranking_time_ns(verdict: Verdict) -> float:
-    """Return the time by which a configuration is ranked [ns]: limiting p99, else p50."""
-    return verdict.p99_ns if math.isfinite(verdict.p99_ns) else verdict.p50_ns
+    """Return the time by which a configuration is ranked [ns]: limiting p99, p50, else ∞."""
+    return next(filter(math.isfinite, (verdict.p99_ns, verdict.p50_ns)), math.inf)
 
 
 @dataclass(frozen=True)

@@ -306,6 +306,8 @@ def test_a_solver_on_one_sequence_of_two_has_no_point(records: Any) -> None:
     records.replay("whole", BOTH[0])
     records.replay("whole", BOTH[1])
     records.replay("half", BOTH[0])
+    records.replay("stopped", BOTH[0])
+    records.replay("stopped", BOTH[1], steps=60, done=1, stopped=True)
     assert list(build_level_points(records.view(), BOTH, USUAL)) == ["whole"]
 
 

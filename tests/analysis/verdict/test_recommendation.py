@@ -10,6 +10,7 @@ from dpbench.analysis.verdict.requirements import Finding, Requirements
 from dpbench.analysis.verdict.verdict import (
     Verdict,
     Verdicts,
+    choose_best_settings,
     choose_solver,
     explain_deployment_blocker,
     find_fastest_configuration,
@@ -70,6 +71,15 @@ def test_verdicts_are_sorted_by_p99_then_p50_then_largest_step_then_name() -> No
     ]
     found = [verdict.configuration.solver for verdict in sort_fastest_first(verdicts)]
     assert found == ["g", "a", "b", "h", "f", "c", "d", "e"]
+
+
+def test_settings_without_a_time_are_equally_good() -> None:
+    """No step of theirs was timed, or not all; settings with a time are better."""
+    late = {"state": "late", "options": "{}", "timed_on": ""}
+    untimed = [_verdict("osqp", settings=name, **late) for name in ("a", "b")]
+    assert choose_best_settings(_verdicts(*untimed), untimed).verdict is untimed[0]
+    points = [*untimed, _verdict("osqp", p50_ns=5.0, settings="c", state="late", options="{}")]
+    assert choose_best_settings(_verdicts(*points), points).verdict is points[2]
 
 
 def test_only_the_most_widely_timed_are_ranked() -> None:

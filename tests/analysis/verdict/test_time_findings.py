@@ -226,6 +226,19 @@ def test_the_wait_of_the_longest_step_is_its_own(
     assert text in describe_findings(_judged(records)[0])
 
 
+@pytest.mark.parametrize(("done", "timed_on"), [(60, "paper"), (59, "calm"), (1, "calm")])
+def test_a_part_of_a_replay_has_no_p50(records: Any, done: int, timed_on: str) -> None:
+    """Its longest step remains; a complete replay is timed on instead."""
+    _even_replay(records, 5_000_000, 60, done=done, stopped=True)
+    _, alone = _judged(records)
+    assert alone["algo_max_ns"] == 5e6
+    assert alone.get("p50_ns") == (5e6 if done == 60 else None)
+    _even_replay(records, 30_000, 60, sequence="calm")
+    _, figures = _judged(records)
+    assert figures["timed_on"] == timed_on and figures["algo_max_ns"] == 5e6
+    assert list(figures["of_sequences"]) == ["paper", "calm"][done < 60 :]
+
+
 @pytest.mark.parametrize(
     ("ns", "kinds"),
     [

@@ -272,7 +272,7 @@ def test_a_run_stopped_by_its_limit_fails_by_a_step_that_hung(
 
 
 DOUBTS = [
-    ({"outcome": "timed_out", "done": 40}, "`paper` was stopped at its time limit (40 of 120"),
+    ({"outcome": "timed_out", "done": 40}, "`paper` was stopped at its time limit after 40 of 120"),
     (
         {"outcome": "lost", "outcome_detail": "no room for its log", "done": 0},
         "the harness lost `paper`: no room for its log",
@@ -567,8 +567,8 @@ def test_summary_counts_everybody_once(records: Any) -> None:
         "1 of 3 solvers passes: `daqp`. `osqp` fails: the error of its first move reaches 0.40 "
         "times the maximum increment in `paper`, above the limit in 120 of 120 steps, first at "
         "step 0. "
-        "`scs` is inconclusive: `paper` was stopped at its time limit (10 of 120 steps). `qpax` "
-        "was not run: not installed."
+        "`scs` is inconclusive: `paper` was stopped at its time limit after 10 of 120 steps. "
+        "`qpax` was not run: not installed."
     )
 
 

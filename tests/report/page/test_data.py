@@ -72,7 +72,7 @@ def test_a_cell_has_the_reason_for_an_inconclusive_verdict(records: Any) -> None
     records.loop("scs", outcome="timed_out", done=10)
     facts = _facts(records)
     reasons = {facts.configurations[cell["c"]].solver: cell["reason"] for cell in facts.cells()}
-    stopped = "`paper` was stopped at its time limit (10 of 120 steps)"
+    stopped = "`paper` was stopped at its time limit after 10 of 120 steps"
     assert reasons == {"daqp": "", "osqp": "", "scs": stopped}
 
 
