@@ -203,9 +203,9 @@ class Tuning:
         note = (
             "Time: p99 over steps, each timed by its fastest round; if the sequence is too short "
             "for a p99, the p95 or p50, as marked. Error: of the first move, at most "
-            f"{limit.error_move:g} of the maximum increment. Late: the p99, or the p95 in its "
-            f"place, exceeds the limit of {limit.p99_ms:g} ms by more than the uncertainty of the "
-            "times, even without waits for the processor core."
+            f"{limit.error_move:g} of the maximum increment. Late: this time exceeds the "
+            f"limit of {limit.p99_ms:g} ms by more than its uncertainty, even without waits for "
+            "the processor core."
         )
         return Table(heads, tuple(rows), title, note, text_columns=3)
 

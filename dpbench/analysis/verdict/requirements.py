@@ -92,6 +92,7 @@ MISSED: tuple[State, ...] = ("late", "fail")
 LateCause = Literal[
     "p99 late",
     "p95 late",
+    "p50 late",
     "window late",
     "deadline late",
     "slow loop",
@@ -111,6 +112,8 @@ Doubt = Literal[
     "not alone",
     "no step",
     "no p99",
+    "p95 uncertain",
+    "p50 uncertain",
     "slow steps untimed",
     "longest step untimed",
     "p99 waits",
@@ -136,7 +139,8 @@ LATE: tuple[Cause, ...] = get_args(LateCause)
 DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
 NEAR: tuple[Near, ...] = get_args(Near)
 PERHAPS_BY_MACHINE: tuple[Doubt, ...] = (
-    *("remembered", "hidden work", "p99 waits", "p95 waits", "deadline waits"),
+    *("remembered", "hidden work", "p95 uncertain", "p50 uncertain"),
+    *("p99 waits", "p95 waits", "deadline waits"),
     "loop waits",
     *("few timings", "few p95 timings", "few deadline timings"),
     *("late at random", "late when disturbed"),

@@ -36,7 +36,7 @@ from dpbench.analysis.verdict.requirements import (
     make_finding_on_worst_runs,
 )
 from dpbench.arrays import Floats
-from dpbench.bench.judge.rules import percentile_or_nan
+from dpbench.bench.judge.rules import has_enough_samples_for_percentile, percentile_or_nan
 from dpbench.bench.record.cell import Configuration
 
 LOOP_TIMINGS = 200
@@ -306,6 +306,12 @@ class _ReplayTimes:
         }
 
     @property
+    def has_p50(self) -> bool:
+        """Whether all steps were timed, and enough of them for a p50."""
+        is_enough = has_enough_samples_for_percentile(self.steps, 50)
+        return self.run.has_all_steps and is_enough
+
+    @property
     def bound_ns(self) -> float:
         """The p99 [ns], as much longer as the closed loop has more iterations than the replay."""
         return self.algo.p99_ns * self.run.untimed_iterations
@@ -373,8 +379,12 @@ def _compare_with_p99_limit(
         return Finding("slow steps untimed", run, figures.bound_ns, machine=algo.p99_ns)
     if not math.isnan(algo.p99_ns):
         return None
-    if algo.p95_ns > high_ns:
-        return Finding("p95 late", run, algo.p95_ns)
+    is_p95 = not (math.isnan(algo.p95_ns) and figures.has_p50)
+    time_ns, own_ns = (algo.p95_ns, own.p95_ns) if is_p95 else (algo.p50_ns, own.p50_ns)
+    if own_ns > high_ns:
+        return Finding("p95 late" if is_p95 else "p50 late", run, time_ns)
+    if limit_ns < time_ns <= high_ns:
+        return Finding("p95 uncertain" if is_p95 else "p50 uncertain", run, time_ns)
     if algo.max_ns > limit_ns:
         net_ns = figures.hardest_net_ns
         return Finding("no p99", run, algo.max_ns, figures.steps, machine=net_ns)

@@ -63,7 +63,7 @@ def shorten_findings(kinds: str) -> str:
     """Return kinds of findings, joined by commas as in the table of verdicts, in a few words."""
     words = (_SHORT_WORDS[kind] for kind in kinds.split(", ") if kind)
     return ". ".join(
-        text if text.startswith("p9") else text[0].upper() + text[1:] for text in words
+        text if text.startswith(("p5", "p9")) else text[0].upper() + text[1:] for text in words
     )
 
 

@@ -183,11 +183,14 @@ def _even_replay(records: Any, ns: float, steps: int, **columns: Any) -> None:
         (999, 499_999, []),
         (999, 500_000, ["p95 borderline"]),
         (999, 1_000_000, ["p95 borderline"]),
-        (999, 1_000_001, ["no p99"]),
-        (999, 2_000_000, ["no p99"]),
+        (999, 1_000_001, ["p95 uncertain"]),
+        (999, 2_000_000, ["p95 uncertain"]),
         (999, 2_000_001, ["p95 late"]),
         (199, 1_000_000, []),
-        (199, 1_000_001, ["no p99"]),
+        (199, 1_000_001, ["p50 uncertain"]),
+        (20, 2_000_000, ["p50 uncertain"]),
+        (20, 2_000_001, ["p50 late"]),
+        (19, 2_000_001, ["no p99"]),
     ],
 )
 def test_the_times_of_a_replay_at_limits(
@@ -195,12 +198,20 @@ def test_the_times_of_a_replay_at_limits(
 ) -> None:
     """All steps take the same time, so that p95, p99 and maximum are equal.
 
-    A p99 requires 1000 steps, a p95 requires 200.
+    A p99 requires 1000 steps, a p95 requires 200, a p50 requires 20.
     """
     _even_replay(records, ns, steps)
     findings, _ = _judged(records)
     assert _found(findings) == [(kind, ["daqp"], float(ns)) for kind in kinds]
     assert [f.steps for f in findings if f.kind == "no p99"] == [steps] * kinds.count("no p99")
+
+
+def test_a_p50_within_the_uncertainty_of_rounds_is_named(records: Any) -> None:
+    _even_replay(records, 1_500_000, 60)
+    assert describe_findings(_judged(records)[0]) == (
+        "its p50 of 1.50 ms in the replay of `paper` exceeds the p99 limit of 1.00 ms, but rounds "
+        "differ by more (750 µs to 3.00 ms)"
+    )
 
 
 @pytest.mark.parametrize(
