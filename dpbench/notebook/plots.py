@@ -227,7 +227,7 @@ class ResultPlots:
         return draw(table, limits.deadline_ms, limits.p99_ms)
 
     def accuracy(self, *, backend: Backend = "altair") -> Any:
-        """Plot the largest error of each solver over its step time, by tolerance settings.
+        """Plot the largest error of each solver in the replays over its step time, by settings.
 
         Raises InputError where no replay was timed.
         """

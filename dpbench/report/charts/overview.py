@@ -178,7 +178,7 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
             x=alt.X("time:Q", title="step time [µs], log scale", scale=apart),
             y=alt.Y(
                 "shown:Q",
-                title=style.ERROR,
+                title=["largest error of the first move in the replays", "[maximum increments]"],
                 scale=apart,
                 axis=decades,
             ),
