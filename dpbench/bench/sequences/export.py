@@ -27,6 +27,7 @@ from dpbench.qp.program import ARRAYS, QPSequence, QuadraticProgram
 from dpbench.qp.random_mpc import is_random_mpc_sequence_name
 from dpbench.qp.referee.referee import certify_all_steps
 from dpbench.scenario.problem_files import (
+    SEQUENCE_SUFFIXES,
     is_shipped_sequence_name,
     list_shipped_problem_names,
     make_unknown_qps_name_error,
@@ -87,7 +88,7 @@ def export_sequence(
 
     Parameters
     ----------
-    what : a scenario, a sequence, or the name or path of either; a folder of qpsolvers problems; or
+    what : a scenario, a sequence, or the name or path of either; a file or folder of other QPs; or
         a random MPC problem such as random_mpc-10-4-10 (states, inputs, horizon).
     out : the `.npz` or `.mat` file; for "qpbenchmark" the name of the Parquet file and the Python
         file; for "csv" and "qps" a folder.
@@ -196,7 +197,7 @@ def _is_scenario(what: object) -> bool:
         return not isinstance(what, QPSequence)
     path = Path(what)
     is_file = (
-        path.suffix == ".npz"
+        path.suffix in SEQUENCE_SUFFIXES
         or path.is_dir()
         or is_shipped_sequence_name(what)
         or is_random_mpc_sequence_name(what)

@@ -31,6 +31,7 @@ ACADOS_INFINITY, MAT_INFINITY = 0.99e10, 9e19
 """Size from which a limit is none. acados has 1e10, less the state that it linearises at."""
 MOST_VARIABLES = 2000
 """Largest QP that is read: its matrices are dense, P then has 32 MB."""
+ONE_WAY = "the .mat, csv and QPS exports of dpbench cannot be read back"
 _MATRICES = ("A", "B", "Q", "R", "S", "C", "D")
 _VECTORS = ("b", "q", "r", "lg", "ug", "lbx", "ubx", "lbu", "ubu", "idxb")
 _SOFT = ("idxs", "zl", "zu", "Zl", "Zu")
@@ -150,6 +151,8 @@ def read_maros_meszaros_problem(path: Path) -> QuadraticProgram:
     """Return the QP in a Maros-Meszaros `.mat` file; InputError for a bad file."""
     where = str(path)
     _, arrays = read_mat_structure_in_child(path, "")
+    if "y_box" in arrays:
+        raise InputError(where, "", "a file written by dpbench", f"its .npz, as {ONE_WAY}")
     # SciPy reads a single number as no array.
     arrays |= {name: arrays[name].reshape(-1) for name in ("q", "l", "u") if name in arrays}
     n = arrays["q"].size if "q" in arrays else 0

@@ -51,7 +51,11 @@ from dpbench.bench.record.npz import (
     read_stored_text,
     write_npz,
 )
-from dpbench.bench.sequences.foreign_qps import read_acados_qp, read_maros_meszaros_problem
+from dpbench.bench.sequences.foreign_qps import (
+    ONE_WAY,
+    read_acados_qp,
+    read_maros_meszaros_problem,
+)
 from dpbench.errors import (
     InputError,
     UnknownNameError,
@@ -205,9 +209,9 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
             raise make_unknown_problem_name_error(SEQUENCES, name, "a .npz path") from None
         allowed = f"`record_sequence('{name}')` for the QPs of this scenario"
         raise UnknownNameError(error.where, error.key, error.found, allowed) from None
-    if path.suffix == ".mat" and path.is_file():
-        allowed = f"{WHAT}; a .mat file written by dpbench cannot be read back"
-        raise InputError(str(path), "", "a .mat file", allowed)
+    if path.is_dir() or (path.suffix == ".mat" and path.is_file()):
+        found = "a folder" if path.is_dir() else "a .mat file"
+        raise InputError(str(path), "", found, f"{WHAT}; {ONE_WAY}")
     recorded = load_recorded(path)
     if units == "scaled":
         return recorded.sequence
@@ -348,7 +352,9 @@ def list_problem_files(folder: Path) -> list[Path]:
     if not files:
         *others, last = _READERS
         found = f"no {', '.join(others)} or {last} file"
-        raise InputError(str(folder), "", found, "a folder of files with one QP each")
+        is_export = any(path.suffix in (".csv", ".qps") for path in paths)
+        allowed = "a folder of files with one QP each" + f"; {ONE_WAY}: use the .npz" * is_export
+        raise InputError(str(folder), "", found, allowed)
     return sorted(files, key=lambda path: (_natural_sort_key(path.stem), path.name))
 
 

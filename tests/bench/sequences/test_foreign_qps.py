@@ -10,7 +10,7 @@ import pytest
 import scipy.io
 import scipy.sparse
 
-from dpbench import InputError, load_results, run_campaign
+from dpbench import InputError, export_sequence, load_results, load_sequence, run_campaign
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.bench.plan.run_request import WITHOUT_SAMPLE, RunRequest
 from dpbench.bench.record.energy import find_energy_counters
@@ -164,6 +164,8 @@ def test_a_maros_meszaros_problem_has_its_optimum_or_is_refused(tmp_path: Path) 
     sequence = load_named_sequence(path).sequence
     assert (sequence.name, sequence.base.m, sequence.base.ub.tolist()) == ("HS99", 1, [np.inf] * 2)
     assert solve(path) == pytest.approx([0.5, 2.5], abs=1e-9)
+    export_sequence(path, tmp_path / "HS99.npz")
+    assert len(load_sequence(tmp_path / "HS99.npz")) == 1
     bad = {"A": np.ones((3, 2)), "l": np.zeros(1), "q": np.zeros((2001, 1))}
     for name, value in bad.items():
         scipy.io.savemat(path, maros_meszaros() | {name: value})

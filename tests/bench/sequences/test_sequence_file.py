@@ -20,7 +20,7 @@ from dpbench import (
     record_sequence,
 )
 from dpbench.bench.record.npz import write_npz
-from dpbench.bench.sequences.export import export_sequence
+from dpbench.bench.sequences.export import Format, export_sequence
 from dpbench.bench.sequences.sequence_file import load_recorded, save_sequence
 from dpbench.bench.sequences.source import _check_step, record_scenario
 from dpbench.errors import ShapeError
@@ -332,3 +332,13 @@ def test_no_other_format_is_written_under_a_foreign_suffix(tmp_path: Path) -> No
     export_sequence(sequence, path, format="mat", steps=2)
     with pytest.raises(InputError, match=r"found a \.mat file; allowed: .*cannot be read back"):
         load_sequence(path)
+    with pytest.raises(InputError, match=r"found a file written by dpbench; allowed: its \.npz"):
+        export_sequence(path, tmp_path / "x.npz")
+    formats: list[Format] = ["csv", "qps"]
+    for format in formats:
+        folder = tmp_path / format
+        export_sequence(sequence, folder, format=format, steps=2)
+        with pytest.raises(InputError, match=r"found a folder; allowed: .*cannot be read back"):
+            load_sequence(folder)
+        with pytest.raises(InputError, match=r"found no .*cannot be read back: use the \.npz"):
+            export_sequence(folder, tmp_path / "x.npz")
