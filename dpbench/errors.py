@@ -7,7 +7,7 @@ failure is never an exception that leaves the run: it is a `Status` in a record.
 import errno
 import os
 import warnings
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from numbers import Integral
 from os import PathLike
@@ -139,13 +139,17 @@ def require_type(argument: str, value: object, kind: Any, allowed: str) -> None:
         raise TypeError(f"{argument}: found {shorten_found(value)}; allowed: {allowed}")
 
 
-def require_lists_of_names(**given: object) -> None:
-    """Raise TypeError for a text or a single object where a list of names belongs; None passes."""
+def require_lists_of_names(entries: Mapping[str, str], /, **given: object) -> None:
+    """Raise TypeError for a text or a single object where a list of names belongs; None passes.
+
+    entries : by argument, what its list may contain instead of names alone.
+    """
     for option, value in given.items():
         is_list = isinstance(value, Iterable) and not isinstance(value, str)
         if is_list and isinstance(value, Collection):
             for name in value:
-                require_name_or_file(option, name, "a file in the list")
+                allowed = entries.get(option, "a name in the list")
+                require_type(option, name, str | PathLike, allowed)
         elif not (value is None or is_list):
             found = shorten_found(value)
             such_as = f", such as [{found}]" if isinstance(value, str) else ""

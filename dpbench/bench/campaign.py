@@ -59,6 +59,10 @@ CELL_KEYS = (
     *("repeat_budget_s", "harness_version"),
 )
 """Keys of a suite that are part of many or all of its cells: a change runs these again."""
+LIST_ENTRIES = {
+    "scenarios": "a name or a file in the list",
+    "solvers": "a name in the list; for your own solver, a plug-in file in `solver_module`",
+}
 
 
 def make_jobs(
@@ -367,9 +371,10 @@ def run_campaign(
         "routes": routes,
         "policies": policies,
     }
-    require_lists_of_names(**chosen)
+    require_lists_of_names(LIST_ENTRIES, **chosen)
     if suite is not None:
-        require_name_or_file("suite", suite, "a TOML file; a scenario's in `scenarios=[...]`")
+        file = "a TOML file; for a scenario, its name or file in `scenarios=[...]`"
+        require_name_or_file("suite", suite, file)
     if sequence is not None:
         require_name_or_file("sequence", sequence, "a .npz file or a folder")
     asked = RunRequest(

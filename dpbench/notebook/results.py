@@ -275,7 +275,7 @@ class Results(result_folder.Results):
         >>> "daqp & qpsolvers" in latex
         True
         """
-        require_lists_of_names(columns=columns, solvers=solvers)
+        require_lists_of_names({}, columns=columns, solvers=solvers)
         if isinstance(table, str):
             _refuse_unknown_name(
                 "table", table, self.tables, "results.tables` or `dpbench report DIR --tables"

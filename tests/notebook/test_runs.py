@@ -104,12 +104,17 @@ def test_names_are_taken_where_objects_are(loop: Run, replayed: Run) -> None:
         replay("paper-30-5", "daqp", repeats=2.5)  # type: ignore[arg-type] # what is tested
     with pytest.raises(TypeError, match="steps: found '9'; allowed: a whole number, 1 or more"):
         run_closed_loop("paper", "daqp", steps="9")  # type: ignore[arg-type] # what is tested
-    with pytest.raises(TypeError, match=r"suite: found <Scenario .*: a name or a TOML file; a sc"):
+    words = r"suite: found <Scenario .*: a name or a TOML file; for a scenario, its name or file in"
+    with pytest.raises(TypeError, match=rf"{words} `scenarios=\[\.\.\.\]`$"):
         run_campaign(load_scenario("paper"))
     with pytest.raises(TypeError, match=r"sequence: found 3; allowed: a name or a \.npz file or"):
         run_campaign(sequence=3)
     with pytest.raises(TypeError, match=r"scenarios: found <Scenario .*: a name or a file in the"):
         run_campaign("smoke", scenarios=[load_scenario("paper")])
+    with pytest.raises(TypeError, match=r"solvers: found <.*: a name in the list; .*`solver_modul"):
+        run_campaign("smoke", solvers=[opener("mine", lambda qp: qp)])
+    with pytest.raises(TypeError, match=r"routes: found 3; allowed: a name in the list$"):
+        run_campaign("smoke", routes=[3])
     with pytest.raises(TypeError, match=r"scenario: found \{\}; allowed: a name or a TOML file"):
         load_scenario({})
     with pytest.raises(TypeError, match=r"^scenario: found \{'name': .{,200}…; allowed: a name"):
