@@ -334,6 +334,8 @@ def run_closed_loop(
     scenario : an object, a name or a TOML file; `Scenario.with_horizons` sets other horizons. Or a
         `LinearMPC`, for a plant that is no ship.
     workspace : an object of `open_workspace`, or the name of a solver.
+    units : "scaled" or "si". formulation : "condensed_box", "condensed_stacked" or "sparse";
+        "none" for a control law. fallback : "shifted_plan", "hold" or "clip".
     steps : only the first so many; by default, and above its number of steps, the whole scenario.
     backup : name of a second solver, called before the fallback acts; "" for none.
     slowdown : how much slower than this machine the ship's computer is (≥ 1), so that answers

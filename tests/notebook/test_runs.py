@@ -1,5 +1,6 @@
 """A run in this process: its length, its text, and the figures of the page."""
 
+import inspect
 import io
 import json
 import math
@@ -37,6 +38,8 @@ from dpbench import (
     run_closed_loop,
     save_sequence,
 )
+from dpbench.bench.record.cell import FORMULATIONS
+from dpbench.bench.run.backup import FALLBACKS
 
 STEPS = 12
 
@@ -86,6 +89,12 @@ def test_a_run_ends_after_the_steps_asked_for(loop: Run) -> None:
     np.testing.assert_array_equal(loop.steps["e_m"], longer.steps["e_m"][:STEPS])
     with pytest.raises(InputError, match="steps"):
         run_closed_loop(load_scenario("paper"), open_workspace("daqp"), steps=0)
+
+
+def test_the_help_of_a_closed_loop_lists_every_argument_and_choice() -> None:
+    text = str(inspect.getdoc(run_closed_loop)).split("Raises")[0]
+    assert {*inspect.signature(run_closed_loop).parameters} <= {*re.findall(r"(\w+) :", text)}
+    assert all(f'"{choice}"' in text for choice in (*FORMULATIONS, *FALLBACKS, "scaled", "si"))
 
 
 def test_names_are_taken_where_objects_are(loop: Run, replayed: Run) -> None:
