@@ -240,13 +240,13 @@ class Run:
 
     @property
     def _machine_text(self) -> str:
-        """Words on what disturbed a replay's times; "" for nothing, and of a closed loop."""
+        """Words on what disturbed the times; "" for nothing, and without a p50."""
         row = self.summary
-        if self._is_closed_loop or not row["algo_p50_ns"] > 0.0:
+        if not row["raw_p50_ns" if self._is_closed_loop else "algo_p50_ns"] > 0.0:
             return ""
         # Context switches are too few in such a short time for a rate of them.
         disturbed, parts = row["disturbed_rounds"], []
-        if disturbed > 0:
+        if not self._is_closed_loop and disturbed > 0:
             rounds = row["rounds"] + disturbed - row["counting_disturbed"]
             of_all = f"{format_count(disturbed)} of {plural(rounds, 'round')}"
             parts.append(f"the machine was disturbed in {of_all}")

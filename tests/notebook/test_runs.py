@@ -42,6 +42,7 @@ from dpbench.bench.record.cell import FORMULATIONS
 from dpbench.bench.run.backup import FALLBACKS
 
 STEPS = 12
+WAITS = "in 25.0 % of the timed span the solver waited for the processor core, which other programs"
 
 
 @pytest.fixture(scope="module")
@@ -496,8 +497,17 @@ def test_a_replay_names_what_disturbed_it() -> None:
     for text in (repr(both), both._repr_html_()):
         assert text.index("the machine was disturbed") < text.index("first solved")
     waiting = replace(calm, steps=still.assign(waited_ns=still["total_ns"] // 4))
-    waits = "in 25.0 % of the timed span the solver waited for the processor core, which other"
-    assert waits in repr(waiting)
+    assert WAITS in repr(waiting)
+
+
+def test_a_closed_loop_names_its_wait_for_the_core(loop: Run) -> None:
+    timed = replace(loop, summary=pd.Series(loop.summary.to_dict() | {"raw_p50_ns": 1e5}))
+    calm = replace(timed, steps=loop.steps.assign(waited_ns=0))
+    busy = replace(timed, steps=loop.steps.assign(waited_ns=loop.steps["total_ns"] // 4))
+    for text in (repr, Run._repr_html_):
+        assert WAITS in text(busy) and "the solver waited" not in text(calm)
+    # Without a p50, as here in 12 steps, no time is shown that a wait could explain.
+    assert "the solver waited" not in repr(replace(loop, steps=busy.steps))
 
 
 def test_steps_without_a_certified_optimum_are_counted() -> None:
