@@ -255,7 +255,7 @@ def test_without_a_common_step_nothing_is_compared(records: Any) -> None:
 
 
 BOTH = ("paper", "rough[900:1400]")
-USUAL = dict.fromkeys(("osqp", "whole", "half"), ("qpsolvers", "fresh"))
+USUAL = dict.fromkeys(("osqp", "whole", "half", "part"), ("qpsolvers", "fresh"))
 
 
 def test_a_point_is_the_worst_of_its_sequences(records: Any) -> None:
@@ -306,8 +306,8 @@ def test_a_solver_on_one_sequence_of_two_has_no_point(records: Any) -> None:
     records.replay("whole", BOTH[0])
     records.replay("whole", BOTH[1])
     records.replay("half", BOTH[0])
-    records.replay("stopped", BOTH[0])
-    records.replay("stopped", BOTH[1], steps=60, done=1, stopped=True)
+    records.replay("part", BOTH[0])
+    records.replay("part", BOTH[1], steps=60, done=1, stopped=True)
     assert list(build_level_points(records.view(), BOTH, USUAL)) == ["whole"]
 
 
