@@ -12,6 +12,10 @@ from dpbench.mpc.thruster_rows import LimitRampDown, Limits, ThrusterRows
 CLIP_TOLERANCE = 1e-9
 """Largest violation of a limit that counts as rounding, in maximum increments; above it
 `clipped` is recorded."""
+SMALL_VIOLATION = 1e-2
+"""Largest violation that is removed by a move along the limit, in maximum increments: the largest
+error of an accurate first move."""
+MOST_SWEEPS = 50
 
 
 class MoveLimit(Protocol):
@@ -67,6 +71,9 @@ class ThrusterLimit:
 
     b is the force before or, where that is beyond a limit by now, the first step of its way back to
     zero (`LimitRampDown`); b and the clipped move keep to the rate, so all between them do.
+
+    Small violations are removed first, across the limits: if b is at a limit, a move along it with
+    a small error outwards has t near 0, and the thrusters would stand still.
     """
 
     def __init__(self, rows: ThrusterRows, du_max: Vector) -> None:
@@ -74,6 +81,7 @@ class ThrusterLimit:
         self._row_max = rows.largest_row_changes_per_step(du_max)
         self._ramp_down = LimitRampDown(rows, du_max, self._row_max, 1)
         self._rounding = CLIP_TOLERANCE * self._row_max
+        self._largest_removed = SMALL_VIOLATION * self._row_max
 
     def __call__(self, u: Vector, du: Vector, limits: Limits, applied: Vector) -> bool:
         """Shorten thrusters' force changes; write applied forces, return whether any was cut."""
@@ -90,6 +98,10 @@ class ThrusterLimit:
             back = 1.0 - 1.0 / np.sqrt(np.maximum(squares, 1.0))[rows.entry]
             base = np.where(beyond, back * u, u)
         target = u + self._clip_to_force_rate(u, du)
+        if remove_small_violations(
+            rows.G, u_min, u_max, self._rounding, self._largest_removed, u, du_max, target
+        ):
+            target = u + self._clip_to_force_rate(u, target - u)
         at_base, change = rows.G @ base, rows.G @ (target - base)
         room = np.where(change > 0.0, u_max - at_base, at_base - u_min)
         share = np.full(len(room), 1.0)
@@ -103,3 +115,31 @@ class ThrusterLimit:
     def _clip_to_force_rate(self, u: Vector, du: Vector) -> Vector:
         """Return the force changes du (n_f,) clipped to the rate limits."""
         return np.clip(du, -self._du_max, self._du_max)
+
+
+@njit(cache=True)
+def remove_small_violations(G, low, high, rounding, most, before, du_max, force):  # type: ignore[no-untyped-def] # compiled: numba finds the types
+    """Move a force (n_f,) onto the limits low ≤ G f ≤ high (r,) that it violates by at most `most`.
+
+    Row after row, and to within du_max (n_f,) of the force before, until all such rows are kept to
+    within `rounding` (r,): cyclic projection (Bregman 1965), in multiples of du_max. Return whether
+    the force was changed.
+    """
+    changed = False
+    for _ in range(MOST_SWEEPS):
+        moved = False
+        for i in range(G.shape[0]):
+            value, size = 0.0, 0.0
+            for j in range(force.shape[0]):
+                value += G[i, j] * force[j]
+                size += (G[i, j] * du_max[j]) ** 2
+            beyond = max(value - high[i], 0.0) - max(low[i] - value, 0.0)
+            if rounding[i] < abs(beyond) <= most[i] and size > 0.0:
+                for j in range(force.shape[0]):
+                    force[j] -= beyond * G[i, j] * du_max[j] ** 2 / size
+                moved = changed = True
+        if not moved:
+            break
+        for j in range(force.shape[0]):
+            force[j] = min(max(force[j], before[j] - du_max[j]), before[j] + du_max[j])
+    return changed

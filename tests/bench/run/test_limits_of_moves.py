@@ -146,6 +146,19 @@ def test_an_azimuth_is_cut_along_its_move(
     np.testing.assert_allclose(found, applied, atol=1e-6)
 
 
+@pytest.mark.parametrize("error", [1e-6, 1e-3, 4e-3])
+def test_a_small_error_does_not_stop_a_move_along_a_limit(error: float) -> None:
+    """From (60, 40) N on |X| + |Y| = 100 N: what is beyond a limit alone is cut."""
+    rows, found = build_limit_rows_of_thrusters(AZIMUTH, 4), np.full(3, np.nan)
+    limit = ThrusterLimit(rows, AZIMUTH.largest_force_changes_per_sample(0.5))
+    limits, outwards = rows.limits_after_loss_of_thrusters(set()), 5.0 * error
+    for along in (4.0, 5.0):  # 5 N is the maximum increment
+        move = np.array([along + outwards, outwards - along, 0.0])
+        assert limit(np.array([60.0, 40.0, 0.0]), move, limits, found)
+        np.testing.assert_allclose(found, [60.0 + along, 40.0 - along, 0.0], atol=outwards)
+        assert (rows.G @ found <= limits.high + 1e-6).all()
+
+
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
     return load_scenario("calm")
