@@ -60,8 +60,10 @@ from dpbench.report.verdict.verdict_text import (
     describe_tolerances_left,
     explain_no_recommendation,
 )
+from dpbench.solvers.own_settings import decode_options_from_json, format_options_as_toml
 from dpbench.solvers.settings import (
     format_library_call,
+    has_distinct_tolerance_presets,
     has_preset_or_tolerance,
     resolve_settings_with_fixed_options,
 )
@@ -609,7 +611,11 @@ def format_python_call(c: Configuration) -> str:
     )
     record = find_solver_record_or_none(c.solver)
     if c.solver in CONTROLLER_SOLVERS:
-        named = f"'{c.solver}[{c.options_text}]'" if c.options else c.solver
+        named = c.solver
+        if c.options:
+            named = f"'{c.solver}[{format_options_as_toml(decode_options_from_json(c.options))}]'"
+        elif has_distinct_tolerance_presets(c.solver):
+            named = f"{c.solver} --settings {c.settings}"
         call += f"\n# C code:\n# dpbench codegen SCENARIO --out DIR\n#   --solver {named}"
     elif record is not None and record.project.c_code.value.startswith("yes"):
         call += f"\n# C code: {record.project.c_code.source}"
@@ -617,7 +623,10 @@ def format_python_call(c: Configuration) -> str:
         return call
     options = resolve_settings_with_fixed_options(c.solver_settings, c.solver)
     keys = ", ".join(f"{key}={value!r}" for key, value in options.items())
-    call = f"{call}\n# settings: {keys or 'library defaults'}"
+    for name, switch in record.adapted.items() if c.solver in CONTROLLER_SOLVERS else ():
+        if options.get(switch):
+            call += f"\n# C code has a constant {name}, as with {switch} = false."
+    call += f"\n# settings: {keys or 'library defaults'}"
     own = format_library_call(c.solver, c.route, c.policy, c.solver_settings)
     return f"{call}\n\n# Without dpbench:\n{own}" if own else call
 

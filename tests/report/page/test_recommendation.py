@@ -16,6 +16,7 @@ from dpbench.analysis.verdict.verdict import (
     judge_solvers,
     list_best_verdict_of_each_solver,
 )
+from dpbench.bench.record.cell import Configuration
 from dpbench.errors import InputError
 from dpbench.report.documents.markdown import MOST_BYTES, make_report_markdown
 from dpbench.report.documents.solver_comparison import compare_solver, format_worst_steps
@@ -24,6 +25,7 @@ from dpbench.report.page.data import PageData
 from dpbench.report.page.recommendation import (
     Recommendation,
     build_recommendation,
+    format_python_call,
     list_speed_margin_sentences,
 )
 from dpbench.report.page.write import make_page_document
@@ -872,6 +874,29 @@ def test_a_snippet_in_c_has_numbers(
         records.loop(solver, settings=settings_run, error=error)
         records.replay(solver, settings=settings_run, error=error)
     assert dict(_answer(records).snippets).get("C") == text
+
+
+@pytest.mark.parametrize(
+    ("solver", "settings", "options", "named"),
+    [
+        ("osqp", "rho=1.6", '{"rho": 1.6}', "'osqp[rho=1.6]'"),
+        ("osqp", "mine", '{"rho": 1.6}', "'osqp[rho=1.6]'"),
+        ("osqp", "high", "", "osqp --settings high"),
+        ("osqp", "rho=1.6", '{"rho": 1.6, "adaptive_rho": false}', ""),
+        ("paper_active_set", "default", "", "paper_active_set"),
+    ],
+)
+def test_a_snippet_generates_c_code_with_the_same_settings(
+    solver: str, settings: str, options: str, named: str
+) -> None:
+    """A comment shows where the C code cannot adapt what the measured settings adapt."""
+    call = format_python_call(
+        Configuration(solver, "native", "warm", settings, options=options)
+    ).splitlines()
+    named = named or "'osqp[adaptive_rho=false,rho=1.6]'"
+    assert f"#   --solver {named}" in call
+    note = "# C code has a constant rho, as with adaptive_rho = false."
+    assert (note in call) == (solver == "osqp" and "adaptive_rho" not in options)
 
 
 def test_why_is_the_verdicts_cause(records: Any) -> None:
