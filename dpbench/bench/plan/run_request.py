@@ -111,14 +111,18 @@ class RunRequest:
         chosen = {"settings": self.settings, "routes": self.routes, "policies": self.policies}
         keys = {key: list(names) for key, names in chosen.items() if names}
         document = reduce_suite(document, scenarios=self.scenarios, steps=self.steps, **keys)
+        asked = self.solvers
+        if self.settings:
+            # A choice with options ignores the settings of a table.
+            asked = add_solvers_without_options(asked or ())
         with name_file_in_errors(path, chosen=bool(self.settings), scenarios=self.scenarios):
             remarks: list[str] = []
-            choices = self.solvers or document.solvers
+            choices = asked or document.solvers
             if self.routes or self.policies:
-                solvers = choose_solvers(document, self.solvers)
+                solvers = choose_solvers(document, asked)
                 remarks = check_call_modes(document, solvers, "routes" in keys)
             if self.settings:
-                chosen_solvers = choose_solvers(document, self.solvers)
+                chosen_solvers = choose_solvers(document, asked)
                 remarks += list_solvers_without_settings(document, chosen_solvers, self.settings)
             is_timed = document.requirements.deadline_ms > 0.0
             if not is_timed and self.sequence is not None:
@@ -126,14 +130,14 @@ class RunRequest:
             if self.scenarios:
                 remarks += list_tables_left_out(document)
             cells = plan_suite(
-                document, solvers=self.solvers, scenarios=self.scenarios, beside=path.parent
+                document, solvers=asked, scenarios=self.scenarios, beside=path.parent
             )
             if self.steps is not None:
                 remarks += list_runs_of_other_length(cells, self.steps)
         part = bool(self.solvers or self.scenarios or keys or self.steps is not None)
         remarks += list_replays_of_other_horizons(document, cells, path.parent)
         remarks += _list_remarks(cells, choices, is_timed)
-        chosen_names = tuple(self.solvers or ()), tuple(self.scenarios or ())
+        chosen_names = tuple(asked or ()), tuple(self.scenarios or ())
         return Plan(name, path, document, cells, part, remarks, *chosen_names)
 
     @property
@@ -232,7 +236,16 @@ def reduce_suite(
     keys = {"route": "routes", "policy": "policies"}
     replaced = {key: None for key, names in keys.items() if names in calls}
     named = {name: table.model_copy(update=replaced) for name, table in suite.settings.items()}
-    return suite.model_copy(update={"settings": named, **once})
+    update = {"settings": named, **once}
+    if "settings" in calls:
+        update["solvers"] = add_solvers_without_options(suite.solvers)
+    return suite.model_copy(update=update)
+
+
+def add_solvers_without_options(choices: Sequence[str]) -> list[str]:
+    """Return choices of solvers; one that is named only with options is added without them."""
+    alone = dict.fromkeys(split_into_solver_and_options_text(choice)[0] for choice in choices)
+    return [*choices, *(solver for solver in alone if solver not in choices)]
 
 
 def list_tables_left_out(suite: SuiteFile) -> list[str]:

@@ -71,6 +71,21 @@ def test_a_solver_is_chosen_with_settings_on_the_command_line(suite: str) -> Non
     ]
 
 
+def test_chosen_settings_also_run_for_a_solver_named_with_options(suite: str) -> None:
+    """On the command line and in a suite, whose plan is the same when it is run again."""
+    ran = [("osqp", "rho=2", {"rho": 2}), ("osqp", "mid", "mid")]
+    plan = RunRequest(suite, solvers=["osqp[rho=2]"], settings=["mid"]).make_plan()
+    assert describe(plan.cells) == ran
+    with pytest.raises(SettingsError, match="found 'middle'"):
+        RunRequest(suite, solvers=["osqp[rho=2]"], settings=["middle"]).make_plan()
+    text = Path(suite).read_text()
+    Path(suite).write_text(text.replace('["osqp", "daqp"]', '["osqp[rho=2]"]'))
+    plan = RunRequest(suite, settings=["mid"]).make_plan()
+    assert describe(plan.cells) == ran
+    Path(suite).write_text(plan.format_suite(Path(suite).parent))
+    assert RunRequest(suite).make_plan().digest == plan.digest
+
+
 def test_each_settings_run_at_each_limit_of_iterations(suite: str) -> None:
     """By the option of each solver; one without such an option takes no part."""
     text = Path(suite).read_text().replace('"daqp"]', '"daqp", "osqp[rho=2]", "paper_active_set"]')
