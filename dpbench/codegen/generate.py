@@ -23,7 +23,7 @@ from dpbench.codegen.solver_sources import (
     SolverSources,
     round_up_to_multiple_of_8,
 )
-from dpbench.embedded.toolchain import has_extra
+from dpbench.embedded.toolchain import REMEDY, has_extra
 from dpbench.errors import InputError
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe, write_file_set_into_folder
 from dpbench.report.formats import format_count, plural
@@ -108,10 +108,7 @@ def generate_controller(
     ]
     lines += [f"{cost.summary}." for cost in costs]
     if counts and not costs:
-        lines.append(
-            "Instructions were not counted: install dpbench[embedded] and generate again, or count "
-            "those of single QPs with dpbench embedded."
-        )
+        lines.append(f"Instructions were not counted: run {REMEDY}, then generate again.")
     if fmu is not None:
         whole = build_fmu_bytes(data, files, fmi)
         write_bytes_to_file_or_pipe(Path(fmu), whole)
