@@ -113,7 +113,8 @@ def _describe_pair(one: PairedComparison, judged: Mapping[str, Verdict]) -> str:
     both = [(name, judged[name]) for name in (one.second, one.first) if name in judged]
     lacking = [f"{name}: {verdict.state}" for name, verdict in both if verdict.state != "pass"]
     errors = [f"{format_error(verdict.error_move)} ({name})" for name, verdict in both]
-    verdicts = f" Largest errors in maximum increments: {join_with_and(errors)}." if errors else ""
+    listed = join_with_and(errors)
+    verdicts = f" Largest errors over all runs, in maximum increments: {listed}." if errors else ""
     verdicts += f" Verdict on {'; on '.join(lacking)}." if lacking else ""
     ratio = f"{strip_markdown(describe_paired_times([one]))}.{verdicts}"
     return f"{one.second} against {one.first} at {one.variables:.0f} variables: {ratio}"
