@@ -278,7 +278,7 @@ def compare_settings_of_solvers(records: Records) -> list[PairedComparison]:
     """Return step time ratios of each solver's settings to the first of them, in one call mode.
 
     The first is `default` where it was timed, else the preset of the largest tolerance, else the
-    first of one's own. Settings that no common step was timed of have no ratio.
+    first by `sort_key_of_settings`. Settings that no common step was timed of have no ratio.
     """
     replays = records.select_runs(mode="replay", units="scaled")
     configurations = dict.fromkeys(
