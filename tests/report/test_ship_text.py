@@ -78,7 +78,7 @@ def test_a_lost_ship_is_a_banner_with_when_and_how_far(records: Any) -> None:
         "largest offset 37.0 m at 30.0 s, last offset 36.0 m."
     )
     assert (
-        "in 1 of 2 scenarios. The largest offset is 1.77 m in `rough` at the start (" in told.text
+        "in 1 of 2 scenarios. The largest offset is 1.77 m, at the start of `rough` (" in told.text
     )
 
 
@@ -479,7 +479,7 @@ def test_the_largest_offset_in_a_study_has_its_point(records: Any) -> None:
     for point, sea, offset_m in ((0, 1, 1.5), (3, 2, 2.5), (4, 1, 2.0)):
         records.sea("daqp", point, sea, {"N_p": 20.0}, exact_offset_max_m=offset_m)
     text = summarise_ships(find_ship_results(records.view())).text
-    assert "is 2.50 m at point 3 with `N_p = 20`, realisation 2 of `seas` at the start (" in text
+    assert "is 2.50 m, at the start of point 3 with `N_p = 20`, realisation 2 of `seas` (" in text
 
 
 def test_a_study_with_one_point_of_active_limits_was_hard(records: Any) -> None:
@@ -560,8 +560,8 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     text = _summary(records).text
     assert text.startswith(
         "With exactly solved QPs, the controller holds the ship on station (5 m, 5°) in 2 of 2 "
-        "scenarios (in a transfer, only the time after the arrival counts). On station, the "
-        "largest offset is 1.77 m in `paper` at the start (0.0400 m at the end of this run)."
+        "scenarios (in a transfer to a new setpoint, only the time after the arrival counts). On station, the "
+        "largest offset is 1.77 m, at the start of `paper` (0.0400 m at its end)."
     )
     assert text.endswith(
         "In `turn`, the ship is up to 17.0 m from its setpoint during the approach and on "

@@ -227,8 +227,8 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
     requirements = data.requirements
     is_scaled = any(margin.p99.run.untimed_iterations > 1.0 for margin in margins)
     scaled = (
-        ", each scaled up if the closed loop of its scenario takes more iterations. It may exceed "
-        "the longest step, which the table gives as measured, not scaled"
+        ", each scaled up if the closed loop of its scenario takes more iterations than the replay "
+        "or window. It may exceed the longest step, which the table gives as measured, not scaled"
     ) * is_scaled
     step = "scaled " * any(m.hardest.run.untimed_iterations_max > 1 for m in margins)
     return (
@@ -304,7 +304,7 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
             alike = " for all configurations in this table" * (
                 len({*found.values()}) == 1 < len(found)
             )
-            yield f"The {name} of each configuration is {_most_and_others(found, 'in')}{alike}."
+            yield f"The {name} is {_most_and_others(found, 'in')}{alike}."
     ended = [
         f"{v.configuration.marked_label}: {describe_findings(causes)}"
         for v in verdicts
@@ -342,7 +342,8 @@ def _most_and_others(names: Mapping[str, str], preposition: str) -> str:
     most, *others = sorted(of_name, key=lambda name: -len(of_name[name]))
     if sum(len(of_name[name]) for name in others) > MOST_EXCEPTIONS:
         counts = [
-            f"{name} ({plural(len(of_name[name]), 'configuration')})" for name in (most, *others)
+            f"{name} (for {plural(len(of_name[name]), 'configuration')})"
+            for name in (most, *others)
         ]
         return f"{preposition} {join_with_and(counts)}"
     texts = [f"; for {join_with_and(of_name[name])}, {preposition} {name}" for name in others]

@@ -74,8 +74,8 @@ def _explain_step_times(data: PageData) -> str:
 
 BARS = (
     "The limiting p99 may exceed the longest step, which is drawn as measured. The call overhead "
-    "is the time of a call from Python that copies its data but solves nothing. A solver with a "
-    "faster interface may have a smaller p50, at which its grey bar then ends. Below 5 µs, "
+    "is the time of a call from Python that copies its data but solves nothing. If the p50 of "
+    "a solver is smaller, its grey bar ends at the p50. Below 5 µs, "
     "differences may be due to the interfaces, not the algorithms."
 )
 
@@ -238,7 +238,7 @@ def _explain_other_replays(points: pd.DataFrame, names: str, usual: str) -> str:
     if has_p99[points["timed_on"] == names].any() or not has_p99[points["timed_on"] == usual].all():
         return f"For {solvers}, the step time is "
     has = "has" if points["solver"][points["timed_on"] == names].nunique() == 1 else "have"
-    return f"{solvers} {has} too few steps for a p99 and always shows the p50: "
+    return f"Exception: {solvers} {has} too few steps for a p99. It is shown at its p50: "
 
 
 def _mark_names(names: Iterable[str]) -> list[str]:

@@ -338,21 +338,21 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     farthest = max(kept, key=lambda ship: ship.run.exact_offset_max_m / ship.run.station_radius_m)
     run = farthest.run
     if len(known) == 1:
-        where, there = f"in `{farthest.name}`", ""
+        where, at, end = f"in `{farthest.name}`", f" {_format_time_of_offset(run)}", "the end"
     else:
         where = f"in {len(kept)} of {len(known)} {_name_kind(known)}"
-        there = f" at {_locate_ship(farthest)}" if run.study else f" in `{farthest.name}`"
+        at, end = f", {_format_time_of_offset(run)} of {_locate_ship(farthest)}", "its end"
     from_deg = find_weather_direction(ship.run for ship in known)
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     moves, largest = "", "The largest offset"
     if any(ship.has_transfer for ship in kept):
-        moves = " (in a transfer, only the time after the arrival counts)"
+        moves = " (in a transfer to a new setpoint, only the time after the arrival counts)"
         largest = "On station, the largest offset"
     return (
         f"With exactly solved QPs, the controller holds the ship on station "
         f"({_format_station_limits(farthest)}){weather} {where}{moves}. {largest} is "
-        f"{significant(run.exact_offset_max_m)} m{there} {_format_time_of_offset(run)} "
-        f"({significant(run.exact_offset_end_m)} m at the end{' of this run' if there else ''})."
+        f"{significant(run.exact_offset_max_m)} m{at} "
+        f"({significant(run.exact_offset_end_m)} m at {end})."
     )
 
 

@@ -63,9 +63,9 @@ def _describe_round_spread(records: Records, *, is_quiet: bool) -> list[str]:
     spread = (
         f"This run gives no estimate of how much times differ between days: {join_with_and(why)}."
         if why
-        else "Between the slowest and the fastest round, the median step time of a configuration "
-        f"differs by at most a factor of {significant(usual)} in half of the configurations and "
-        f"{significant(high)} in 95 % of them. Runs on other days can differ by more."
+        else "The median step times of the slowest and the fastest round differ by a factor of at "
+        f"most {significant(usual)} for half of the configurations, and of at most "
+        f"{significant(high)} for 95 % of them. Runs on other days can differ by more."
     )
     beyond = "" if is_quiet else " by more than the spread of the rounds"
     return [
@@ -127,8 +127,8 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     return (
         f"Taken one by one, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
         f"exceeded the limit of {' or '.join(kinds)}. For these, a ratio of "
-        "step times is significant only if its whole interval is farther from 1 than their slowest "
-        "round is from their fastest."
+        "step times is significant only if its interval is outside 1/s to s, where s is the time "
+        "of their slowest round divided by that of their fastest."
     )
 
 

@@ -159,7 +159,7 @@ def test_records_without_counters_say_nothing(records: Any) -> None:
         (
             4,
             4,
-            "a factor of 2.00 in half of the configurations and 2.00 in 95 % of them. Runs",
+            "most 2.00 for half of the configurations, and of at most 2.00 for 95 % of them. Runs",
         ),
         (3, 4, "differ between days: only 3 configurations had two rounds."),
         (4, 900, "no estimate of how much times differ between days: the machine was disturbed."),

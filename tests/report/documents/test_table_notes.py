@@ -77,8 +77,8 @@ def test_the_replays_of_worst_p99_and_hardest_step_are_named() -> None:
     assert notes == [
         "A limiting p99 from a window has no confidence interval, as only the hardest steps were "
         "replayed.",
-        f"The limiting p99 of each configuration is {turn}.",
-        f"The longest step of each configuration is {turn}; {rough}.",
+        f"The limiting p99 is {turn}.",
+        f"The longest step is {turn}; {rough}.",
     ]
 
 
@@ -102,8 +102,8 @@ def test_more_than_three_exceptions_are_counted() -> None:
     other = [_verdict(name, "move", window="rough") for name in solvers]
     (*_, hardest) = yield_table_remarks([*(_verdict(f"d{i}", "move") for i in range(5)), *other])
     assert hardest == (
-        "The longest step of each configuration is in the replay of `move` (5 configurations) and "
-        "the window of hardest steps of `rough` (4 configurations)."
+        "The longest step is in the replay of `move` (for 5 configurations) and the window of "
+        "hardest steps of `rough` (for 4 configurations)."
     )
 
 

@@ -295,7 +295,7 @@ def test_the_count_names_what_a_figure_or_dpbench_decides(records: Any) -> None:
     assert len(claims) == 9
     all_held = [Claim(one.claim, one.stated_in_paper, "", "reproduced") for one in claims]
     assert describe_count_reproduced(all_held) == (
-        "9 of 9 claims of Xia, Liu, Pang & Xue are reproduced; 5 of them rest on a figure, or "
+        "9 of 9 claims of Xia, Liu, Pang & Xue are reproduced; 5 of these 9 rest on a figure, or "
         "on a limit or weights chosen by dpbench"
     )
     quoted = [one for one in all_held if one.stated_in_paper.startswith("“")]

@@ -110,7 +110,7 @@ function captionOf(rows, second) {
 function shortTimes(first, second) {
   const { shortest } = facts.paired, short = [first, second].filter((c) => C().p50[c] !== null && C().p50[c] < shortest);
   return short.length === 0 ? "" : ` The p50 ${short.length > 1 ? "values " : ""}of ${short.map(marked).join(" and ")}, ${short.map((c) => time(C().p50[c])).join(" and ")}, ${
-    short.length > 1 ? "are" : "is"} below ${time(shortest)}, the shortest time for which the timing was checked.${
+    short.length > 1 ? "are" : "is"} below ${shortest / 1e3} µs, the shortest time for which the timing was checked.${
     short.length > 1 ? " Differences between such times may be due to the bindings, not the methods." : ""}`;
 }
 
