@@ -124,8 +124,8 @@ def _describe_basis(judged: "Sequence[Claim]") -> str:
     held = [claim.stated_in_paper for claim in judged if claim.state == "reproduced"]
     marked = sum(any(mark in stated for mark in BASES) for stated in held)
     rest = "rest" if marked > 1 else "rests"
-    why = f"{marked} of these {len(held)} {rest} on a figure, or on a limit or weights chosen by dpbench"
-    return f"; {why}" * bool(marked)
+    why = f"{rest} on a figure, or on a limit or weights chosen by dpbench"
+    return f"; {marked} of these {len(held)} {why}" * bool(marked)
 
 
 def _make_stability_table(records: Records, designs: Designs) -> Table:
@@ -157,7 +157,7 @@ def _make_stability_table(records: Records, designs: Designs) -> Table:
         "prediction horizon and the control horizon (both in steps). "
         f"{_name_scenarios_of_controllers(designs)} Each range gives the largest initial sway "
         "offset from which the ship returned and the smallest from which it did not; ≥ precedes "
-"the largest offset tested. The last column is for the weather of scenario "
+        "the largest offset tested. The last column is for the weather of scenario "
         f"`{WEATHER}`{absent}, whose moderate forces build up over the first minute.{remedy}",
         folded=True,
         labels={
