@@ -183,7 +183,7 @@ def test_how_far_rounds_lie_apart_is_said_of_a_quiet_run_alone(
     assert compute_repetition_spread(records.view()) == (2.0, 2.0, configurations)
     topic = build_trust_topic(records.view())
     assert topic is not None and said in topic.tables[0].note
-    assert ("factor of 2.00" in topic.tables[0].note) == (configurations == switches == 4)
+    assert ("at most 2.00 for half" in topic.tables[0].note) == (configurations == switches == 4)
 
 
 def test_one_disturbed_command_among_quiet_ones_is_not_called_quiet(records: Any) -> None:
