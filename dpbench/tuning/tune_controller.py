@@ -211,17 +211,21 @@ def choose_controller(trials: Sequence[Trial[LoopScore]], margin: float) -> Tria
 
 
 TRIALS, REALISATIONS, MARGIN = 48, 2, 0.7
-WEAR_IS = "wear: travel of the forces in an hour, in multiples of the largest forces"
+SCORES = (
+    "offset: largest position or heading error, in percent of its limit",
+    "wear: travel of the forces in an hour, in multiples of the largest forces",
+)
 NO_PROMISE = (
     "The real ship differs from this model in mass, damping and thrust.",
     "Other seas, or these seas from another direction, were not tried.",
     "A longer time in the same sea may bring a larger offset than these realisations.",
+    "A swing that does not decay is not detected: look at the result of the next run.",
     "Stability is not proven, and only the faults of the scenario were tried.",
     "Azimuths turn at any rate unless the scenario has `azimuth_turning = true`.",
     "Solve time grows with the horizons and was not measured: run the scenario in a suite.",
 )
 """Limits of the result, printed after it."""
-UNCHANGED = "unchanged: no trial was better than the scenario's own controller"
+UNCHANGED = "unchanged: no trial has a better score than the scenario's own controller"
 WORSE_IN_TEST = (
     "in the test, the original controller is no worse in offset and wear: keep it, or increase "
     "--trials and --realisations"
@@ -292,7 +296,7 @@ class ControllerTuning:
             f"test in other realisations, {held} the margin: {describe(self.fresh)} "
             f"(original controller: {describe(self.own_fresh)})",
             *([WORSE_IN_TEST] if self.is_worse_in_test else []),
-            WEAR_IS,
+            *SCORES,
             *(f"wrote {path}" for path in self.paths),
             "Limits of this result:",
             *NO_PROMISE,

@@ -210,8 +210,8 @@ def test_a_lost_ship_that_is_still_moving_away_is_said_to(records: Any) -> None:
     ("columns", "share"),
     [
         ({"exact_offset_max_m": 3.99}, ""),
-        ({"exact_offset_max_m": 4.0}, "80.0 %"),
-        ({"exact_heading_max_deg": 4.8}, "96.0 %"),
+        ({"exact_offset_max_m": 4.0}, "80.0 % (offset 4.00 m)"),
+        ({"exact_heading_max_deg": 4.8}, "96.0 % (heading error 4.80°)"),
         ({"exact_offset_max_m": 4.0, "exact_left_s": 9.0}, ""),
     ],
 )
@@ -229,7 +229,7 @@ def test_a_ship_near_the_limits_of_its_station_is_named(
 def test_the_smallest_margin_in_a_study_has_its_point(records: Any) -> None:
     for point, far_m in enumerate((4.1, 4.6, 1.0)):
         records.sea("daqp", point, 1, {"N_p": 20.0 + point}, exact_offset_max_m=far_m)
-    worst = "92.0 % (point 1 with `N_p = 21`, realisation 1 of `seas`)"
+    worst = "92.0 % (offset 4.60 m, point 1 with `N_p = 21`, realisation 1 of `seas`)"
     assert f"up to {worst} of the limits of its station in `seas`." in _summary(records).caution
 
 
@@ -455,7 +455,7 @@ def test_every_surface_says_that_the_margin_is_small(tmp_path: Path, capsys: Any
     near = Written(tmp_path, 700.0, capsys)
     assert (near.code, near.code_without) == (0, 0) and "warning" not in near.json
     moving = "The ship is still moving away when the run ends in ship: only a longer run shows"
-    small = "The margin is small: the ship reaches 83.0 % of the limits of its station in ship."
+    small = "The margin is small: the ship reaches 83.0 % (offset 4.15 m) of the limits of its "
     statement = tmp_path / "a.svg"
     assert main(["report", str(near.out), "--statement", str(statement)]) == 0
     drawn = " ".join(re.sub(r"<[^>]*>", " ", statement.read_text("utf-8")).split())

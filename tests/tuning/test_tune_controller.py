@@ -171,7 +171,7 @@ def test_a_controller_that_no_trial_beats_is_called_unchanged(
     command = ["tune", "thrusters_loss", "--trials", "1", "--steps", "5", "--realisations", "1"]
     assert main([*command, "--out", str(tmp_path)]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    sentence = "unchanged: no trial was better than the scenario's own controller"
+    sentence = "unchanged: no trial has a better score than the scenario's own controller"
     assert said.startswith(f"{sentence} own controller, with offsets within 70 %")
     assert "before the end of the scenario (1.50 of 240 s)" in said
     file = tmp_path / "thrusters_loss_tuned.toml"

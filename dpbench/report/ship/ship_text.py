@@ -469,7 +469,9 @@ def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
     if near:
         up_to = "up to " if len(near) > 1 else ""
         share = format_share(near[0].used_share_of_station_limits)
-        share += f" ({_locate_ship(near[0])})" * bool(near[0].run.study)
+        reached = [_format_largest_error(near[0])]
+        reached += [_locate_ship(near[0])] * bool(near[0].run.study)
+        share += f" ({', '.join(reached)})"
         sentences.append(
             f"The margin is small: the ship reaches {up_to}{share} of "
             f"the limits of its station in {_name_ships(near)}."
@@ -481,6 +483,14 @@ def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
             f"QPs in {parts}."
         )
     return sentences
+
+
+def _format_largest_error(ship: ShipResult) -> str:
+    """Return a ship's offset or heading error as text, whichever is nearer to its limit."""
+    run = ship.run
+    if run.exact_heading_max_deg / HEADING_DEG > run.exact_offset_max_m / run.station_radius_m:
+        return f"heading error {significant(run.exact_heading_max_deg)}°"
+    return f"offset {significant(run.exact_offset_max_m)} m"
 
 
 def _describe_rise(ship: ShipResult) -> str:
