@@ -300,7 +300,7 @@ COMMANDS: dict[str, CommandHelp] = {
         "0 settings found; 1 no settings are accurate on every training sequence, or the best "
         f"fail in the test; {_BUSY}; 130 interrupted",
         "Search in N trials for the fastest settings of a solver that are accurate on the training "
-        "sequences. Measure the best settings found on test sequences of other scenarios. The "
+        "sequences. Then measure the best settings on test sequences of other scenarios. The "
         "settings are not a proven optimum. Ctrl-C writes the best settings so far; the same "
         "command continues the search.",
     ),

@@ -82,7 +82,7 @@ def _add_suite_options(run: Command) -> None:
         "(workspace and last solution); overrides the suite"
     )
     _repeated(choice, "--policy", "POLICY", policy, dest="policies")
-    _option(choice, "--steps", "N", "stop each run after N steps", type=int)
+    _option(choice, "--steps", "N", "stop closed loops and their replays after N steps", type=int)
     _add_module_option(choice)
 
 
@@ -215,8 +215,7 @@ def add_export_options(export: Command) -> None:
 
 def add_worst_case_options(worst_case: Command) -> None:
     """Add the options of `dpbench worst-case` to its parser."""
-    searched = "solver whose worst step is searched for"
-    worst_case.add_argument("solver", metavar="SOLVER", help=searched)
+    worst_case.add_argument("solver", metavar="SOLVER", help="solver to examine")
     _add_call_options(worst_case.add_argument_group("solver"), has_settings=True)
     search = worst_case.add_argument_group("search")
     goal = "quantity to maximise: iterations (default) or error"
@@ -307,7 +306,7 @@ def add_init_options(init: Command) -> None:
         init.add_argument_group("weather"),
         "--sea",
         "N",
-        "DP capability number, 1 to 9 (default: largest that the ship holds)",
+        "DP capability number, 1 to 9 (default: the largest in which the ship holds station)",
     )
     output = init.add_argument_group("output")
     _option(output, "--out", "DIR", "folder to write to (default: current folder)", default=".")
@@ -449,7 +448,7 @@ def add_tune_options(tune: Command) -> None:
         output,
         "--out",
         "DIR",
-        "folder to write to (default: results/tune-SCENARIO of the first one)",
+        "folder to write to (default: results/tune-SCENARIO, after the first scenario)",
     )
 
 
