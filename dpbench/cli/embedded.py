@@ -383,5 +383,5 @@ def parse_kilobytes(texts: list[str]) -> list[int]:
     """Return sizes of memory in kB from texts; InputError for no whole number above 0."""
     for text in texts:
         if not text.isdecimal() or not int(text):
-            raise InputError("--fit", "", repr(text), "memory in kB, such as 128")
+            raise InputError("--fit", "", repr(text), "a whole number of kB above 0, such as 128")
     return [int(text) for text in texts]

@@ -139,7 +139,7 @@ def _write_option(argument: re.Match[str]) -> str:
 
 _REQUIRED: dict[type[OSError], str] = {
     FileExistsError: "a folder",
-    NotADirectoryError: "a path of folders",
+    NotADirectoryError: "a path in which every parent is a folder",
     IsADirectoryError: "a file",
     FileNotFoundError: "a path in an existing folder",
 }
@@ -369,7 +369,7 @@ def _compare_configurations(arguments: argparse.Namespace) -> None:
         "--reference": arguments.reference,
     }
     if found := [name for name, is_given in given.items() if is_given]:
-        allowed = "one folder, with --markdown (--html is not available with --solver)"
+        allowed = "one folder, without --html and --reference"
         raise InputError("--solver", "", f"with {' and '.join(found)}", allowed)
     chosen = compare_configurations_of_folder(arguments.folders[0], arguments.choices)
     _print_comparison(chosen.markdown(), [chosen.table], chosen.lines, arguments.markdown)

@@ -94,7 +94,7 @@ def test_the_largest_horizon_that_fits(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--fit", "small"], "--fit: found 'small'; allowed: memory in kB, such as 128"),
+        (["--fit", "small"], "--fit: found 'small'; allowed: a whole number of kB above 0"),
         (["--target", "m8"], "--target: found 'm8'; allowed: one of m7, a53, riscv, x86"),
         (["--solver", "zero", "--float"], "zero: --float: found single precision; allowed: double"),
         (["--solver", "zero", "--settings", "zero=1"], "--settings: found 'zero=1'; allowed: "),

@@ -103,6 +103,14 @@ def test_a_ship_in_other_units_is_none(
         (["run"], ["SUITE: missing; required: SUITE or --sequence"]),
         (["capability", "osv", "--out", "edge"], ["--out: found edge without --solver"]),
         (["codegen", "calm", "--out", __file__], ["py: file exists; required: a folder"]),
+        (
+            ["codegen", "calm", "--out", f"{__file__}/c"],
+            ["a path in which every parent is a folder"],
+        ),
+        (
+            ["run", "--sequence", "paper-30-5", "--scenario", "calm", "--dry-run"],
+            ["--scenario: found with --sequence; allowed: one of the two"],
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_exit_2(words: list[str], parts: list[str], refuse: Say) -> None:

@@ -45,7 +45,7 @@ SEMIDEFINITE_REFUSAL = "P is only semidefinite, and the solver needs P > 0"
 WINDOW_WARMUP_STEPS = 5
 """Warm-up steps of a window of the hardest steps: its configuration mostly has replayed another
 sequence."""
-NO_MODEL = "sparse: there is no model with states to keep"
+NO_MODEL = "the sparse formulation needs a model with states, which these QPs do not have"
 
 
 @dataclass(frozen=True)

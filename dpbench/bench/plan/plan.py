@@ -422,8 +422,9 @@ class _ScenarioCache:
         if key == SEED and not self._base.environment.is_random:
             found = f"a seed, although the weather of {self._base.name} has no random part"
             allowed = (
-                "a scenario with [environment.waves] (hs_m, tp_s), gusts in [environment.wind] or "
-                "[environment.noise]; `dpbench list scenarios` shows the random parts of each"
+                "a scenario with [environment.waves] (hs_m, tp_s), with [environment.noise], or "
+                "with gusts in [environment.wind]; `dpbench list scenarios` shows the random parts "
+                "of each"
             )
         raise InputError(self._where, key, found, allowed)
 

@@ -163,7 +163,7 @@ class RunRequest:
             return path.stem, path, document
         if self.sequence is not None and self.suite is None:
             if self.scenarios:
-                raise InputError("`scenarios`", "", "a choice with `sequence`", "one of the two")
+                raise InputError("`scenarios`", "", "with `sequence`", "one of the two")
             meta = read_sequence(resolve_sequence_path(self.sequence)).sequence.meta
             name = f"sequence-{Path(self.sequence).resolve().stem}"
             return name, Path("suite"), build_sequence_suite(self.sequence, meta)
@@ -388,7 +388,7 @@ def list_solvers_without_settings(
         table = suite.settings[name].options_by_solver if name in suite.settings else {}
         lacking = [s for s in named if s not in table and not has_preset_or_tolerance(s, name)]
         if lacking:
-            text = f"not run, because the solver has no settings {name}: {_name_a_few(lacking)}"
+            text = f"solvers not run, as they have no settings {name}: {_name_a_few(lacking)}"
             remarks.append(text)
     return remarks
 

@@ -51,12 +51,12 @@ def test_solvers_without_chosen_settings_are_named(suite: str) -> None:
     Path(suite).write_text(f"{text}\n[settings.mine.osqp]\nrho = 1.0\n")
     chosen = ["default", "high_polished", "mine"]
     plan = RunRequest(suite, settings=chosen, solvers=["osqp", "quadprog"]).make_plan()
-    assert [text for text in plan.remarks if text.startswith("not run")] == [
-        "not run, because the solver has no settings high_polished: quadprog",
-        "not run, because the solver has no settings mine: quadprog",
+    assert [text for text in plan.remarks if text.startswith("solvers")] == [
+        "solvers not run, as they have no settings high_polished: quadprog",
+        "solvers not run, as they have no settings mine: quadprog",
     ]
     alone = RunRequest(suite, settings=["default", "high_polished"], solvers=["osqp"]).make_plan()
-    assert not [text for text in alone.remarks if text.startswith("not run")]
+    assert not [text for text in alone.remarks if text.startswith("solvers")]
 
 
 @pytest.mark.parametrize(
