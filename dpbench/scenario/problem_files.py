@@ -110,11 +110,14 @@ class FileModel(BaseModel):
 
 
 class KeysError(ValueError):
-    """Error for keys of a table that exclude or require each other: the keys found, and allowed."""
+    """Error from the check of a whole table: what was found and allowed, and the path of the key.
 
-    def __init__(self, found: str, allowed: str) -> None:
+    keys : path from the table to the key; empty where the fault is in no single key.
+    """
+
+    def __init__(self, found: str, allowed: str, *keys: str) -> None:
         super().__init__(allowed)
-        self.found = found
+        self.found, self.keys = found, keys
 
 
 def find_folder_of_shipped_problems() -> Path:
@@ -274,7 +277,8 @@ def validate_settings_as_model(document: dict[str, Any], model: type[_Model], wh
         value = first["input"]
         found = repr(value)[:200]
         if isinstance(cause := first.get("ctx", {}).get("error"), KeysError):
-            found = cause.found
+            found = cause.found[:200]
+            key = format_key_path([*first["loc"], *cause.keys], is_table=True)
         elif isinstance(value, dict):
             found = f"keys {', '.join(value)}" if value else "no keys"
         raise InputError(where, key, found, message) from None

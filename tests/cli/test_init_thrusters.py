@@ -438,7 +438,8 @@ def test_barred_directions_leave_the_sector_and_both_are_printed(
         assert main(["check", "same.toml", "--quick"]) == 0
         assert said in " ".join(capsys.readouterr().out.split())
     np.testing.assert_allclose(sectors, [[30.0, 150.0], [30.0, 150.0], [390.0, 510.0]])
-    for wrong, found in (("barred_deg = [150]", "of two numbers"), (None, "either sector_deg or")):
+    number = "barred_deg: found [150]; allowed: two numbers, from and to"
+    for wrong, found in (("barred_deg = [150]", number), (None, "either sector_deg or")):
         both = "barred_deg = [150, 30]\nsector_deg = [30.0, 150.0]"
         spoilt = text.replace("sector_deg = [30.0, 150.0]", wrong or both)
         Path("same.toml").write_text(spoilt, encoding="utf-8")

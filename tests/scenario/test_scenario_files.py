@@ -106,7 +106,7 @@ BAD_SCENARIOS = [
         "move_weight =",
         "move_weight_relative = [1.0, 1.0, 1.0]\nmove_weight =",
         "controller",
-        "both of move_weight and move_weight_relative",
+        "both move_weight and move_weight_relative",
         "one of the two",
     ),
 ]

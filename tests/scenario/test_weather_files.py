@@ -166,10 +166,20 @@ def delete(table: str, key: str) -> Change:
         ("watch_circle", lambda s: s["controller"].update(outputs={}), None, "radius_m"),
         ("turn", lambda s: s["controller"].update(amplitude="weak"), None, "reachable"),
         ("turn", lambda s: s["controller"].update(terminal="lqr"), None, "riccati"),
-        (CASCADE, lambda s: of_thrusters(s, slack_weight_relative=None), None, "slack_weight"),
-        (CASCADE, lambda s: of_thrusters(s, thrust_weight_relative=0.0), None, "above 0"),
+        (CASCADE, lambda s: of_thrusters(s, slack_weight_relative=None), None, "found no slack"),
+        (
+            CASCADE,
+            lambda s: of_thrusters(s, thrust_weight_relative=0.0),
+            None,
+            "controller.thrusters: found thrust_weight_relative = 0; allowed: slack_weight_rel",
+        ),
         (CASCADE, lambda s: of_thrusters(s, allocation="lp"), None, "pseudo_inverse"),
-        (CASCADE, lambda s: of_thrusters(s, azimuth_turning=True), None, "azimuth_turning"),
+        (
+            CASCADE,
+            lambda s: of_thrusters(s, azimuth_turning=True),
+            None,
+            'found azimuth_turning = true with kind = "cascade"; allowed: azimuth_turning with',
+        ),
         (
             CASCADE,
             lambda s: s["controller"].pop("thrusters"),
@@ -180,7 +190,7 @@ def delete(table: str, key: str) -> Change:
             CASCADE,
             lambda s: s["controller"].pop("move_weight_relative"),
             None,
-            "allowed: one of the two",
+            "found neither move_weight nor move_weight_relative; allowed: one of the two",
         ),
         (
             CASCADE,
@@ -189,7 +199,30 @@ def delete(table: str, key: str) -> Change:
             'allowed: this table with kind = "thrusters" or "cascade"',
         ),
         (CASCADE, lambda s: None, lambda v: v.update(thrusters=[]), "cascade"),
-        ("thrusters", lambda s: of_thrusters(s, allocation="qp"), None, '"cascade" only'),
+        (
+            "thrusters",
+            lambda s: of_thrusters(s, allocation="qp"),
+            None,
+            'found allocation with kind = "thrusters"; allowed: allocation with kind = "cascade"',
+        ),
+        (
+            "thrusters",
+            lambda s: s["controller"].update(move_weight=[1.0, 1.0, 1.0]),
+            None,
+            'controller: found move_weight with kind = "thrusters"; allowed: move_weight_relative',
+        ),
+        (
+            "thrusters",
+            lambda s: s["controller"].update(limits="attainable"),
+            None,
+            'controller.limits: found "attainable"; allowed: "box" with kind = "thrusters"',
+        ),
+        (
+            "thrusters",
+            lambda s: s["controller"].update(terminal="riccati"),
+            None,
+            'controller.terminal: found "riccati"; allowed: "none" with kind = "thrusters"',
+        ),
         # The fault at fault is the second in the file and the first in time.
         (
             "thrusters_loss",

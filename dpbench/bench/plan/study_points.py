@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from dpbench.arrays import Matrix
-from dpbench.scenario.problem_files import FileModel
+from dpbench.scenario.problem_files import FileModel, KeysError
 from dpbench.solvers.contract import Policy
 
 Value = bool | int | float | str | list[float]
@@ -71,10 +71,14 @@ class DesignOfPointsTable(FileModel):
     def _refuse_bad_size_or_range(self) -> "DesignOfPointsTable":
         """Raise ValueError for a Sobol size that is no power of two, or a range without growth."""
         if self.kind == "sobol" and self.points & (self.points - 1):
-            raise ValueError("a power of two for sobol: 64, 128, 256, ...")
+            raise KeysError(
+                str(self.points), "a power of two for sobol: 64, 128, 256, ...", "points"
+            )
         for key, (least, largest) in self.ranges.items():
             if not least < largest:
-                raise ValueError(f"an increasing range for {key!r}, such as [5.0, 18.0]")
+                found = f"[{least}, {largest}]"
+                allowed = "an increasing range, such as [5.0, 18.0]"
+                raise KeysError(found, allowed, "ranges", key)
         return self
 
     def draw_points(self) -> Matrix:
@@ -124,7 +128,8 @@ class StudyTable(RunsTable):
         """Raise ValueError for parameters that appear twice, or paired lists of unequal length."""
         lengths = {len(values) for values in self.zip.values()}
         if len(lengths) > 1:
-            raise ValueError("the same number of values for each key in zip")
+            found = f"lists of {' and '.join(map(str, sorted(lengths)))} values"
+            raise KeysError(found, "the same number of values for each key", "zip")
         keys = self.keys
         twice = [key for key in keys if keys.count(key) > 1]
         if twice:

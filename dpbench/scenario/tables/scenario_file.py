@@ -247,15 +247,18 @@ class ControllerTable(FileModel):
             raise KeysError(found, 'this table with kind = "thrusters" or "cascade"')
         if of_forces != (not plans_thrusters):
             if plans_thrusters:
-                raise ValueError("the move weight of thrusters in controller.thrusters, not here")
-            number = "both" if of_forces else "neither"
-            raise KeysError(f"{number} of move_weight and move_weight_relative", "one of the two")
+                name = "move_weight_relative" if self.move_weight is None else "move_weight"
+                raise KeysError(
+                    f'{name} with kind = "thrusters"',
+                    "move_weight_relative in [controller.thrusters]",
+                )
+            both = "both move_weight and" if of_forces else "neither move_weight nor"
+            raise KeysError(f"{both} move_weight_relative", "one of the two")
         if plans_thrusters and self.limits != "box":
-            raise ValueError(
-                'limits = "box" with kind = "thrusters", as thrusters have limits of their own'
-            )
+            allowed = '"box" with kind = "thrusters", as thrusters have limits of their own'
+            raise KeysError(f'"{self.limits}"', allowed, "limits")
         if plans_thrusters and self.terminal != "none":
-            raise ValueError('terminal = "none" with kind = "thrusters"')
+            raise KeysError(f'"{self.terminal}"', '"none" with kind = "thrusters"', "terminal")
         if self.thrusters is not None:
             self._refuse_unfit_allocation_keys(self.thrusters)
         return self
@@ -263,14 +266,18 @@ class ControllerTable(FileModel):
     def _refuse_unfit_allocation_keys(self, table: ThrusterControlTable) -> None:
         """Raise ValueError for allocation keys that do not fit the controller's kind."""
         if self.kind == "thrusters":
-            if table.slack_weight_relative is not None or table.allocation is not None:
-                raise ValueError('slack_weight_relative and allocation for kind = "cascade" only')
+            for key in ("slack_weight_relative", "allocation"):
+                if getattr(table, key) is not None:
+                    found = f'{key} with kind = "thrusters"'
+                    raise KeysError(found, f'{key} with kind = "cascade" only', "thrusters")
         elif table.slack_weight_relative is None or table.thrust_weight_relative == 0.0:
-            raise ValueError(
-                'slack_weight_relative, and a thrust_weight_relative above 0, for kind = "cascade"'
-            )
+            lacks_slack = table.slack_weight_relative is None
+            found = "no slack_weight_relative" if lacks_slack else "thrust_weight_relative = 0"
+            allowed = "slack_weight_relative, and a thrust_weight_relative above 0,"
+            raise KeysError(found, f'{allowed} with kind = "cascade"', "thrusters")
         elif table.azimuth_turning:
-            raise ValueError('azimuth_turning for kind = "thrusters" only')
+            found = 'azimuth_turning = true with kind = "cascade"'
+            raise KeysError(found, 'azimuth_turning with kind = "thrusters" only', "thrusters")
 
     @field_validator("control_horizon")
     @classmethod

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from dpbench.arrays import Vector
 from dpbench.errors import InputError
-from dpbench.scenario.problem_files import FileModel
+from dpbench.scenario.problem_files import FileModel, KeysError
 from dpbench.scenario.tables import key_types as keys
 from dpbench.ship.capability.loads import CapabilityHull
 from dpbench.ship.thrusters import Screw, Thruster, ThrusterSet, compute_nominal_thrust_N
@@ -121,7 +121,7 @@ class ThrusterTable(FileModel):
             raise ValueError("either sector_deg or barred_deg")
         edges = barred if isinstance(barred, list) else []
         if len(edges) != 2 or not all(isinstance(edge, int | float) for edge in edges):
-            raise ValueError("barred_deg of two numbers, from and to")
+            raise KeysError(repr(barred), "two numbers, from and to", "barred_deg")
         others = {key: value for key, value in keys.items() if key != "barred_deg"}
         return others | {"sector_deg": edges[::-1]}
 

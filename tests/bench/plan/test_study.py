@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, strategies as st
-from pydantic import ValidationError
 
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.run_request import reduce_suite
@@ -110,7 +109,7 @@ def test_columns_of_a_study_in_the_table_of_runs() -> None:
     [
         (
             {"base": "rough", "replicates": {"count": 3}},
-            "seed.*has no random part.*waves.*list scenarios",
+            r"seed.*has no random part.*, or with gusts in \[environment.wind\]; `dpbench list",
         ),
         ({"base": "rough", "product": {"title": ["a", "b"]}}, "title.*changes nothing"),
         ({"product": {"environment.wnd.speed_mps": [1.0]}}, "unknown key 'wnd'.*wind"),
@@ -125,18 +124,28 @@ def test_an_impossible_study_is_refused(study: dict[str, Any], said: str) -> Non
 
 
 @pytest.mark.parametrize(
-    "study",
+    ("study", "said"),
     [
-        {"zip": {HS: [1.0], TP: [1.0, 2.0]}},
-        {"zip": {HS: [1.0]}, "product": {HS: [2.0]}},
-        {"replicates": {"count": 2}, "product": {SEED: [1, 2]}},
-        {"design": {"kind": "sobol", "points": 6, "ranges": {HS: [1.0, 2.0]}}},
-        {"design": {"kind": "sobol", "points": 8, "ranges": {HS: [2.0, 2.0]}}},
+        (
+            {"zip": {HS: [1.0], TP: [1.0, 2.0]}},
+            "key zip: found lists of 1 and 2 values; allowed: the same number of values for each",
+        ),
+        ({"zip": {HS: [1.0]}, "product": {HS: [2.0]}}, "each key once"),
+        ({"replicates": {"count": 2}, "product": {SEED: [1, 2]}}, "not both"),
+        (
+            {"design": {"kind": "sobol", "points": 6, "ranges": {HS: [1.0, 2.0]}}},
+            "key design.points: found 6; allowed: a power of two for sobol",
+        ),
+        (
+            {"design": {"kind": "sobol", "points": 8, "ranges": {HS: [2.0, 2.0]}}},
+            f"key design.ranges.{HS}: found [2.0, 2.0]; allowed: an increasing range",
+        ),
     ],
 )
-def test_a_table_that_contradicts_itself(study: dict[str, Any]) -> None:
-    with pytest.raises(ValidationError):
-        StudyTable(base="weather", **study)
+def test_a_table_that_contradicts_itself(study: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        _suite(study)
+    assert said in str(caught.value)
 
 
 def test_choices_of_the_command_line_hold_for_studies() -> None:
