@@ -103,7 +103,7 @@ def _describe_counted_runs(runs: Sequence[RunRecord], records: Records) -> str:
         excluded.append(plural(calibration, "calibration run"))
     notes = [f". The number of runs includes {plural(refused, 'refused run')}"] * bool(refused)
     if twice:
-        why = "because two names select the same settings"
+        why = "under two names of the same settings"
         notes.append(f". Both numbers count {plural(twice, 'run')} twice, {why}")
     notes += [f". Both numbers exclude {join_with_and(excluded)}"] * bool(excluded)
     return "".join(notes)

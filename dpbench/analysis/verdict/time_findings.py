@@ -307,7 +307,7 @@ class _ReplayTimes:
 
     @property
     def has_p50(self) -> bool:
-        """Whether all steps were timed, and enough of them for a p50."""
+        """Return whether all steps were timed, and enough of them for a p50."""
         is_enough = has_enough_samples_for_percentile(self.steps, 50)
         return self.run.has_all_steps and is_enough
 

@@ -501,13 +501,14 @@ def _describe_limiting_p99(margin: SpeedMargin, wait: str, measured_ns: float) -
     if run.steps_searched_for_hardest:
         steps = run.steps_searched_for_hardest
         measured = (
-            f"The p99 of `{run.scenario}` is {time}{wait}, the time of {step}: "
-            f"{steps // 100} of its {format_count(steps)} steps may take longer."
+            f"The p99 of `{run.scenario}` is {time}{wait}, the time of {step}; "
+            f"{steps // 100} of the {format_count(steps)} steps may take longer."
         )
     else:
         measured = f"The p99 of {name_experiment(run)} is the time of {step}, {time}{wait}."
+    than = "window" if run.steps_searched_for_hardest else "replay"
     return (
-        f"{measured} The closed loop takes more iterations per step than these steps, so the "
+        f"{measured} The closed loop takes more iterations per step than the {than}, so the "
         f"limiting p99 is {significant(run.untimed_iterations)} times as long, "
         f"{format_time(margin.limiting_p99_ns)} (formula: page “Method” of the documentation)."
         f"{beyond}{estimated}"

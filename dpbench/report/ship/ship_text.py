@@ -346,7 +346,7 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     moves, largest = "", "The largest offset"
     if any(ship.has_transfer for ship in kept):
-        moves = " (in a transfer to a new setpoint, only the time after the arrival counts)"
+        moves = " (an approach from outside these limits does not count)"
         largest = "On station, the largest offset"
     return (
         f"With exactly solved QPs, the controller holds the ship on station "

@@ -123,8 +123,8 @@ def _describe_basis(judged: "Sequence[Claim]") -> str:
     """Return how many reproduced claims rest on a figure or a choice of dpbench, as a clause."""
     held = [claim.stated_in_paper for claim in judged if claim.state == "reproduced"]
     marked = sum(any(mark in stated for mark in BASES) for stated in held)
-    rest = "rest" if marked > 1 else "rests"
-    why = f"{rest} on a figure, or on a limit or weights chosen by dpbench"
+    are = "are" if marked > 1 else "is"
+    why = f"{are} read from a figure, or tested with a limit or weights chosen by dpbench"
     return f"; {marked} of these {len(held)} {why}" * bool(marked)
 
 

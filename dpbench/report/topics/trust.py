@@ -126,9 +126,9 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
         f"Taken one by one, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
-        f"exceeded the limit of {' or '.join(kinds)}. For these, a ratio of "
-        "step times is significant only if its interval is outside 1/s to s, where s is the time "
-        "of their slowest round divided by that of their fastest."
+        f"exceeded the limit of {' or '.join(kinds)}. For each of these, a "
+        "ratio of step times is significant only if its interval is outside 1/s to s, where s is "
+        "the time of its slowest round divided by that of its fastest."
     )
 
 

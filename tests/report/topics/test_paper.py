@@ -295,8 +295,8 @@ def test_the_count_names_what_a_figure_or_dpbench_decides(records: Any) -> None:
     assert len(claims) == 9
     all_held = [Claim(one.claim, one.stated_in_paper, "", "reproduced") for one in claims]
     assert describe_count_reproduced(all_held) == (
-        "9 of 9 claims of Xia, Liu, Pang & Xue are reproduced; 5 of these 9 rest on a figure, or "
-        "on a limit or weights chosen by dpbench"
+        "9 of 9 claims of Xia, Liu, Pang & Xue are reproduced; 5 of these 9 are read from a "
+        "figure, or tested with a limit or weights chosen by dpbench"
     )
     quoted = [one for one in all_held if one.stated_in_paper.startswith("“")]
     quoted = [one for one in quoted if "dpbench" not in one.stated_in_paper]

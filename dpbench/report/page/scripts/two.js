@@ -102,7 +102,7 @@ function commonSteps(rows) {
 function captionOf(rows, second) {
   const replays = unique(rows.map((row) => row.sequence)).map((name) =>
     `\`${name}\` with ${rows.find((row) => row.sequence === name).variables} variables`);
-  return `Each dot is one step, timed by its fastest round, in ${replays.join(" or ")}. Below the dashed line, ${
+  return `Each dot is one step, in its fastest round, of ${replays.join(" or ")}. Below the dashed line, ${
     unlike(second, state.c)} is faster.`;
 }
 
