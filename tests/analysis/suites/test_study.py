@@ -169,7 +169,7 @@ def _runs(away: dict[str, float], *, points: int = 2, seas: int = 6, **odd: str)
             claimed_not_true=0,
             error_move_max=0.0,
             caching_sign=None,
-            steps_planned=400,
+            has_all_steps=True,
             raw_p50_ns=2e4,
             raw_p99_ns=np.nan,
             r_tail_max_m=sea[p, r] + behind,

@@ -52,7 +52,7 @@ def _runs(
         "claimed_not_true": 0,
         "error_move_max": 0.0,
         "caching_sign": None,
-        "steps_planned": 400,
+        "has_all_steps": True,
         "raw_p50_ns": 2e4,
         "raw_p99_ns": np.nan,
         "closed_loop_cost": 2.0,
