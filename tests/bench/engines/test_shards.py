@@ -92,7 +92,7 @@ def test_foreign_shards_are_refused(copies: list[Path], suite: Path, tmp_path: P
         harness_version=json.loads((copies[1] / SHARD_FILE).read_text())["harness_version"],
     )
     changed(copies[0], digest="0" * 16)
-    with pytest.raises(InputError, match="with other options"):
+    with pytest.raises(InputError, match="whose suite or options differ"):
         join_result_folders(copies, out)
     with pytest.raises(InputError, match="has changed since"):
         join_result_folders(copies[:1], out)
