@@ -97,7 +97,7 @@ def test_what_disturbed_and_what_it_took_are_columns(results: Results) -> None:
 def test_the_report_and_the_last_lines_speak_of_them(folder: Path) -> None:
     page, lines = write_report_with_summary(folder)
     text = page.with_suffix(".md").read_text(encoding="utf-8")
-    assert "Measurement quality: Within this run, a difference in step time is " in text
+    assert "Measurement quality: In these results, a difference in step time is " in text
     assert (folder / "figures" / "calibration.svg").is_file()
     assert [what for what, _ in lines[-2:]] == ["machine", "timing"]
 
