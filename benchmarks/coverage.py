@@ -356,7 +356,7 @@ def simulate_study(rng: Random, factor: float) -> Study:
         log = seas[sea] + 0.03 * rng.standard_normal() + 0.02 * rng.exponential()
         slow = next(load) * (factor if point == LEVELS - 1 else 1.0)
         words = {"solver_label": solver, "solver": solver, "settings": "default"}
-        numbers = {"steps_done": 400, "steps_planned": 400, "exact_steps": 400, "true_share": 1.0}
+        numbers = {"steps_done": 400, "has_all_steps": True, "exact_steps": 400, "true_share": 1.0}
         times = {"raw_p50_ns": 1e5 * slow * math.exp(log), "raw_p99_ns": math.nan}
         rest = {"closed_loop_cost": 1.0, "exact_cost": 1.0, "is_baseline_law": False}
         rest |= {"claimed_not_true": 0, "error_move_max": 0.0, "caching_sign": None}
