@@ -82,7 +82,7 @@ def changed(folder: Path, **entries: object) -> None:
     path.write_text(json.dumps(document | entries), encoding="utf-8")
 
 
-def test_foreign_shards_are_refused(copies: list[Path], suite: Path, tmp_path: Path) -> None:
+def test_foreign_shards_are_refused(copies: list[Path], undisturbed: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     changed(copies[0], harness_version="0.0.9")
     with pytest.raises(InputError, match=r"shard1 of dpbench 0\.0\.9"):
@@ -100,7 +100,7 @@ def test_foreign_shards_are_refused(copies: list[Path], suite: Path, tmp_path: P
     with pytest.raises(InputError, match="found shards I/3 and I/4;"):
         join_result_folders(copies[1:], out)
     with pytest.raises(InputError, match="no shard in this folder; required"):
-        join_result_folders([suite.parent / "undisturbed"], out)
+        join_result_folders([undisturbed], out)
     assert not out.exists()
 
 
