@@ -13,9 +13,10 @@ CLIP_TOLERANCE = 1e-9
 """Largest violation of a limit that counts as rounding, in maximum increments; above it
 `clipped` is recorded."""
 SMALL_VIOLATION = 1e-2
-"""Largest violation that is removed by a move along the limit, in maximum increments: the largest
+"""Largest violation that a change across the limit removes, in maximum increments: the largest
 error of an accurate first move."""
 MOST_SWEEPS = 50
+"""Passes over all limits; a violation that is left shortens the move, as a larger one does."""
 
 
 class MoveLimit(Protocol):

@@ -498,15 +498,15 @@ def _describe_limiting_p99(margin: SpeedMargin, wait: str, measured_ns: float) -
         margin.limiting_p99_ns > measured_ns * (1.0 + ROUNDING)
     )
     time = format_time(margin.p99.time_ns)
-    if run.steps_searched_for_hardest:
-        steps = run.steps_searched_for_hardest
+    than = "replay"
+    if steps := run.steps_searched_for_hardest:
+        than = "window"
         measured = (
             f"The p99 of `{run.scenario}` is {time}{wait}, the time of {step}; "
             f"{steps // 100} of the {format_count(steps)} steps may take longer."
         )
     else:
         measured = f"The p99 of {name_experiment(run)} is the time of {step}, {time}{wait}."
-    than = "window" if run.steps_searched_for_hardest else "replay"
     return (
         f"{measured} The closed loop takes more iterations per step than the {than}, so the "
         f"limiting p99 is {significant(run.untimed_iterations)} times as long, "
