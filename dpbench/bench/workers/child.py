@@ -24,7 +24,7 @@ from dpbench.bench.record.raw_log import RawLog, is_log_full_size_and_writable
 from dpbench.bench.run.footprint import process_peak_bytes
 from dpbench.bench.run.timed_solver import read_process_wait_s
 from dpbench.bench.workers import shared_status
-from dpbench.bench.workers.interrupts import block_sigint
+from dpbench.bench.workers.interrupts import block_sigint, delay_signals
 from dpbench.bench.workers.orphans import END_S, end_orphans, kill_forkserver, signal_process
 from dpbench.bench.workers.shared_status import CUT, Phase, SharedStatus
 from dpbench.errors import DpbenchError
@@ -383,6 +383,8 @@ class ServingChild(Child):
         return self.determine_outcome()
 
 
+# A signal that ended a start half-way would leave a process to complain of an empty pipe.
+@delay_signals()
 def _start_process(process: ForkServerProcess) -> None:
     """Start a worker process, again where its parent dies; NoProcessError after `STARTS` times."""
     for attempt in range(STARTS):

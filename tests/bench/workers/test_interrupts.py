@@ -126,3 +126,33 @@ def test_what_a_terminal_sends_does_not_reach_some_processes() -> None:
     assert process.wait() == 0
     with pytest.raises(KeyboardInterrupt):
         signal.raise_signal(signal.SIGINT)
+
+
+STARTED_HALF_WAY = """
+import os, signal, tempfile, time
+from multiprocessing import reduction
+from pathlib import Path
+from dpbench.bench.workers.child import Child, start_forkserver
+from dpbench.bench.workers.interrupts import first_signal_only
+send = reduction.sendfds
+def interrupted(*request):
+    send(*request)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(0.1)
+context = start_forkserver()
+with tempfile.TemporaryDirectory() as folder:
+    Child(context, time.sleep, (0.0,), Path(folder), "first", limit_s=None).process.join()
+    reduction.sendfds = interrupted
+    try:
+        with first_signal_only():
+            Child(context, time.sleep, (600.0,), Path(folder), "second", limit_s=None)
+    except KeyboardInterrupt:
+        time.sleep(0.5)
+        print("interrupted")
+"""
+
+
+def test_a_signal_while_a_process_starts_leaves_no_traceback() -> None:
+    command = [sys.executable, "-c", STARTED_HALF_WAY]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("interrupted\n", "")
