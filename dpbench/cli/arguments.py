@@ -25,9 +25,12 @@ _STORED = {
 }
 """Arguments whose values are names of stored files, with their kind."""
 _BAD_INPUT = "2 bad input"
-_LOST = "1 a run failed with a harness error (run the same command again)"
-_NOT_HELD = "with --strict, a ship does not hold station in closed loop"
-_BUSY = f"{_BAD_INPUT}, or another dpbench run is active (--no-wait, or after --wait)"
+_LOST = "1 a run was lost to a fault of dpbench or the machine (run the same command again)"
+_NOT_HELD = "with --strict, a ship does not stay on station in a closed loop"
+_BUSY = (
+    f"{_BAD_INPUT}, or another dpbench run is still active (with --no-wait, or after the time of "
+    "--wait)"
+)
 
 
 @dataclass(frozen=True)
@@ -194,7 +197,7 @@ def _add_list_options(listing: options.Command) -> None:
         metavar="KIND",
         choices=_LISTED,
         type=lambda word: f"{word}s" if f"{word}s" in _LISTED else word,
-        help=", ".join(_LISTED),
+        help=f"what to list: {', '.join(_LISTED[:-1])} or {_LISTED[-1]}",
     )
     listing.add_argument(
         "name",
@@ -205,7 +208,7 @@ def _add_list_options(listing: options.Command) -> None:
     )
 
 
-_BENCHMARK, _ANALYSE = "benchmark", "analyse"
+_BENCHMARK, _ANALYSE = "benchmark", "analysis"
 _SHIP, _DEPLOY, _HELP = "your ship", "ship's computer", "information"
 COMMANDS: dict[str, CommandHelp] = {
     "run": CommandHelp(
@@ -221,8 +224,9 @@ COMMANDS: dict[str, CommandHelp] = {
         options.add_cells_options,
         ("cells standard --shard 1/8 --out shard-1", "gather shard-* --out results/all"),
         f"0 done, even if solvers failed; {_LOST}; {_BUSY}",
-        "Run one of N shards of a suite; several machines can run different shards at the same "
-        "time. After an interruption, run the same command again.",
+        "Run one of N shards of a suite, each a part of its cells; several machines can run "
+        "different shards at the same time. To continue after an interruption, run the same "
+        "command again.",
     ),
     "gather": CommandHelp(
         _BENCHMARK,
@@ -244,7 +248,7 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "compare": CommandHelp(
         _BENCHMARK,
-        "Compare result folders, configurations or releases",
+        "Compare result folders, configurations or solver releases",
         options.add_compare_options,
         (
             "compare results/before results/after --html compare.html",
@@ -270,25 +274,25 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "worst-case": CommandHelp(
         _ANALYSE,
-        "Search for a solver's worst step (iterations or error)",
+        "Search for a solver's most iterations or largest error",
         options.add_worst_case_options,
         ("worst-case osqp --budget 100", "worst-case daqp --goal error --policy warm"),
         f"0 done; {_BAD_INPUT}; 130 interrupted (the worst step so far is written)",
     ),
     "iteration-bound": CommandHelp(
         _ANALYSE,
-        "Prove a bound on iterations of the solver paper_active_set",
+        "Prove a bound on the iterations of paper_active_set",
         options.add_iteration_bound_options,
         ("iteration-bound surge", "iteration-bound sway-yaw --box 0.016"),
-        "0 proved; 1 not proved in time, or the C code of paper_active_set takes a different "
-        f"number of iterations than the proof gives; {_BAD_INPUT}",
+        "0 proved; 1 not proved within --limit, or the C code of paper_active_set takes a "
+        f"different number of iterations on a tested QP than in the proof; {_BAD_INPUT}",
         "Prove a bound on the iterations that the solver paper_active_set takes from a cold start "
         "on the QPs of a controller. The bound covers every QP whose parameters (offset, speed, "
-        "change of speed and applied force) lie in a box; --box scales it.",
+        "previous force and change of speed) lie in a box; --box scales this box.",
     ),
     "active-sets": CommandHelp(
         _ANALYSE,
-        "Count the active sets that a controller's QPs visit",
+        "Count the active sets at the optima of a controller's QPs",
         options.add_active_sets_options,
         ("active-sets paper", "active-sets rough-30-5 --instructions"),
     ),
@@ -298,43 +302,46 @@ COMMANDS: dict[str, CommandHelp] = {
         options.add_tune_solver_options,
         ("tune-solver osqp", "tune-solver 'osqp[rho=1.6]' --range 'rho=[0.1,10]'"),
         "0 settings found; 1 no settings are accurate on every training sequence, or the best "
-        f"fail in the test; {_BUSY}; 130 interrupted",
-        "Search in N trials for the fastest settings of a solver that are accurate on the training "
-        "sequences. Then measure the best settings on test sequences of other scenarios. The "
-        "settings are not a proven optimum. Ctrl-C writes the best settings so far; the same "
-        "command continues the search.",
+        f"settings fail on a test sequence; {_BUSY}; 130 interrupted (the best settings so far "
+        "are written)",
+        "Search for the fastest settings with which a solver is accurate on all training "
+        "sequences. Then measure the best settings on test sequences of other scenarios. Faster "
+        "settings may exist. Ctrl-C writes the best settings so far; the same command continues "
+        "the search.",
     ),
     "init": CommandHelp(
         _SHIP,
-        "Write the vessel, scenario and suite of your own ship",
+        "Write vessel, scenario and suite files for your own ship",
         options.add_init_options,
         (
             "init my_ship --length 80 --breadth 18 --draught 6 \\\n"
             "      --displacement 6000 --thrust 300",
             "init my_ship --sea 4",
         ),
-        text="Write NAME.toml (the ship), NAME_weather.toml and NAME_suite.toml; comments explain "
-        "how the main values were derived. With --thrusters, also write:\n"
-        "  NAME_thrusters.toml   commanded thrusters; the most severe loss of a\n"
-        "                        switchboard after which the ship holds station\n"
-        "  NAME_loss_*.toml      other losses\n"
-        "  NAME_intact.toml      no loss, in the largest sea off the bow in which the\n"
-        "                        intact ship holds station (only if larger than in\n"
-        "                        NAME_thrusters.toml)\n"
-        "  NAME_weak_side.toml   weather from the direction in which the ship holds the\n"
-        "                        least wind\n"
+        text="Write NAME.toml (vessel), NAME_weather.toml (scenario) and NAME_suite.toml (suite). "
+        "Comments in them explain how the main values were derived. With --thrusters, also "
+        "write:\n"
+        "  NAME_thrusters.toml   scenario with commanded thrusters and the most severe\n"
+        "                        loss of a failure group after which the ship holds\n"
+        "                        station\n"
+        "  NAME_loss_*.toml      scenarios with the other losses\n"
+        "  NAME_intact.toml      scenario without a loss, in the largest sea in which\n"
+        "                        the ship holds station (only if this sea is larger\n"
+        "                        than in NAME_thrusters.toml)\n"
+        "  NAME_weak_side.toml   scenario with weather from the direction with the\n"
+        "                        smallest wind held\n"
         "  NAME_capability.svg   capability plot\n"
-        "Give the sector or barred zone of an azimuth thruster as the directions in which it "
-        "pushes the ship, clockwise from ahead; its race (wash) goes the opposite way. For "
-        "example, if the race of a port azimuth thruster must not point between 60° and 120°, "
-        "towards the starboard one, set the columns barred_from_deg and barred_to_deg of FILE.csv "
-        "to 240 and 300.\n"
+        "In FILE.csv, give the sector or barred zone of an azimuth thruster as the directions in "
+        "which it pushes the ship, clockwise from ahead; its race (wash) goes the opposite way. "
+        "For example, if the race of a port azimuth thruster must not point between 60° and 120°, "
+        "towards the starboard one, set the columns barred_from_deg and barred_to_deg to 240 and "
+        "300.\n"
         "If NAME.toml exists and only --sea is given, write the scenario and the suite of that "
         "ship for that sea.",
     ),
     "check": CommandHelp(
         _SHIP,
-        "Check a vessel, scenario, suite, sequence or result",
+        "Check a vessel, scenario, suite, sequence or community result",
         options.add_check_options,
         ("check my_ship.toml", "check paper@osv --quick"),
     ),
@@ -343,31 +350,32 @@ COMMANDS: dict[str, CommandHelp] = {
         "Search for controller weights and horizons for a ship",
         options.add_tune_options,
         ("tune my_ship_weather.toml --seas 4,5", "tune my_ship_weak_side.toml my_ship_intact.toml"),
-        "0 a controller within the margin was found; 1 the best controller exceeds the "
-        f"margin in the search or in the test; {_BAD_INPUT}",
-        "Find controller weights and horizons with which the ship holds station with a margin and "
-        "little thruster wear. Test them in other realisations of the sea and write a scenario "
-        "with them. The largest offset over all scenarios is judged. After an interruption, run "
-        "the same command again.",
+        "0 a controller was found that keeps the ship within --margin; 1 the best controller "
+        f"does not, in the search or in the test; {_BAD_INPUT}",
+        "Search for controller weights and horizons that keep the ship on station with a margin "
+        "and with little thruster wear. Test them in other realisations of the sea and write a "
+        "scenario with them. Each controller is judged by its largest offset over all scenarios. "
+        "To continue after an interruption, run the same command again.",
     ),
     "capability": CommandHelp(
         _SHIP,
-        "Compute the largest wind in which thrusters hold the ship",
+        "Compute the largest wind in which the thrusters hold the ship",
         options.add_capability_options,
         ("capability osv --figure osv.svg", "capability my_ship.toml --solver daqp"),
-        text="Compute the largest wind, from each of 36 directions, in which the thrusters "
-        "hold the ship (DNV-ST-0111, level 1), intact and after the loss of each failure group. "
-        "With --solver, judge the answers of solvers to the QPs at that limit.",
+        text="For each of 36 wind directions, compute the largest wind in which the thrusters hold "
+        "the ship, intact and after the loss of each failure group (DNV-ST-0111, level 1). "
+        "With --solver, also judge the answers of solvers to the allocation QPs at this wind.",
     ),
     "embedded": CommandHelp(
         _DEPLOY,
-        "Count instructions and memory of solvers' C code",
+        "Measure the instructions and memory that solvers' C code needs",
         options.add_embedded_options,
         ("embedded paper-30-5 --target m7 --target a53", "embedded rough-60-10 --solver daqp"),
         "0 done; 1 a solver's instructions could not be counted, its largest horizon is unknown, "
-        f"or the counts of two tools differ; {_BAD_INPUT}, or no solver could be counted",
+        f"or the counts of two tools differ; {_BAD_INPUT}, or the instructions of no solver could "
+        "be counted",
         "Compile the C code of solvers and run it on an emulated core over a sequence of QPs. "
-        "Report the instructions, memory and error of each step. Needs "
+        "Report the instructions, memory and error of each step. Requires "
         "pip install 'dpbench[embedded]'.",
     ),
     "codegen": CommandHelp(
@@ -386,7 +394,7 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "doctor": CommandHelp(
         _HELP,
-        "Check that the machine is quiet and measures times correctly",
+        "Check that the machine is quiet and that times are measured correctly",
         options.add_doctor_options,
         ("doctor", "doctor --offline"),
     ),

@@ -205,11 +205,10 @@ def _suggest_first_run(file: Path) -> list[str]:
         return []
     if FIRST_SOLVER not in name_solvers_of_suite(whole.document.solvers) or not part.cells:
         return []
-    share = (
-        f"{len(part.cells)} of the suite's {len(whole.cells)} cells, which a complete run reuses"
-    )
-    command = f"dpbench run {path} --solver {FIRST_SOLVER} --settings default"
-    return [f"short first run ({share}):", f"  {command}"]
+    share = f"{len(part.cells)} of the suite's {len(whole.cells)} cells"
+    # Solvers that are added to the folder later are not timed beside it.
+    command = f"dpbench run {path} --solver {FIRST_SOLVER} --settings default --out results/first"
+    return [f"short first run ({share}), in a folder of its own:", f"  {command}"]
 
 
 def _describe_unstable_loops(planned: Sequence[PlannedCell]) -> list[str]:

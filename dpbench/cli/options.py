@@ -38,14 +38,16 @@ def add_run_options(run: Command) -> None:
         engine,
         "--engine",
         "ENGINE",
-        "run in local processes (local, default) or on Dask workers (dask)",
+        "where to run: local (processes on this machine; default) or dask (Dask workers)",
         default="local",
     )
-    scheduler = "address of a Dask scheduler (default: start --jobs workers on this machine)"
+    scheduler = (
+        "with --engine dask: address of a Dask scheduler (default: start workers on this machine)"
+    )
     _option(engine, "--scheduler", "ADDRESS", scheduler)
     tls = "PEM files for a scheduler at tls://HOST:PORT (default: Dask's configuration)"
     engine.add_argument("--tls", nargs=3, metavar=("CA", "CERT", "KEY"), help=tls)
-    estimate = "estimate the number of cells, the time and the disk use, then exit"
+    estimate = "print the number of cells and an estimate of the time and disk use, then exit"
     _flag(engine, "--dry-run", estimate)
     output = run.add_argument_group("output")
     _option(output, "--out", "DIR", "result folder (default: results/SUITE)")
@@ -54,18 +56,20 @@ def add_run_options(run: Command) -> None:
 
 def _add_suite_options(run: Command) -> None:
     """Add the options that select the runs of a suite to a command's parser."""
-    run.add_argument("suite", nargs="?", metavar="SUITE", help="name of a suite, or a TOML file")
+    suite = "name of a suite, or a TOML file; not with --sequence"
+    run.add_argument("suite", nargs="?", metavar="SUITE", help=suite)
     choice = run.add_argument_group("selection")
-    sequence = "replay recorded QPs instead of a suite: name, file or folder (.npz, .json, .mat)"
+    sequence = (
+        "replay recorded QPs instead of running a suite: a name, a file (.npz, .json or .mat) or a "
+        "folder of such files"
+    )
     _option(choice, "--sequence", "SEQUENCE", sequence)
     solver = (
         "run only this solver, such as osqp; 'osqp[rho=[0.1,1]]' makes a configuration for each "
         "value"
     )
     _repeated(choice, "--solver", "SOLVER", solver, dest="solvers")
-    scenario = (
-        "run only this scenario: one of the suite's, or another (name or file) in place of them"
-    )
+    scenario = "run only this scenario, given by name or TOML file; it need not be in the suite"
     _repeated(choice, "--scenario", "SCENARIO", scenario, dest="scenarios")
     settings = (
         "run only these settings: default, low, mid, high, a tolerance such as 1e-4, or a name in "
@@ -89,13 +93,13 @@ def _add_suite_options(run: Command) -> None:
 def _add_execution_options(group: Command) -> None:
     """Add the options on parallel runs, resumption and waiting to a group of a command."""
     jobs = (
-        "number of closed loops, or of runs on random QPs, to run in parallel "
+        "number of closed loops, or of replays of random sequences, to run in parallel "
         "(default: one per core)"
     )
     _option(group, "--jobs", "N", jobs, type=int)
     again = (
-        "repeat finished cells too (a cell is one solver configuration in one scenario or replay); "
-        "not related to --policy fresh"
+        "run finished cells again (a cell is one configuration in one scenario or on one "
+        "sequence); not related to --policy fresh"
     )
     _flag(group, "--fresh", again)
     _add_wait_options(group)
@@ -135,47 +139,51 @@ def add_ending_options(group: Command) -> None:
     _flag(group, "--open", "open the report in a browser")
     _flag(group, "--json", "print the result as JSON")
     _flag(group, "--quiet", "print only the path of the report")
-    _flag(group, "--strict", "exit with 1 if a ship does not hold station in closed loop")
+    _flag(group, "--strict", "exit with 1 if a ship does not stay on station in a closed loop")
 
 
 def add_report_options(report: Command) -> None:
     """Add the options of `dpbench report` to its parser."""
-    report.add_argument("dir", metavar="DIR", help="result folder of `dpbench run`")
-    _option(report, "--baseline", "SOLVER", "solver to compare the recommended one with")
+    folder = "result folder of `dpbench run` or `dpbench gather`"
+    report.add_argument("dir", metavar="DIR", help=folder)
+    baseline = "solver with which the report compares the solver that it recommends"
+    _option(report, "--baseline", "SOLVER", baseline)
     more = report.add_argument_group("further documents")
     formats = "also write the figures as svg, pdf or png"
     _repeated(more, "--figures", "FORMAT", formats, default=[])
     _option(more, "--statement", "FILE", "write a statement for a class society (.pdf or .svg)")
     beside = (
-        "write DIR/SOLVER.md for a pull request: a comparison of this solver with others, and its "
-        "worst steps"
+        "write SOLVER.md in the result folder, as text for a pull request: a comparison of this "
+        "solver with others, and its worst steps"
     )
     _option(more, "--for", "SOLVER", beside, dest="solver")
     against = "with --for: compare with this solver (default: osqp and daqp)"
     _repeated(more, "--against", "SOLVER", against, default=[])
     _option(more, "--send", "DIR", "write a folder to submit to results/community")
-    _flag(more, "--tables", "list the tables of the folder and their contents instead")
-    _option(more, "--latex", "TABLE", "print a table as a LaTeX tabular (booktabs) instead")
+    _flag(more, "--tables", "only list the tables of the folder and their contents")
+    _option(more, "--latex", "TABLE", "only print a table as a LaTeX tabular (booktabs)")
     _option(more, "--columns", "A,B,C", "with --latex: only these columns, in this order")
     add_ending_options(report.add_argument_group("output"))
 
 
 def add_compare_options(compare: Command) -> None:
     """Add the options of `dpbench compare` to its parser."""
-    folders = "two result folders, A and B; one with --solver; two or more with --releases"
+    folders = (
+        "two result folders, first before, then after a change; one with --solver; two or more "
+        "with --releases"
+    )
     compare.add_argument("folders", metavar="DIR", nargs="+", help=folders)
     chosen = "configuration to compare within one folder, such as osqp or 'osqp[rho=1.6]'"
     _repeated(compare, "--solver", "SOLVER", chosen, default=[], dest="choices")
-    releases = "compare the versions of each solver instead"
+    releases = "compare the releases of each solver that the folders contain"
     _flag(compare, "--releases", releases)
     reference = (
-        "compare step times as ratios to this solver's; always done if the results come from two "
-        "machines "
-        "(default: paper_active_set, else daqp)"
+        "divide step times by those of this solver; always done for results of two machines "
+        "(default: paper_active_set, or daqp if that was not run)"
     )
     _option(compare, "--reference", "SOLVER", reference)
     _flag(compare, "--any-machine", argparse.SUPPRESS)
-    margin = "relative difference treated as equivalent (default: 0.05)"
+    margin = "largest relative difference that counts as equivalent (default: 0.05)"
     _option(compare, "--margin", "SHARE", margin, type=float, default=0.05)
     alpha = "family-wise error probability (default: 0.05)"
     _option(compare, "--alpha", "SHARE", alpha, type=float, default=0.05)
@@ -185,14 +193,19 @@ def add_compare_options(compare: Command) -> None:
     codes: dict[str, Any] = {"type": int, "choices": range(256), "default": 0}
     _option(compare, "--disturbed-exit", "CODE", disturbed, **codes)
     output = compare.add_argument_group("output")
-    _option(output, "--markdown", "FILE", "write Markdown to this file; - prints it")
+    _option(
+        output,
+        "--markdown",
+        "FILE",
+        "write the comparison as Markdown to this file, or print it if FILE is '-'",
+    )
     _option(output, "--html", "FILE", "write an HTML page with figures; not with --solver")
 
 
 def add_export_options(export: Command) -> None:
     """Add the options of `dpbench export` to its parser."""
     problems = (
-        "scenario, sequence (name, .npz file, random_mpc-STATES-INPUTS-HORIZON) or folder of QPs"
+        "scenario, sequence (name, .npz file or random_mpc-STATES-INPUTS-HORIZON) or folder of QPs"
     )
     export.add_argument("what", metavar="WHAT", nargs="?", help=problems)
     _flag(export, "--all", "write all stored sequences instead")
@@ -243,8 +256,8 @@ def _add_call_options(group: Command, *, has_settings: bool = False) -> None:
     _option(group, "--policy", "POLICY", policies, default="fresh")
     if has_settings:
         levels = (
-            "tolerance preset (default, low, mid or high) or a tolerance such as 1e-4 "
-            "(default: default)"
+            "settings: default (those of the library, also without this option), low, mid, high, "
+            "or a tolerance such as 1e-4"
         )
         _option(group, "--settings", "NAME", levels, default="default")
     _add_module_option(group)
@@ -252,7 +265,7 @@ def _add_call_options(group: Command, *, has_settings: bool = False) -> None:
 
 def add_iteration_bound_options(bound: Command) -> None:
     """Add the options of `dpbench iteration-bound` to its parser."""
-    bound.add_argument("axes", metavar="AXES", help="axes: surge or sway-yaw")
+    bound.add_argument("axes", metavar="AXES", help="axes of the controller: surge or sway-yaw")
     controller = "scenario with the controller (default: paper)"
     _option(bound, "--scenario", "SCENARIO", controller, default="paper")
     box = "scale the box of parameters by this factor (default: 1)"
@@ -266,7 +279,7 @@ def add_active_sets_options(visited: Command) -> None:
     visited.add_argument("names", nargs="+", metavar="NAME", help="scenario, sequence or .npz file")
     counted = (
         "count the instructions saved on a Cortex-M7 by storing the control law of each active set "
-        "(needs pip install 'dpbench[embedded]')"
+        "(requires pip install 'dpbench[embedded]')"
     )
     visited.add_argument("--instructions", action="store_true", help=counted)
 
@@ -274,11 +287,12 @@ def add_active_sets_options(visited: Command) -> None:
 def add_check_options(check: Command) -> None:
     """Add the options of `dpbench check` to its parser."""
     file = (
-        "name; SCENARIO@VESSEL (a scenario with another vessel); TOML file; file or folder of QPs "
-        "(their optima are certified again); or a folder in results/community"
+        "name or TOML file of a vessel, scenario or suite; SCENARIO@VESSEL (a scenario with "
+        "another vessel); file or folder of QPs (their optima are certified again); or a folder in "
+        "results/community"
     )
     check.add_argument("file", metavar="FILE", help=file)
-    quick = "skip simulating a ship or scenario from initial offsets"
+    quick = "do not simulate the vessel or scenario from initial offsets"
     _flag(check, "--quick", quick)
 
 
@@ -298,15 +312,19 @@ def add_init_options(init: Command) -> None:
     _option(
         thrust, "--sway-thrust", "KN", "largest force abeam [kN] (default: 0.34 times --thrust)"
     )
-    moment = "largest yaw moment [kN·m] (default: 0.57 times sway thrust times length)"
+    moment = "largest yaw moment [kN·m] (default: 0.57 times --sway-thrust times --length)"
     _option(thrust, "--yaw-moment", "KNM", moment)
-    rows = "read the thrusters from a file instead, one per row; - prompts for them"
+    rows = (
+        "read the thrusters from this file, one per row, instead of their forces; '-' prompts for "
+        "them"
+    )
     _option(thrust, "--thrusters", "FILE.csv", rows)
     _option(
         init.add_argument_group("weather"),
         "--sea",
         "N",
-        "DP capability number, 1 to 9 (default: the largest in which the ship holds station)",
+        "DP capability number of the sea, 1 to 9 (default: the largest at which the ship holds "
+        "station)",
     )
     output = init.add_argument_group("output")
     _option(output, "--out", "DIR", "folder to write to (default: current folder)", default=".")
@@ -322,11 +340,14 @@ def add_capability_options(capability: Command) -> None:
     )
     _option(capability, "--sides", "N", sides, type=int)
     planned = (
-        "also show the wind held with each azimuth thruster restricted to the half turn (180°) of "
-        "the controllers"
+        "also show the wind held with each azimuth thruster restricted to the half turn (180°) in "
+        "which the controllers plan its direction"
     )
     _flag(capability, "--planned", planned)
-    solver = "judge this solver's answers to the QPs at the wind limit; all: every installed solver"
+    solver = (
+        "judge this solver's answers to the allocation QPs at the largest wind, or those of every "
+        "installed solver ('all')"
+    )
     _repeated(capability, "--solver", "SOLVER", solver)
     output = capability.add_argument_group("output")
     _option(
@@ -343,17 +364,20 @@ def add_codegen_options(codegen: Command) -> None:
     """Add the options of `dpbench codegen` to its parser."""
     codegen.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or a TOML file")
     solver = (
-        "solver to include: paper_active_set (default), daqp or osqp; with options, such as "
+        "solver to include: paper_active_set (default), daqp or osqp, also with options, as in "
         "'osqp[rho=1.6]'"
     )
     _option(codegen, "--solver", "SOLVER", solver, default="paper_active_set")
-    levels = "tolerance preset (default, low, mid or high) or a tolerance such as 1e-4"
+    levels = (
+        "settings: default (those of the library, also without this option), low, mid, high, or a "
+        "tolerance such as 1e-4"
+    )
     _option(codegen, "--settings", "NAME", levels)
     steps = "steps of the recorded trajectory (default: 1000)"
     _option(codegen, "--steps", "N", steps, type=int, default=1000)
     output = codegen.add_argument_group("output")
     _option(output, "--out", "DIR", "folder to write to", required=True)
-    fmu = "also write a functional mock-up unit (needs pip install 'dpbench[embedded]')"
+    fmu = "also write a functional mock-up unit (requires pip install 'dpbench[embedded]')"
     _option(output, "--fmu", "FILE.fmu", fmu)
     _option(output, "--fmi", "N", "FMI version of the unit: 2 (default) or 3", type=int, default=2)
 
@@ -361,13 +385,13 @@ def add_codegen_options(codegen: Command) -> None:
 def add_embedded_options(embedded: Command) -> None:
     """Add the options of `dpbench embedded` to its parser."""
     sequences = (
-        "sequence: name, file or folder (.npz, .json, .mat), or random_mpc-STATES-INPUTS-HORIZON "
-        "(default: paper-30-5)"
+        "name, file (.npz, .json or .mat) or folder of a sequence, or "
+        "random_mpc-STATES-INPUTS-HORIZON (default: paper-30-5)"
     )
     embedded.add_argument("sequences", metavar="SEQUENCE", nargs="*", help=sequences)
     repeated: Callable[..., None] = partial(_repeated, default=[])
     solver = embedded.add_argument_group("solvers")
-    repeated(solver, "--solver", "SOLVER", "count only this solver (default: all with a recipe)")
+    repeated(solver, "--solver", "SOLVER", "measure only this solver (default: all with a recipe)")
     recipe = "folder with your own build recipe for a solver's C code (recipe.toml and shim.c)"
     repeated(solver, "--recipe", "DIR", recipe)
     repeated(solver, "--source", "SOLVER=DIR", "folder with the sources of a solver, such as hpipm")
@@ -379,15 +403,27 @@ def add_embedded_options(embedded: Command) -> None:
     )
     _flag(solver, "--float", "compile in single precision", dest="single")
     core = embedded.add_argument_group("core")
-    repeated(core, "--target", "CORE", "core: m7 (default), a53, riscv or x86")
+    repeated(
+        core,
+        "--target",
+        "CORE",
+        "core to emulate: m7 (Cortex-M7, default), a53 (Cortex-A53), riscv or x86",
+    )
     fit = (
-        "find the largest control horizon that fits in N kB; give a scenario as SEQUENCE "
-        "(default: paper)"
+        "find the largest control horizon with which the solver fits in N kB of memory; each "
+        "SEQUENCE is then a scenario (default: paper)"
     )
     repeated(core, "--fit", "N", fit)
-    opinion = "compare with the counts of valgrind (x86) or QEMU (a53, m7), if installed"
+    opinion = "compare the counts with those of Valgrind (x86) or QEMU (a53, m7), if installed"
     _flag(core, "--second-opinion", opinion)
-    _option(core, "--steps", "N", "count at most N steps (default: all)", type=int, default=0)
+    _option(
+        core,
+        "--steps",
+        "N",
+        "run at most N steps of each sequence (default: all)",
+        type=int,
+        default=0,
+    )
     output = embedded.add_argument_group("output")
     folder = "folder for embedded.parquet (default: results/embedded)"
     _option(output, "--out", "DIR", folder, default="results/embedded")
@@ -407,14 +443,14 @@ def add_tune_solver_options(tune: Command) -> None:
     repeated(data, "--test", "SEQUENCE", test)
     _option(data, "--steps", "N", "use at most N steps of each (default: all)", type=int, default=0)
     search = tune.add_argument_group("search")
-    ranges = "search only this option, in this range, such as 'rho=[1e-3,10]'"
+    ranges = (
+        "search this option, from the first value to the second, and none of the predefined ones, "
+        "such as 'rho=[1e-3,10]'"
+    )
     repeated(search, "--range", "RANGE", ranges, dest="ranges")
     widened = "search this option too, in this range; the others keep their predefined ranges"
     repeated(search, "--widen", "RANGE", widened, dest="widened")
-    error = (
-        "largest allowed error of the first control increment, as a share of the maximum increment "
-        "(default: 0.01)"
-    )
+    error = "largest allowed error of the first move, in maximum increments (default: 0.01)"
     _option(search, "--error", "X", error, type=float, default=0.01, dest="error_move")
     trials = "number of settings to try (default: 48); more may find better ones"
     _option(search, "--trials", "N", trials, type=int, default=48)
@@ -430,14 +466,18 @@ def add_tune_solver_options(tune: Command) -> None:
 
 def add_tune_options(tune: Command) -> None:
     """Add the options of `dpbench tune` to its parser."""
-    scenarios = "scenario by name or TOML file; several must have the same ship and controller"
+    scenarios = (
+        "name of a scenario, or a TOML file; several must have the same vessel and controller"
+    )
     tune.add_argument("scenarios", nargs="+", metavar="SCENARIO", help=scenarios)
     seas = "DP capability numbers, such as 4,5 (default: the scenario's own weather)"
     _option(tune, "--seas", "N,N", seas, default="")
     search = tune.add_argument_group("search")
     trials = "number of controllers to try (default: 48)"
     _option(search, "--trials", "N", trials, type=int, default=48)
-    count = "realisations of each sea to search in, and as many to test in (default: 2)"
+    count = (
+        "number of realisations of each sea in the search (default: 2); as many others in the test"
+    )
     _option(search, "--realisations", "N", count, type=int, default=2)
     margin = "largest allowed offset, as a share of the limits of 5 m and 5° (default: 0.7)"
     _option(search, "--margin", "SHARE", margin, type=float, default=0.7)
@@ -448,7 +488,7 @@ def add_tune_options(tune: Command) -> None:
         output,
         "--out",
         "DIR",
-        "folder to write to (default: results/tune-SCENARIO, after the first scenario)",
+        "folder to write to (default: results/tune-SCENARIO, with the name of the first scenario)",
     )
 
 

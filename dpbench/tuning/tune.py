@@ -85,7 +85,7 @@ class TunedRole:
     def summarise_best_settings(self, requirements: Requirements) -> str:
         """Return as text if the best settings are accurate, late, and their time beside others.
 
-        The others are `default`, the fastest accurate preset and the user's own settings.
+        The others are `default`, the fastest preset that is accurate here and your own.
         """
         best = self.runs[BEST]
         wrong = sum(not is_right_on_every_step(run, requirements) for run in best)
@@ -99,7 +99,7 @@ class TunedRole:
         fastest = next(iter(self.rank_presets(requirements)), "")
         for name in (name for name in others if name in {DEFAULT, fastest, YOURS}):
             known = f", which is {faults[name]}" if faults[name] else ""
-            known += ", the fastest accurate preset" * (name == fastest)
+            known += ", the fastest preset that is accurate on them" * (name == fastest)
             known += ": no gain" * (name == fastest and ratios[name] > 1.0 - ALIKE)
             parts.append(f"{significant(ratios[name])} times the step time of {name}{known}")
         return "; ".join(parts)

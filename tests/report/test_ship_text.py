@@ -174,7 +174,7 @@ def test_an_offset_that_rises_after_a_loss_is_said_to(records: Any) -> None:
     records.loop("daqp", "thrusters_loss", steps=500, **rise)
     assert _summary(records).caution == (
         "The offset after a loss still rises when the run ends in `thrusters_loss` (0.950 m of "
-        "5 m, 60.0 s after the loss): a longer `duration_s` shows where it settles."
+        "5 m, 60.0 s after the loss): a longer `duration_s` shows whether it settles."
     )
 
 

@@ -193,13 +193,13 @@ def test_the_best_is_compared_with_the_fastest_accurate_preset(
         return summary.split("; ")[1:]
 
     gain = f"{times['best'] / times['high']:.3f} times the step time of high"
-    assert summarise()[1:] == [f"{gain}, the fastest accurate preset"]
+    assert summarise()[1:] == [f"{gain}, the fastest preset that is accurate on them"]
     wrong = [replace(run, error_move_max=0.5) for run in role.runs["high"]]
     gain = f"{times['high'] / times['mid']:.3f} times the step time of mid"
     assert summarise(high=wrong, best=role.runs["high"])[1:] == [
-        f"{gain}, the fastest accurate preset"
+        f"{gain}, the fastest preset that is accurate on them"
     ]
-    equal = "1.00 times the step time of high, the fastest accurate preset: no gain"
+    equal = "1.00 times the step time of high, the fastest preset that is accurate on them: no gain"
     assert summarise(best=role.runs["high"])[1:] == [equal]
 
 

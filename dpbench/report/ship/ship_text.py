@@ -463,8 +463,8 @@ def _describe_small_margins(known: Sequence[ShipResult]) -> list[str]:
     if rising:
         sentences.append(
             "The offset after a loss still rises when the run ends in "
-            f"{_join_first(map(_describe_rise, rising))}: a longer `duration_s` shows where it "
-            "settles."
+            f"{_join_first(map(_describe_rise, rising))}: a longer `duration_s` shows whether "
+            "it settles."
         )
     if near:
         up_to = "up to " if len(near) > 1 else ""

@@ -30,7 +30,10 @@ def describe_calibration(p50_ns: dict[str, float]) -> str:
     wording = ", ".join(f"{name} {format_time(p50)}" for name, p50 in p50_ns.items())
     verdict = "known waits were measured within tolerance"
     if missed:
-        verdict = f"{join_with_and(missed)} measured outside the tolerance"
+        verdict = (
+            f"{join_with_and(missed)} measured outside the tolerance of 1 µs or 1 %; measure again "
+            "on a quiet machine"
+        )
     return f"{verdict} (p50: {wording})"
 
 
