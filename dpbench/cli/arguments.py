@@ -368,7 +368,7 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "embedded": CommandHelp(
         _DEPLOY,
-        "Measure the instructions and memory that solvers' C code needs",
+        "Measure the instructions and memory of solvers' C code",
         options.add_embedded_options,
         ("embedded paper-30-5 --target m7 --target a53", "embedded rough-60-10 --solver daqp"),
         "0 done; 1 a solver's instructions could not be counted, its largest horizon is unknown, "
@@ -394,7 +394,7 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "doctor": CommandHelp(
         _HELP,
-        "Check that the machine is quiet and that times are measured correctly",
+        "Check that the machine is quiet and the time measurement correct",
         options.add_doctor_options,
         ("doctor", "doctor --offline"),
     ),
