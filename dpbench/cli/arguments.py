@@ -394,7 +394,7 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "doctor": CommandHelp(
         _HELP,
-        "Check that the machine is quiet and the time measurement correct",
+        "Check that the machine is quiet and measures correctly",
         options.add_doctor_options,
         ("doctor", "doctor --offline"),
     ),
