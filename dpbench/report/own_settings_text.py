@@ -103,7 +103,7 @@ def describe_own_settings_in_si(data: PageData) -> list[str]:
         return []
     verb = "fails" if 1 in (len(ran), len(failing)) else "fail"
     return [
-        f"In SI units (N, N·m) {len(failing)} of {len(ran)} custom settings {verb}: scale the QP. "
+        f"In SI units (N, N·m), {len(failing)} of {len(ran)} custom settings {verb}: scale the QP. "
         "These runs do not count towards the verdicts."
     ]
 

@@ -281,26 +281,25 @@ def make_solver_table(data: PageData, verdicts: Iterable[Verdict]) -> str:
 def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
     """Yield remarks: the replay of each time where they differ, the user's settings' options."""
     timed = [verdict for verdict in verdicts if verdict.timed_on]
-    labels = [verdict.configuration.marked_label for verdict in timed]
     usual = {
-        label: f"the replay of {describe_range_of_steps(v.timed_on)}"
-        for label, v in zip(labels, timed, strict=True)
+        v.configuration.marked_label: f"the replay of {describe_range_of_steps(v.timed_on)}"
+        for v in timed
     }
+    # A solver may have been timed in windows alone.
+    placed = [v for v in verdicts if v.timed_on or _is_window(v.max_run)]
     worst = {
-        label: _where(v.p99_run)
-        for label, v in zip(labels, timed, strict=True)
-        if not math.isnan(v.p99_ns)
+        v.configuration.marked_label: _where(v.p99_run) for v in placed if not math.isnan(v.p99_ns)
     }
-    hardest = {label: _where(v.max_run) for label, v in zip(labels, timed, strict=True)}
+    hardest = {v.configuration.marked_label: _where(v.max_run) for v in placed}
     if len({*usual.values()}) > 1 or any(verdict.replays > 1 for verdict in timed):
         yield f"The p50 is {_most_and_others(usual, 'from')}."
-    if any(v.p99_run is not None and v.p99_run.steps_searched_for_hardest for v in timed):
+    if any(_is_window(v.p99_run) for v in placed):
         yield (
             "A limiting p99 from a window has no confidence interval, as only the hardest steps "
             "were replayed."
         )
     for name, found in (("limiting p99", worst), ("longest step", hardest)):
-        if any(found[label] != usual[label] for label in found):
+        if any(found[label] != usual.get(label, "") for label in found):
             alike = " for all configurations in this table" * (
                 len({*found.values()}) == 1 < len(found)
             )
@@ -322,6 +321,11 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
         yield f"Custom settings: {'; '.join(sorted(own))}."
 
 
+def _is_window(run: RunRecord | None) -> bool:
+    """Return whether a time is from a window of hardest steps."""
+    return run is not None and run.steps_searched_for_hardest > 0
+
+
 def _where(run: RunRecord | None) -> str:
     """Return the name of the replay or window of a time; "" for none."""
     if run is None:
@@ -336,7 +340,7 @@ def _most_and_others(names: Mapping[str, str], preposition: str) -> str:
     Examples
     --------
     >>> _most_and_others({"daqp": "turn", "osqp": "turn", "piqp": "rough"}, "in")
-    'in turn; for piqp, in rough'
+    'in turn, except for piqp, in rough'
     """
     of_name = group_by_key(names, lambda label: names[label])
     most, *others = sorted(of_name, key=lambda name: -len(of_name[name]))
@@ -346,8 +350,8 @@ def _most_and_others(names: Mapping[str, str], preposition: str) -> str:
             for name in (most, *others)
         ]
         return f"{preposition} {join_with_and(counts)}"
-    texts = [f"; for {join_with_and(of_name[name])}, {preposition} {name}" for name in others]
-    return f"{preposition} {most}{''.join(texts)}"
+    texts = [f"for {join_with_and(of_name[name])}, {preposition} {name}" for name in others]
+    return f"{preposition} {most}{', except ' * bool(texts)}{', and '.join(texts)}"
 
 
 def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:

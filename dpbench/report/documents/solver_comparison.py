@@ -94,8 +94,8 @@ def compare_solver(
 
 
 COLD = (
-    "An exported step has no history. To repeat a warm start, replace `--at K` by `--steps K+1` "
-    "and replay the file with `dpbench run --sequence FILE`."
+    "An exported step has no history. To repeat a warm start, export the steps 0 to K with "
+    "`--steps K+1` and replay the file with `dpbench run --sequence FILE`."
 )
 
 

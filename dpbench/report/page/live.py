@@ -65,21 +65,24 @@ def _explain_step_times(data: PageData) -> str:
     untimed = [v for v in list_main_verdicts(data.verdicts) if v.state != "not run"]
     names = _mark_names(v.configuration.solver for v in untimed if not v.timed_on)
     is_are = "is" if len(names) == 1 else "are"
-    absent = f" {join_with_and(names)} {is_are} absent: no replay timed all steps." * bool(names)
+    absent = (
+        f" {join_with_and(names)} {is_are} absent, because no replay was timed to the end."
+    ) * bool(names)
     left_out = len(list_best_verdict_of_own_settings(data.verdicts)) - MOST_OWN
     more = f" {left_out} more custom settings: `tables/verdicts.csv`." * (left_out > 0)
     return (
         "Step time of each solver in the replays and windows of hardest steps. The marker shows "
         f"the p50 in the replay of {replay}{which}. The bar ends at the limiting p99, the line at "
-        "the longest step and the dashed line at the largest single timing (closed loops "
-        f"included). The grey bar shows the call overhead.{absent}{more}"
+        "the longest step and the dashed line at the largest single timing, including closed "
+        f"loops. The grey bar shows the call overhead.{absent}{more}"
     )
 
 
 BARS = (
-    "The limiting p99 may exceed the longest step, which is drawn as measured. The call overhead "
-    "is the time of a call from Python that copies its data but solves nothing. If the p50 of "
-    "a solver is smaller, its grey bar ends at the p50. Below 5 µs, "
+    "The limiting p99 is scaled to the iterations of the closed loop, so it may exceed the longest "
+    "step, which is drawn as measured. The call overhead is the time of a call from Python that "
+    "copies its data but solves nothing. If the p50 of a solver is smaller than this time, its "
+    "grey bar ends at the p50. Below 5 µs, "
     "differences may be due to the interfaces, not the algorithms."
 )
 
@@ -142,8 +145,8 @@ def describe_failures_in_si(data: PageData, *, beyond_verdicts: bool = False) ->
     names = [f"`{name}`" for name in failing[:MOST_NAMED]]
     names += [f"{len(failing) - MOST_NAMED} more"] if len(failing) > MOST_NAMED else []
     return (
-        f"In SI units (N, N·m) {len(failing)} of {plural(count, 'solver')} {verb}: "
-        f"{join_with_and(names)}. Scale the QP."
+        f"In SI units (N, N·m), {len(failing)} of {plural(count, 'solver')} {verb}: "
+        f"{join_with_and(names)}. Scale the QP, as all other runs do."
     )
 
 

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, isfinite, isnan
+from math import inf, isclose, isfinite, isnan
 from typing import Any
 
 from dpbench.analysis.times.paired_times import (
@@ -232,13 +232,14 @@ def _describe_choice(
     own = is_recommended and record is not None and record.extra == "own"
     both = describe_consequence_solver(data.records, c.solver)
     timed = copy_with_thruster_times(data.records, data.requirements, chosen)
+    feasible = " feasible" * bool(data.list_runs_with_infeasible_steps(c))
     unranked = (
         " Several settings of this solver pass and are equally fast within the noise; these are "
         "the most usual ones."
     ) * (is_recommended and not is_first)
     return (
         f"{both + ' ' if both else ''}{opening}.{' It is part of dpbench itself.' * own}",
-        f"It was accurate on every step of {describe_judged_runs(chosen)}. "
+        f"It was accurate on every{feasible} step of {describe_judged_runs(chosen)}. "
         f"{_open_time_sentence(chosen, timed)} {describe_limiting_time(timed)}.",
         f"The largest error of the first move is {format_error(chosen.error_move)} times the "
         f"maximum increment.{_describe_unverified_steps(data, c)}"
@@ -507,11 +508,13 @@ def _describe_limiting_p99(margin: SpeedMargin, wait: str, measured_ns: float) -
         )
     else:
         measured = f"The p99 of {name_experiment(run)} is the time of {step}, {time}{wait}."
+    time = format_time(margin.limiting_p99_ns)
+    scaled = f"the limiting p99 is {significant(run.untimed_iterations)} times as long, {time}"
+    if isclose(margin.limiting_p99_ns, run.algo_max_ns, rel_tol=ROUNDING):
+        scaled = f"it is scaled up, but at most to the longest step: the limiting p99 is {time}"
     return (
-        f"{measured} The closed loop takes more iterations per step than the {than}, so the "
-        f"limiting p99 is {significant(run.untimed_iterations)} times as long, "
-        f"{format_time(margin.limiting_p99_ns)} (formula: page “Method” of the documentation)."
-        f"{beyond}{estimated}"
+        f"{measured} The p99 of the iterations is larger in the closed loop than in the {than}, so "
+        f"{scaled} (formula: page “Method” of the documentation).{beyond}{estimated}"
     )
 
 

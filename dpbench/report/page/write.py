@@ -200,8 +200,8 @@ FILES = {
     "steps.parquet": "one row per step; may be missing from published copies",
     "embedded.parquet": "one row per step of C code compiled for an embedded core and emulated",
     "capability.parquet": "one row per QP at the edge of the capability plot",
-    "machine.json": "description of the machine, with versions",
-    "suite.json": "the suite that was run, with start, duration and revision of dpbench",
+    "machine.json": "description of the machine and versions of its software",
+    "suite.json": "the suite that was run, its start and duration, and the revision of dpbench",
     "suite.toml": "the suite alone, to run it again: `dpbench run suite.toml`",
     "tables/runs.csv": "the runs as CSV; README.md in the same folder describes all tables",
 }

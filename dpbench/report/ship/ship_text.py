@@ -346,7 +346,7 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     moves, largest = "", "The largest offset"
     if any(ship.has_transfer for ship in kept):
-        moves = " (an approach from outside these limits does not count)"
+        moves = ", once it has arrived there"
         largest = "On station, the largest offset"
     return (
         f"With exactly solved QPs, the controller holds the ship on station "
@@ -387,7 +387,7 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
     for ship in after[:MOST_NAMED]:
         run = ship.run
         losses = [f"{join_with_and(names)} at {at_s:g} s" for at_s, names in list_losses(run)]
-        what = join_with_and(losses) or "part of the force"
+        what = f"the loss of {join_with_and(losses)}" if losses else "the loss of force limits"
         largest = (
             f"{significant(run.exact_loss_offset_max_m)} m",
             f"{significant(run.exact_loss_heading_max_deg)}°",
@@ -405,7 +405,7 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
             swing = significant(run.exact_loss_swing_m)
             ending += f"; the ship still swings by {swing} m, without decay"
         yield (
-            f"After the loss of {what} in `{ship.name}`, the largest offset is {largest[0]} and "
+            f"After {what} in `{ship.name}`, the largest offset is {largest[0]} and "
             f"the largest heading error {largest[1]}{ending}."
         )
 
@@ -413,8 +413,9 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
 def _name_unsettled(known: Sequence[ShipResult]) -> str:
     """Return a sentence that names ships outside of studies whose small offset still grows."""
     growing = [ship for ship in known if ship.is_unsettled and _has_small_growth(ship)]
-    return f"{AT_END.capitalize()} of {_name_ships(growing)}, the ship has not settled." * bool(
-        growing
+    return (
+        f"{AT_END.capitalize()} of {_name_ships(growing)}, the offset still grows or swings."
+        * bool(growing)
     )
 
 

@@ -155,10 +155,11 @@ def _make_stability_table(records: Records, designs: Designs) -> Table:
         "A controller is stable if all eigenvalues λ of its closed loop without active limits have "
         "|λ| < 1. A name such as `paper 30/5` gives the tuning, the "
         "prediction horizon and the control horizon (both in steps). "
-        f"{_name_scenarios_of_controllers(designs)} Each range gives the largest initial sway "
-        "offset from which the ship returned and the smallest from which it did not; ≥ precedes "
-        "the largest offset tested. The last column is for the weather of scenario "
-        f"`{WEATHER}`{absent}, whose moderate forces build up over the first minute.{remedy}",
+        f"{_name_scenarios_of_controllers(designs)} The columns of sway offsets bracket the "
+        "largest offset from which the ship returns: it returned from the first value, but not "
+        "from the second; ≥ means that it returned from every offset tested. The last column is "
+        f"for the weather of scenario `{WEATHER}`{absent}, whose moderate forces build up over "
+        f"the first minute.{remedy}",
         folded=True,
         labels={
             STILL_OFFSET: f"recoverable sway offset, {STILL} [m]",

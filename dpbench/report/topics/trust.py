@@ -92,10 +92,9 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
     ]
     worst = max(abs(compute_excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
-        f"{len(missed)} of {plural(len(measured), 'wait')} of known length were measured with an "
-        "error of more than both 1 µs and 1 %: "
-        f"{join_with_and(waits)}. Absolute times of similar length may be wrong by up to "
-        f"{format_sample_share(worst)}.{below}"
+        f"Of {plural(len(measured), 'wait')} of known length, {len(missed)} had an error above "
+        f"both 1 µs and 1 %: {join_with_and(waits)}. Absolute times of similar length "
+        f"may be wrong by up to {format_sample_share(worst)}.{below}"
     )
 
 
@@ -125,10 +124,11 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
-        f"Taken one by one, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
-        f"exceeded the limit of {' or '.join(kinds)}. For each of these, a "
-        "ratio of step times is significant only if its interval is outside 1/s to s, where s is "
-        "the time of its slowest round divided by that of its fastest."
+        "The limits of a quiet machine hold for the complete command. Taken one by one, "
+        f"{format_count(worse)} of {format_count(len(timed))} replays{windows} exceeded the limit "
+        f"of {' or '.join(kinds)}. A ratio of step times from one of these is significant only if "
+        "its interval is outside 1/s to s, where s is the time of the slowest round divided by "
+        "that of the fastest round of this run."
     )
 
 

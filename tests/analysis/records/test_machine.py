@@ -219,4 +219,4 @@ def test_a_replay_that_is_worse_than_the_limits_alone_is_counted(records: Any) -
     )
     assert load.endswith("remained disturbed (3.1 %, limit 5 %).")
     assert "Taken one by one, 1 of 4 replays " in topic.tables[0].note
-    assert "exceeded the limit of 5 % disturbed rounds. For each of " in topic.tables[0].note
+    assert "exceeded the limit of 5 % disturbed rounds. A ratio of " in topic.tables[0].note

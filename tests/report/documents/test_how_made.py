@@ -70,8 +70,8 @@ def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> N
     made = _paragraph(make_report_markdown(Report.from_results(records.results())))
     assert "3 runs with" in made
     assert (
-        "Both numbers count 1 run twice, under two names of the same settings. Both numbers "
-        "exclude 1 run on simulated slower computers and 1 run of consequence analyses. Solvers: "
+        "In both numbers 1 run is counted twice, because two names of settings stand for the same "
+        "options. Both numbers exclude 1 run on simulated slower computers and 1 run of consequence analyses. Solvers: "
     ) in made
 
 

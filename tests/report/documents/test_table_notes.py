@@ -33,8 +33,8 @@ def test_rows_of_other_replays_and_own_options_are_named() -> None:
     own = _verdict("osqp", "squall", settings="mine", options='{"rho": 1.6}')
     notes = list(yield_table_remarks([_verdict("daqp", "move"), own, _verdict("piqp", "move")]))
     assert notes == [
-        "The p50 is from the replay of `move`; for `osqp` (native warm, mine), from the replay of "
-        "`squall`.",
+        "The p50 is from the replay of `move`, except for `osqp` (native warm, mine), from the "
+        "replay of `squall`.",
         "Custom settings: `osqp` mine: rho=1.6.",
     ]
 
@@ -72,13 +72,13 @@ def test_the_replays_of_worst_p99_and_hardest_step_are_named() -> None:
         )
     )
     window = "in the window of hardest steps of"
-    turn = f"{window} `turn`; for `scs` (native warm), in the replay of `move`"
+    turn = f"{window} `turn`, except for `scs` (native warm), in the replay of `move`"
     rough = f"for `piqp` (native warm), {window} `rough`"
     assert notes == [
         "A limiting p99 from a window has no confidence interval, as only the hardest steps were "
         "replayed.",
         f"The limiting p99 is {turn}.",
-        f"The longest step is {turn}; {rough}.",
+        f"The longest step is {turn}, and {rough}.",
     ]
 
 

@@ -191,14 +191,14 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
     assert "N·m" not in _explain_verdict_grid(_facts(records))
     records.loop("osqp", units="si", error=0.5)
     assert _explain_verdict_grid(_facts(records)).endswith(
-        " In SI units (N, N·m) 1 of 2 solvers fails: `osqp`. Scale the QP."
+        " In SI units (N, N·m), 1 of 2 solvers fails: `osqp`. Scale the QP, as all other runs do."
     )
     # osqp has the overall verdict "fail" already.
     assert describe_failures_in_si(_facts(records), beyond_verdicts=True) == ""
     records.loop("quadprog")
     records.loop("quadprog", units="si", error=0.5)
     found = describe_failures_in_si(_facts(records), beyond_verdicts=True)
-    assert found == "In SI units (N, N·m) 2 of 3 solvers fail: `osqp` and `quadprog`. Scale the QP."
+    assert found == "In SI units (N, N·m), 2 of 3 solvers fail: `osqp` and `quadprog`. Scale the QP, as all other runs do."
 
 
 def test_every_kind_of_finding_has_a_short_text() -> None:

@@ -468,7 +468,7 @@ def test_own_settings_that_fail_in_si_units_are_counted(records: Any) -> None:
         records.replay("osqp", **options)
         records.loop("osqp", units="si", error=error, **options)
     rows = Report.from_results(records.results()).summary_rows()
-    line = "In SI units (N, N·m) 1 of 2 custom settings fails: scale the QP. These runs do not"
+    line = "In SI units (N, N·m), 1 of 2 custom settings fails: scale the QP. These runs do not"
     assert any(about == "options" and text.startswith(line) for about, text in rows)
 
 
@@ -571,8 +571,8 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
     assert "The p99 of `turn` is 20.0 µs, the time of step " in text
     assert (
-        "; 4 of the 450 steps may take longer. The closed loop takes more iterations per step than "
-        "the window, so the limiting p99 is 2.00 times as long, 40.0 µs (formula: page “Method” of"
+        "; 4 of the 450 steps may take longer. The p99 of the iterations is larger in the closed "
+        "loop than in the window, so the limiting p99 is 2.00 times as long, 40.0 µs (formula: page"
     ) in text
     assert "It therefore exceeds the longest measured step (20.0 µs)." in text
 

@@ -28,7 +28,7 @@ function kept() {
   // The summary above states the margin of the recommended configuration.
   const own = margin === null || (state.c === facts.answer.first && state.slow <= 1) ? "" : `${withSettings(state.c)} ${paceOf(state.c, margin)}. `;
   const share = (100 * state.slow) / C().deadline_margin[state.c];
-  const slowed = own && state.slow > 1 ? `Its scaled longest step then takes ${figure(share, 2)} % of the deadline. ` : "";
+  const slowed = own && state.slow > 1 ? `At × ${figure(state.slow)}, its longest step takes ${figure(share, 2)} % of the deadline. ` : "";
   const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
   const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");
   if (!right.length) return own + slowed;
@@ -36,7 +36,7 @@ function kept() {
   const solvers = right.sort((a, b) => b.margin - a.margin).filter((row, i) => right.findIndex((r) => r.solver === row.solver) === i);
   const safe = solvers.filter((row) => state.slow <= 1 || row.margin >= state.slow);
   return `${own}${slowed}At × ${figure(state.slow)}, ${safe.length} of ${solvers.length} ${passing.length ? "passing" : "borderline or inconclusive"
-  } solvers ${safe.length === 1 ? "meets" : "meet"} both limits (p99 ${p99_ms} ms, longest step ${deadline_ms} ms)${
+  } solvers ${state.slow > 1 ? "still " : ""}${safe.length === 1 ? "meets" : "meet"} both limits (p99 ${p99_ms} ms, longest step ${deadline_ms} ms)${
     listed(safe, (row) => `${withSettings(Number(row.id))} (up to × ${roundedDown(row.margin)})`)}.`;
 }
 

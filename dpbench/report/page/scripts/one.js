@@ -70,10 +70,9 @@ function wrongOf(run) {
   const at = (first, count) => ((first ?? -1) < 0 ? "" : ` (${count === 1 ? "" : "first "}at step ${first})`);
   const found = [[run.inaccurate ?? 0, "step", (count) => `${were(count)} inaccurate${at(run.first_inaccurate, count)}`],
     [run.failed, "step", (count) => `failed${at(run.first_failed, count)}`],
-    [run.untrue, once ? "step" : "answer", null]]
+    [run.untrue, once ? "step" : "answer", (count) => `${once ? "" : `of ${grouped(run.answers)} `}${were(count)} reported as solved, but not verified`]]
     .filter(([count]) => count > 0)
-    .map(([count, word, what], i) => (what ? `${i ? grouped(count) : many(count, word)} ${what(count)}`
-      : `for ${many(count, word)}${once ? "" : ` of ${grouped(run.answers)}`}, the status “solved” could not be verified`));
+    .map(([count, word, what], i) => `${i && (once || word === "step") ? grouped(count) : many(count, word)} ${what(count)}`);
   return found.length < 2 ? found.join("") : `${found.slice(0, -1).join(", ")} and ${found.at(-1)}`;
 }
 
@@ -142,8 +141,8 @@ async function drawOne() {
   const drawn = run.t !== undefined && run.t !== null;
   $("figure-strips").hidden = $("strips-said").hidden = !drawn;
   $("strips-time").textContent = facts.experiments[state.p].mode === "replay"
-    ? "Step time, error and iterations of each step. Each dot is the fastest round that counts. The grey line ends at the largest timing. A replay has no plant, so no ship is shown."
-    : "Step time, error, iterations and forces of each step. Each dot is one step, timed once while other runs used the machine. Compare times in replays and windows only.";
+    ? "Step time, error and iterations of each step. Each dot is one step, in its fastest round. The grey line ends at its largest timing. A replay has no plant, so no ship is shown."
+    : "Step time, error, iterations and forces of each step. Each dot is one step. Do not compare its time with that of another solver: it was timed once, while other runs used the machine.";
   const thinned = drawn && facts.arrays[run.t][4] !== undefined;
   $("strips-kept").hidden = !thinned;
   if (thinned) $("strips-kept").replaceChildren(...coded(
@@ -245,7 +244,7 @@ function moved(run, k) {
   const force = ["surge", "sway", "yaw"].map((axis, i) => `${axis} ${signed(100 * track.u[i][at], 2)} %`);
   const kept = run.first + at * track.every;
   return `Ship${kept === k ? "" : ` at step ${kept}, the nearest one stored`}: ${signed(n)} m north, ${signed(e)} m east, heading ${signed((psi * 180) / Math.PI)}°; `
-    + `${force.join(", ")} of their amplitude limits.`;
+    + `forces ${force.join(", ")} of their amplitude limits.`;
 }
 
 // Whether a run has a step k, and the page its numbers.
@@ -267,13 +266,13 @@ function drawStep(run) {
   $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}${where}, ${array(run.i)[j] == null ? "iterations not reported" : many(array(run.i)[j], "iteration")}, `
     + `${many(array(run.a)[j], "active limit")}, ${[Infinity, "inf"].includes(error) ? "no solution" : `error of the first move ${figure(error)}${error == null ? "" : " times the maximum increment"}`}. `
     + `The solver ${said(0) ? "reported “solved”" : `did not report “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}. `
-    + `Its solution is ${said(1) ? "correct" : "not correct"}. `;
+    + `${said(0) ? "Its solution" : "This answer"} is ${said(1) ? "correct" : "not correct"}. `;
   $("step-said").append(...flags.flatMap((flag, i) => [i ? ", " : "Flags: ", flag]), flags.length ? ". " : "", moved(run, k));
   const experiment = facts.experiments[run.p];
   // A sea of a study has no file of its own to export from.
   $("step-export").parentElement.hidden = $("step-history").hidden = !experiment.source;
   $("step-history").textContent = (experiment.mode === "replay" ? "" : "This command writes the QP of the reference loop at this step, not that of the solver's own loop. ")
-    + "An exported step has no history. To repeat a warm start, replace --at K by --steps K+1 and replay the file with dpbench run --sequence FILE.";
+    + "An exported step has no history. To repeat a warm start, export the steps 0 to K with --steps K+1 instead of --at K, and replay the file with dpbench run --sequence FILE.";
   $("step-export").textContent =
     `dpbench export ${experiment.source} --at ${k} --out step-${k}.npz`;
   $("step-query").textContent =

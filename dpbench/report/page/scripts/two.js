@@ -101,8 +101,8 @@ function commonSteps(rows) {
 // What the dots of the figure are: those of QPs of one size are one cluster.
 function captionOf(rows, second) {
   const replays = unique(rows.map((row) => row.sequence)).map((name) =>
-    `\`${name}\` with ${rows.find((row) => row.sequence === name).variables} variables`);
-  return `Each dot is one step, in its fastest round, of ${replays.join(" or ")}. Below the dashed line, ${
+    `of \`${name}\`, with ${rows.find((row) => row.sequence === name).variables} variables,`);
+  return `Each dot is one step ${replays.join(" or ")} timed in its fastest round. Below the dashed line, ${
     unlike(second, state.c)} is faster.`;
 }
 
