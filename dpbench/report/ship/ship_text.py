@@ -82,7 +82,12 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
         return ShipSummary(state=NOT_RUN)
     lost = [ship for ship in known if ship.has_left_station]
     warning = " ".join(filter(None, _warn_of_lost(lost, known)))
-    state = [_describe_kept(known), _name_unsettled(known), *_describe_rest(ships)]
+    state = [
+        _describe_kept(known),
+        _name_stopped_before_loss(known),
+        _name_unsettled(known),
+        *_describe_rest(ships),
+    ]
     details = [
         *_describe_transfers(known),
         *_describe_after_losses(known),
@@ -408,6 +413,27 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
             f"After {what} in `{ship.name}`, the largest offset is {largest[0]} and "
             f"the largest heading error {largest[1]}{ending}."
         )
+
+
+def _name_stopped_before_loss(known: Sequence[ShipResult]) -> str:
+    """Return a sentence that names runs stopped before a fault of their scenario; "" for none."""
+    early = [
+        ship
+        for ship in known
+        if any(at_s >= ship.run.exact_steps * ship.run.sample_s for at_s in _list_faults(ship.run))
+    ]
+    runs = f"{'run' if len(early) == 1 else 'runs'} of {_name_ships(early)}"
+    were = "was" if len(early) == 1 else "were"
+    return (
+        f"The {runs} {were} stopped before a loss in the scenario, so the ship was not simulated "
+        "after it."
+    ) * bool(early)
+
+
+def _list_faults(run: RunRecord) -> list[float]:
+    """Return the times of all faults in the scenario of a run [s]."""
+    faults = (run.scenario_documents or {}).get("scenario", {}).get("faults") or ()
+    return [float(fault["at_s"]) for fault in faults]
 
 
 def _name_unsettled(known: Sequence[ShipResult]) -> str:

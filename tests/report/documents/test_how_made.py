@@ -71,7 +71,8 @@ def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> N
     assert "3 runs with" in made
     assert (
         "In both numbers 1 run is counted twice, because two names of settings stand for the same "
-        "options. Both numbers exclude 1 run on simulated slower computers and 1 run of consequence analyses. Solvers: "
+        "options. Both numbers exclude 1 run on simulated slower computers and 1 run of "
+        "consequence analyses. Solvers: "
     ) in made
 
 

@@ -198,7 +198,10 @@ def test_of_many_experiments_those_that_miss_most_are_drawn(records: Any, monkey
     records.loop("quadprog")
     records.loop("quadprog", units="si", error=0.5)
     found = describe_failures_in_si(_facts(records), beyond_verdicts=True)
-    assert found == "In SI units (N, N·m), 2 of 3 solvers fail: `osqp` and `quadprog`. Scale the QP, as all other runs do."
+    assert found == (
+        "In SI units (N, N·m), 2 of 3 solvers fail: `osqp` and `quadprog`. Scale the QP, as all "
+        "other runs do."
+    )
 
 
 def test_every_kind_of_finding_has_a_short_text() -> None:
