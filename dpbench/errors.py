@@ -230,6 +230,7 @@ class ResultsError(InputError):
 
 
 MOST_NAMES = 6  # A list of more names is cut to the nearest
+MOST_UNLISTED = 16  # The same where nothing else lists the names
 _NEAREST = 3
 
 
@@ -246,7 +247,7 @@ def find_nearest_names(text: str, known: Iterable[str], *, likeness: float = 0.0
 
 def format_allowed_names(text: str, known: Sequence[str], *, listing: str = "") -> str:
     """Return as text all known names, or the three nearest to `text` and what lists all."""
-    if len(known) <= MOST_NAMES:
+    if len(known) <= (MOST_NAMES if listing else MOST_UNLISTED):
         names = ", ".join(known)
         return names if len(known) == 1 else f"one of {names}"
     near = find_nearest_names(text, known)

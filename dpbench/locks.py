@@ -145,7 +145,7 @@ def _try_lock_open_file(lock: int, how: int) -> bool:
 def describe_lock_holders(lock: int) -> str:
     """Return as text which processes hold the lock of an open file or folder."""
     named = _read_holders_named_in_lock_file(lock) or _read_holders_from_proc_locks(lock)
-    return " and ".join(map(str, named)) or "another process, which left no name"
+    return " and ".join(map(str, named)) or "another process (name unknown)"
 
 
 def _read_holders_from_proc_locks(lock: int) -> list[Holder]:

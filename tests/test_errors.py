@@ -22,19 +22,26 @@ def test_a_short_list_is_given_whole() -> None:
     """Six names, in their own order; a single name is no list."""
     assert format_allowed_names("tern", ["turn"]) == "turn"
     assert (
-        format_allowed_names("tern", NAMES[1:])
+        format_allowed_names("tern", NAMES[1:], listing="list_scenarios()")
         == "one of rough, squall, swell, turn, turning, waves"
     )
+    assert format_allowed_names("tern", NAMES) == f"one of {', '.join(NAMES)}"
 
 
 @pytest.mark.parametrize(
-    ("listing", "end"), [("", ""), ("list_scenarios()", ": `list_scenarios()`")]
+    ("names", "listing", "rest"),
+    [
+        ((*NAMES, *map(str, range(10))), "", "… 14 more"),
+        (NAMES, "list_scenarios()", "… 4 more: `list_scenarios()`"),
+    ],
 )
-def test_a_long_list_is_cut_to_the_nearest_three(listing: str, end: str) -> None:
-    """Seven names; the nearest first, then how many more there are and what lists them."""
-    *near, rest = format_allowed_names("tern", NAMES, listing=listing).split(", ")
-    assert near[:2] == ["turn", "turning"] and near[2] in NAMES
-    assert rest == f"… 4 more{end}"
+def test_a_long_list_is_cut_to_the_nearest_three(
+    names: tuple[str, ...], listing: str, rest: str
+) -> None:
+    """Seven names, or 17 that nothing lists; the nearest first, then how many more there are."""
+    *near, last = format_allowed_names("tern", names, listing=listing).split(", ")
+    assert near[:2] == ["turn", "turning"] and near[2] in names
+    assert last == rest
 
 
 def test_a_name_in_capitals_is_near_the_same_in_small_letters() -> None:
@@ -45,7 +52,7 @@ def test_a_name_in_capitals_is_near_the_same_in_small_letters() -> None:
 
 def test_a_long_list_is_cut_for_a_name_like_no_other() -> None:
     """Three names all the same, also for a text of a megabyte, at once."""
-    assert format_allowed_names("§" * 1_000_000, NAMES).endswith("… 4 more")
+    assert "… 4 more" in format_allowed_names("§" * 1_000_000, NAMES, listing="list_scenarios()")
 
 
 @pytest.mark.parametrize(

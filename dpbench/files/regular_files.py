@@ -18,7 +18,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
-from dpbench.errors import InputError
+from dpbench.errors import InputError, shorten_found
 
 MOST_TEXT_BYTES = 2**20
 """Largest TOML or CSV file that is read [B]. The largest that ships has 6 kB; tomllib reads a
@@ -63,7 +63,8 @@ def open_regular_file(
             kind = _KINDS.get(stat.S_IFMT(state.st_mode), "not a regular file")
             raise error(str(path), "", kind, what)
         if most_bytes is not None and state.st_size > most_bytes:
-            raise error(str(path), "", f"{state.st_size} bytes", f"at most {most_bytes}: {what}")
+            allowed = f"{what} of at most {most_bytes} bytes"
+            raise error(str(path), "", f"{state.st_size} bytes", allowed)
         with open(number, "rb", closefd=False) as file:
             yield file
     finally:
@@ -88,8 +89,8 @@ def refuse_implausible_unpacked_size(
     """Raise `error` if a compressed file would unpack to far more bytes than plausible."""
     most = FREE_BYTES + MOST_RATIO * size
     if unpacked > most:
-        found = f"{size} bytes that unpack to {unpacked}"
-        raise error(str(path), "", found, f"at most {most} of a file of that size")
+        found = f"{size} bytes that unpack to {unpacked} bytes"
+        raise error(str(path), "", found, f"at most {most} unpacked bytes for a file of this size")
 
 
 def read_json_object(
@@ -100,9 +101,10 @@ def read_json_object(
     try:
         document = parse_json(data.decode("utf-8"))
     except ValueError as failure:
-        raise error(str(path), "", f"invalid JSON ({failure})", what) from failure
+        raise error(str(path), "", *describe_json_fault(failure, what)) from failure
     if not isinstance(document, dict):
-        raise error(str(path), "", type(document).__name__, "a JSON object")
+        found = "a list" if isinstance(document, list) else shorten_found(document)
+        raise error(str(path), "", found, "a JSON object")
     return document
 
 
@@ -114,11 +116,22 @@ def read_csv_rows(path: Path) -> list[list[str]]:
         lines = io.StringIO(content.decode("utf-8-sig"), newline="")
         rows = [row for row in csv.reader(lines) if row and not row[0].startswith("#")]
     except UnicodeDecodeError as error:
-        found = f"byte {error.start + 1}, 0x{content[error.start]:02x}, which is not UTF-8"
-        raise InputError(str(path), "", found, what) from error
+        found = f"0x{content[error.start]:02x}, which is not UTF-8"
+        raise InputError(str(path), f"byte {error.start + 1}", found, what) from error
     except csv.Error as error:
         raise InputError(str(path), "", f"invalid CSV ({error})", what) from error
     return rows
+
+
+class DepthError(ValueError):
+    """Error for a document whose tables or arrays are nested too deeply."""
+
+
+def describe_json_fault(error: ValueError, allowed: str) -> tuple[str, str]:
+    """Return what an error of `parse_json` has found, and what is allowed instead."""
+    if isinstance(error, DepthError):
+        return str(error), f"at most {MOST_DEPTH} levels"
+    return f"invalid JSON ({str(error)[:120]})", allowed
 
 
 def parse_json(text: str) -> Any:
@@ -128,7 +141,7 @@ def parse_json(text: str) -> Any:
     try:
         document = json.loads(text)
     except RecursionError as failure:
-        raise ValueError("nested too deeply") from failure
+        raise DepthError("JSON nested too deeply") from failure
     refuse_deep_or_huge_values(document)
     if "\\ud" in text.lower():
         # An escape of half a surrogate pair gives a text that can be neither printed nor written.
@@ -146,7 +159,7 @@ def refuse_deep_or_huge_values(document: object) -> None:
         level = [one for one in level if isinstance(one, dict | list)]
         depth += bool(level)
         if depth > MOST_DEPTH:
-            raise ValueError(f"more than {MOST_DEPTH} nested levels")
+            raise DepthError(f"more than {MOST_DEPTH} nested levels")
         level = [
             inner for one in level for inner in (one.values() if isinstance(one, dict) else one)
         ]

@@ -43,7 +43,7 @@ def open_untrusted_parquet_table(
         for field in schema:
             kind = field.type.value_type if pa.types.is_dictionary(field.type) else field.type
             if not any(fits(kind) for fits in (*_IS_NUMBER, *_IS_TEXT)):
-                raise error(str(path), field.name[:80], f"type {kind}", "numbers and words")
+                raise error(str(path), field.name[:80], f"type {kind}", "numbers or text")
         words = [f.name for f in schema if any(fits(f.type) for fits in _IS_TEXT)]
         refuse_implausible_unpacked_size(
             path, _estimate_unpacked_table_bytes(metadata, len(words)), size, error=error

@@ -119,13 +119,13 @@ def _find_key_or_list_index(table: Any, part: str, where: str, model: Model) -> 
         raise InputError(
             where, "", f"an unknown key {part!r}", format_allowed_names(part, sorted(known))
         )
-    if isinstance(table, list):
+    above = where.rpartition(": ")[2].rpartition(f".{part}")[0]
+    if isinstance(table, list) and table:
         if part.isdecimal() and int(part) < len(table):
             return int(part)
         raise InputError(where, "", part, f"an index from 0 to {len(table) - 1}")
-    if table is None:
-        missing = where.rpartition(": ")[2].partition(f".{part}")[0]
-        remedy = f"add the whole table, in its file or as a mapping with the key {missing}"
-        raise SituationError(where, f"the scenario has no table {missing}: {remedy}")
-    fault = f"{part!r} is looked up in a single value, not in a table"
-    raise SituationError(where, f"{fault}; allowed: a key in a table of the scenario")
+    if table is None or table == []:
+        remedy = f"add the whole table, in its file or as the value of the key {above}"
+        raise SituationError(where, f"the scenario has no table {above}: {remedy}")
+    found = f"the key {part!r} of {above}, which is a single value, not a table"
+    raise InputError(where, "", found, "a key in a table of the scenario")

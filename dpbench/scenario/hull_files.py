@@ -162,10 +162,11 @@ def _read_coefficients_by_name(path: Path) -> dict[str, float]:
     for cell, *rest in rows[1:]:
         name = cell.strip()
         if name not in known or name in values:
-            found = "a second row" if name in values else "an unknown coefficient"
-            raise InputError(
-                str(path), repr(name)[:80], found, f"{format_allowed_names(name, known)}; each once"
-            )
+            found, allowed = "a second row", "one row for each coefficient"
+            if name not in values:
+                found = "an unknown coefficient"
+                allowed = f"{format_allowed_names(name, known)}; each once"
+            raise InputError(str(path), repr(name)[:80], found, allowed)
         values[name] = _parse_valid_hull_coefficient(path, name, rest[0] if rest else "")
     return values
 

@@ -26,6 +26,7 @@ from dpbench.errors import (
 from dpbench.files.regular_files import (
     MOST_DEPTH,
     MOST_TEXT_BYTES,
+    DepthError,
     read_bytes,
     refuse_deep_or_huge_values,
 )
@@ -42,7 +43,7 @@ _LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_DE
 _PACKAGE = Path(__file__).resolve().parents[1]
 _PROSE = ("title", "shows", "source")
 """Entries of a problem file that nothing is computed from."""
-_ALLOWED = {
+ALLOWED = {
     "greater_than": "above {gt:g}",
     "greater_than_equal": "{ge:g} or more",
     "less_than": "below {lt:g}",
@@ -230,13 +231,13 @@ def read_toml_as_dict(path: Path) -> dict[str, Any]:
         refuse_deep_or_huge_values(document)
     except InputError:
         raise
-    except RecursionError as error:
-        raise InputError(
-            where, "", "tables nested too deeply", f"at most {MOST_DEPTH} levels"
-        ) from error
+    except (RecursionError, DepthError) as error:
+        found = "tables or arrays nested too deeply"
+        raise InputError(where, "", found, f"at most {MOST_DEPTH} levels") from error
     except UnicodeDecodeError as error:
-        found = f"byte {error.start + 1}, 0x{content[error.start]:02x}, which is not UTF-8"
-        raise InputError(where, "", found, "a TOML document in UTF-8") from error
+        found = f"0x{content[error.start]:02x}, which is not UTF-8"
+        place = f"byte {error.start + 1}"
+        raise InputError(where, place, found, "a TOML document in UTF-8") from error
     # Besides TOMLDecodeError a plain ValueError: an integer of thousands of digits.
     except ValueError as error:
         raise InputError(
@@ -267,9 +268,8 @@ def validate_settings_as_model(document: dict[str, Any], model: type[_Model], wh
         if first["type"] == "extra_forbidden":
             if new := getattr(model, "refused_keys", {}).get(key):
                 raise InputError(where, key, "an old name", f"{new}, its new name") from None
-            allowed = format_allowed_names(
-                keys[-1], _list_allowed_keys_of_nested_table(model, keys[:-1])
-            )
+            known = _list_allowed_keys_of_nested_table(model, keys[:-1])
+            allowed = format_allowed_names(keys[-1], known, listing=getattr(model, "reference", ""))
             raise InputError(where, key, "an unknown key", allowed) from None
         if first["type"] == "missing":
             raise InputError(where, key, "nothing", _describe_any_value(model, first)) from None
@@ -292,7 +292,7 @@ def _word_allowed_values(model: type[BaseModel], fault: ErrorDetails) -> str:
         return "a table of {min_length} or more keys".format(**fault["ctx"])
     if fault["type"] in ("list_type", "too_short", "too_long"):
         return _describe_any_value(model, fault)
-    if wording := _ALLOWED.get(fault["type"]):
+    if wording := ALLOWED.get(fault["type"]):
         return wording.format(**fault.get("ctx", {}))
     return fault["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
 

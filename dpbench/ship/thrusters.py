@@ -128,8 +128,8 @@ class Thruster:
             return
         width_deg = float(np.degrees(sector[1] - sector[0]))
         if self.kind != "azimuth" or not 0.0 < width_deg <= most_deg + _ROUNDING:
-            found = f"{width_deg:g} degrees of a thruster of kind {self.kind}"
-            allowed = f"[a, b] of an azimuth thruster, with b − a above 0 and up to {most_deg:g}"
+            found = f"a sector of {width_deg:g}° (kind {self.kind})"
+            allowed = f"for an azimuth alone, [a, b] with b − a above 0° and at most {most_deg:g}°"
             raise InputError(f"thruster {self.name}", key, found, allowed)
 
     def may_push(self, direction_rad: float) -> bool:

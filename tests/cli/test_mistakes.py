@@ -30,7 +30,7 @@ def changed(text: str, key: str, line: str) -> str:
         (HEAD + '[[closed_loop]]\nscenarios = ["papr"]\n', ["x.toml: scenario name", "paper"]),
         (
             HEAD + '[[closed_loop]]\nscenarios = ["my.toml"]\n',
-            ["x.toml: scenario name: found 'my.toml'; allowed: an existing scenario file"],
+            ["x.toml: scenario name: 'my.toml': no such file; required: a scenario file"],
         ),
         (
             HEAD + '[[replay]]\nscenario = "paper"\nsettings = ["hgh"]\n',
@@ -88,7 +88,7 @@ def test_a_ship_in_other_units_is_none(
         (["run", "smoke", "--dry-run", "--engine", "spark"], ["--engine: found 'spark'; allowed"]),
         (
             ["run", "smoke", "--solver", "unconstrained_clipped", "--policy", "warm"],
-            ["smoke.toml: no run of unconstrained_clipped is left", "the policy fresh"],
+            ["smoke.toml: nothing to run for unconstrained_clipped", "the policy fresh"],
         ),
         (
             ["capability", str(find_problem_path("scenarios", "rough"))],
@@ -147,9 +147,9 @@ def test_bad_input_is_one_line_and_exit_2(words: list[str], parts: list[str], re
         ),
         (
             lambda: run_campaign("smoke", "out", solvers=["osqp"], settings={"osqp": {"rho": 1.6}}),
-            "below 1; for options use `solvers`, such as 'osqp[rho=1.6]'",
+            "below 1; give solver options in `solvers`, for example 'osqp[rho=1.6]'",
             ["run", "smoke", "--out", "out", "--solver", "osqp", "--settings", "osqp"],
-            "below 1; for options use --solver, such as 'osqp[rho=1.6]'",
+            "below 1; give solver options in --solver, for example 'osqp[rho=1.6]'",
         ),
         (
             lambda: load_results("missing"),

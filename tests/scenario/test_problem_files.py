@@ -185,10 +185,10 @@ def test_a_sequence_is_a_stored_name_or_a_path(
         ('\n\n["a"' + ' . "b"' * 50_000 + "]", "line 3: found a key of more than 32 parts"),
         ("x = {a" + ".'a'" * 50_000 + " = 1}", "line 1: found a key"),
         ("a = " + "[" * 100_000, "nested too deeply"),
-        ("a = " + "[" * 50 + "]" * 50, "more than 32 nested levels"),
+        ("a = " + "[" * 50 + "]" * 50, "nested too deeply; allowed: at most 32 levels"),
         ("a = " + "9" * 5000, "invalid TOML"),
         ("[[a]]\nb = [0x" + "f" * 5000 + "]", "an integer of more than 300 digits"),
-        ("a = 1\n" * 300_000, "1800000 bytes; allowed: at most 1048576"),
+        ("a = 1\n" * 300_000, "1800000 bytes; allowed: a readable file of at most 1048576 bytes"),
     ],
     ids=["key", "header", "inline", "brackets", "levels", "digits", "hexadecimal", "size"],
 )

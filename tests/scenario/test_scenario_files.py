@@ -78,8 +78,8 @@ def test_rest_is_not_written() -> None:
 
 BAD_SCENARIOS = [
     ("[controller]", "[start]\nsurge_mps = 340.0\n[controller]", "start.surge_mps", "340.0", "100"),
-    ("[controller]", "[wind]\n[controller]", "wind", "unknown key", "… 9 more"),
-    ("[environment]", "[controller.environment]", "controller.environment", "unknown", "… 12 more"),
+    ("[controller]", "[wind]\n[controller]", "wind", "unknown key", "one of title, "),
+    ("[environment]", "[controller.environment]", "controller.environment", "unknown", "one of "),
     (
         "-20.0, 55.0, 500.0]",
         "-20.0, 55.0]",

@@ -79,9 +79,9 @@ def test_newer_keys_that_a_file_leaves_out_can_be_set(tmp_path: Path) -> None:
     [
         ({"plant.thruster_lags": 1.0}, "plant.thruster_lags.*thruster_lag_s"),
         ({"environment.wind.sped_mps": 3.0}, "environment.wind.sped_mps.*speed_mps"),
-        ({"environment.squalls.0.start_s": 3.0}, "environment.squalls.0.start_s.*index"),
+        ({"environment.squalls.0.start_s": 3.0}, "no table environment.squalls: add"),
         ({"environment.noise.position_m": 3.0}, "no table environment.noise: add the whole table"),
-        ({"environment.seed.x": 3}, "'x' is looked up in a single value"),
+        ({"environment.seed.x": 3}, "the key 'x' of environment.seed, which is a single value"),
         ({"environment.wind.speed_mps": "much"}, "speed_mps.*'much'"),
         ({"controller.control_horizon": 70}, "control_horizon.*70"),
         ({"vessel": "titanic"}, "vessel name.*titanic"),

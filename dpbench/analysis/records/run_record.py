@@ -23,9 +23,10 @@ from dpbench.bench.record.cell import (
     Units,
     parse_qp_source,
 )
+from dpbench.bench.record.result_folder import make_json_fault_error
 from dpbench.bench.record.schema import RUN_COLUMNS
-from dpbench.errors import InputError, ResultsError, format_key_path
-from dpbench.files.regular_files import parse_json
+from dpbench.errors import InputError, ResultsError
+from dpbench.files.regular_files import describe_json_fault, parse_json
 from dpbench.scenario.problem_files import ScenarioDocuments
 from dpbench.scenario.tables.key_types import Horizons
 from dpbench.solvers.contract import Policy, Route
@@ -443,10 +444,10 @@ def _make_description_error(key: str, error: ValueError) -> ResultsError:
     """Return the error on a run's stored description, with file, key and value."""
     if isinstance(error, InputError):
         return ResultsError("runs.parquet", f"cell.{error.key}", error.found, error.allowed)
-    first = error.errors()[0] if isinstance(error, ValidationError) else None
-    key = format_key_path([key, *first["loc"]], is_toml=False) if first else key
-    found = first["msg"] if first else f"invalid JSON ({str(error)[:80]})"
-    return ResultsError("runs.parquet", key, found, "the description of a cell")
+    if isinstance(error, ValidationError):
+        return make_json_fault_error("runs.parquet", error, key)
+    allowed = "a cell description in JSON, written by `run_campaign()`; run the suite again"
+    return ResultsError("runs.parquet", key, *describe_json_fault(error, allowed))
 
 
 def _convert_column_to_floats(column: "pd.Series[Any]") -> list[float]:

@@ -70,10 +70,11 @@ def select_timed_configurations(records: Records, choice: str) -> list[Configura
     if alike:
         return alike
     names = dict.fromkeys(
-        c.solver if c.settings == "default" else f"{c.solver} {c.settings}" for c in known
+        c.solver if c.settings == "default" else f"'{c.solver} {c.settings}'" for c in known
     )
-    allowed = format_allowed_names(choice, [*names]) if names else "a solver that was timed"
-    raise UnknownNameError("`choices`", "", repr(choice), allowed)
+    timed = format_allowed_names(choice, [*names])
+    allowed = f"a solver that was timed: {timed}" if names else "results with timed replays"
+    raise UnknownNameError("`choices`", "", f"{choice!r}, which was not timed", allowed)
 
 
 def _has_options(choice: str) -> bool:

@@ -216,7 +216,7 @@ class Cluster:
         for worker in workers.values():
             offers[worker["host"]] += worker["resources"].get(EXCLUSIVE, 0)
         if many := [host for host, times in offers.items() if times > 1]:
-            found = f"resource {EXCLUSIVE} {offers[many[0]]:g} times on {many[0]}"
+            found = f"the resource {EXCLUSIVE!r} {offers[many[0]]:g} times on machine {many[0]}"
             raise InputError(WHERE, "", found, f"{EXCLUSIVE}=1 on one worker of each machine")
         self.exclusive = bool(exclusive)
         self.machine = self._infos[(exclusive or [*workers])[0]].machine

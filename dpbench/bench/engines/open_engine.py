@@ -13,7 +13,7 @@ from dpbench.bench.workers.child import has_compiled_kernels, start_forkserver
 from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob
 from dpbench.bench.workers.scratch import Scratch
-from dpbench.errors import InputError
+from dpbench.errors import InputError, SituationError
 from dpbench.locks import WaitLimit, find_safe_lock_folder
 
 COMPILING = "compiling the kernels, once after installation: up to a minute"
@@ -101,11 +101,9 @@ def open_engine(
         # What an extra installs is imported only where it is asked for.
         from dpbench.bench.engines.dask_engine import open_dask_engine
     except ModuleNotFoundError as error:
-        found, allowed = (
-            f"dask, without {error.name}",
-            "local; or dask after pip install 'dpbench[cluster]'",
-        )
-        raise InputError("`engine`", "", found, allowed) from error
+        fault = f"dask needs the package {error.name}, which is not installed"
+        remedy = "run `pip install 'dpbench[cluster]'`, or use the engine local"
+        raise SituationError("`engine`", f"{fault}: {remedy}") from error
     return open_dask_engine(scheduler, slots, tls)
 
 

@@ -150,7 +150,7 @@ def refuse_unknown_settings_names(
             presets = [preset for solver in solvers for preset in list_preset_names(solver)]
             known = dict.fromkeys((*presets, *suite.settings))
             allowed = f"{', '.join(known)}, or a tolerance such as 1e-4, above 0 and below 1"
-            allowed += "; for options use `solvers`, such as 'osqp[rho=1.6]'"
+            allowed += "; give solver options in `solvers`, for example 'osqp[rho=1.6]'"
             raise SettingsError("settings", "", repr(name), allowed)
 
 
@@ -184,7 +184,9 @@ def refuse_invalid_own_settings(suite: SuiteFile, choices: Iterable[str], where:
                 raise type(error)(where, error.key, error.found, error.allowed) from None
             if has_preset:
                 where = f"suite: settings.{name}"
-                raise InputError(where, "", "the name of a preset", "another name")
+                is_preset = name in list_preset_names(solver)
+                found = "the name of a preset" if is_preset else "a tolerance as a name"
+                raise InputError(where, "", found, "a name that is no tolerance and no preset")
 
 
 def _refuse_unavailable_call_mode(solver: str, table: SettingsTable) -> None:
@@ -323,7 +325,7 @@ def find_backup_and_refusal(name: str) -> tuple[str, str]:
     one = name != "all" and "[" not in name
     (solver,) = _resolve_solvers("closed_loop.backup", [name]) if one else ("",)
     if not solver or find_plugin_file(solver) or solver in CALIBRATION:
-        allowed = "one solver of `list_solvers()`, or of an installed plug-in"
+        allowed = "one solver without options, of `list_solvers()` or of an installed plug-in"
         raise InputError("suite", "closed_loop.backup", repr(name), allowed)
     here = find_solver_availability(solver)
     return solver, "" if here.ok else f"backup {solver}: {here.reason}"

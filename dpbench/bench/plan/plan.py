@@ -104,8 +104,7 @@ def _load_scenario_of_suite(name: str, beside: Path | None) -> Scenario:
     except InputError as error:
         if (error.where, error.found) != (name, "no such file"):
             raise
-        allowed = "an existing scenario file"
-        raise InputError("scenario name", "", repr(name), allowed) from None
+        raise InputError("scenario name", repr(name), "no such file", "a scenario file") from None
 
 
 def _explain_empty_plan(suite: SuiteFile, solvers: Sequence[str]) -> str:
@@ -114,7 +113,7 @@ def _explain_empty_plan(suite: SuiteFile, solvers: Sequence[str]) -> str:
         return "nothing to run; required: [[closed_loop]] or another table of runs"
     if set(solvers) == {BASELINE_LAW}:
         where = "closed loops, with the settings default and the policy fresh"
-        return f"no run of {BASELINE_LAW} is left, as it runs only in {where}"
+        return f"nothing to run for {BASELINE_LAW}, as it runs only in {where}"
     return f"no run is left; no table includes these solvers: {', '.join(solvers)}"
 
 
@@ -205,6 +204,7 @@ def _plan_closed_loops(
         or (configuration.units, configuration.settings, configuration.policy) == plain
     ]
     why = scenario.controller.why_no_delay
+    why = why and f"slowdown: not for {why}"
     cells = [replace(planned, refused=planned.refused or missing) for planned in cells]
     return [
         replace(planned, refused=planned.refused or why) if planned.cell.slowdown else planned
@@ -249,16 +249,17 @@ def _plan_scenario_replays(
 
 def _refuse_impossible_window(table: ReplayTable, scenario: Scenario) -> None:
     """Raise InputError where a suite table has an impossible window of hardest steps."""
-    allowed = ""
+    found, allowed = str(table.hardest), ""
     if table.steps and table.hardest > table.steps:
         allowed = f"at most {table.steps}, the number of steps to choose from"
     elif table.consequence:
         allowed = "0 with consequence = true, as hardness is defined only for the controller's QPs"
     elif table.horizons:
-        allowed = "0 with horizons, as the hardest steps of each pair differ"
+        found = f"{found} with horizons"
+        allowed = "0, as each pair of horizons has its own hardest steps"
     if allowed:
         where = f"suite: replay of {scenario.name}"
-        raise InputError(where, "hardest", table.hardest, allowed)
+        raise InputError(where, "hardest", found, allowed)
 
 
 def _name_replay(table: ReplayTable, scenario: Scenario, steps: int) -> str:

@@ -366,10 +366,11 @@ def check_call_modes(suite: SuiteFile, solvers: Sequence[str], has_routes: bool)
     missing = {name: reason for name, reason in lacking.items() if reason}
     if lacking and len(missing) == len(lacking):
         name, (found, allowed) = next(iter(missing.items()))
+        found = f"the call mode{'s' * (', ' in found)} {found}"
         argument = "`routes`" if has_routes else "`policies`"
         if len(missing) > 1:
-            found = f"{found}, which none of {len(missing)} solvers has"
-            raise PolicyError(argument, "", found, f"{allowed} for {name}")
+            found = f"{found}, which none of the {len(missing)} solvers has"
+            raise PolicyError(argument, "", found, f"a mode of one of them; {name} has {allowed}")
         raise PolicyError(argument, "", f"{found}, which {name} does not have", allowed)
     return [
         f'{name} does not run: it does not support the call mode "{found}"'

@@ -295,6 +295,7 @@ class SuiteFile(FileModel):
     A replay gets at least `FEWEST_ROUNDS` rounds, whatever its budget (`interleaved.py`).
     """
 
+    reference: ClassVar[str] = "docs/reference/suite.md"
     old_keys: ClassVar[dict[str, str]] = {"contrast": "baseline_law"}
     refused_keys: ClassVar[dict[str, str]] = {"demand": "requirements"}
 
@@ -376,7 +377,8 @@ def name_file_in_errors(
         place, colon, key = error.where.partition(":")
         if place not in places:
             raise
-        if place == "scenario name" and error.found in [repr(name) for name in scenarios or ()]:
+        given = {repr(name) for name in scenarios or ()}
+        if place == "scenario name" and given & {str(error.found), error.key}:
             raise type(error)("`scenarios`", error.key, error.found, error.allowed) from None
         where = f"{places[place]}{colon}{key}"
         if isinstance(error, SituationError):

@@ -207,7 +207,8 @@ def read_float_array(
         raise InputError(where, name, "nothing", "an array")
     array = arrays[name]
     if array.dtype.kind not in "fiu":
-        raise InputError(where, name, f"type {array.dtype}", "real numbers")
+        found = "text" if array.dtype.kind == "U" else f"type {array.dtype}"
+        raise InputError(where, name, found, "real numbers")
     if array.shape != shape:
         raise InputError(where, name, f"shape {array.shape}", f"shape {shape}")
     numbers = np.ascontiguousarray(array, dtype=np.float64)
@@ -240,5 +241,6 @@ def read_stored_count(arrays: Arrays, where: str, name: str) -> int:
     array = arrays.get(name)
     if array is None or array.dtype.kind not in "iu" or array.shape or array < 0:
         found = "nothing" if array is None else np.array2string(array, threshold=4)
+        found = f"the text {found}" if found[0] in "'\"" else found
         raise InputError(where, name, found, "one whole number, 0 or more")
     return int(array)

@@ -45,6 +45,7 @@ from dpbench.files.regular_files import (
 )
 from dpbench.files.tables import decode_dictionary_columns_to_text, open_untrusted_parquet_table
 from dpbench.locks import WaitLimit, describe_lock_holders, hold_folder_lock
+from dpbench.scenario.problem_files import ALLOWED
 from dpbench.solvers.contract import Policy, Route
 
 _Kind = TypeVar("_Kind")
@@ -158,11 +159,22 @@ def check_document_as_type(document: dict[str, Any], kind: type[_Kind], path: Pa
         checked: _Kind = _adapter(kind).validate_json(json.dumps(document))
         return checked
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = format_key_path(first["loc"], is_toml=False)
-        value = "nothing" if first["type"] == "missing" else repr(first["input"])[:80]
-        allowed = f"a value written by `run_campaign()` ({first['msg']}); run the suite again"
-        raise ResultsError(str(path), key, value, allowed) from error
+        raise make_json_fault_error(str(path), error) from error
+
+
+_OBJECTS = dict.fromkeys(("dict_type", "model_type"), "a JSON object")
+_ALLOWED = {**ALLOWED, **_OBJECTS, "list_type": "a JSON array", "missing": "a value"}
+"""Allowed values by the type of a fault of Pydantic; other types keep its own words."""
+
+
+def make_json_fault_error(where: str, error: ValidationError, *above: str) -> ResultsError:
+    """Return the error on the first fault in a JSON object of dpbench; `above` : keys above it."""
+    first = error.errors(include_url=False)[0]
+    key = format_key_path([*above, *first["loc"]], is_toml=False)
+    value = "nothing" if first["type"] == "missing" else repr(first["input"])[:80]
+    allowed = _ALLOWED.get(first["type"], "").format(**first.get("ctx", {}))
+    allowed = f"{allowed or 'a value (' + first['msg'] + ')'}, as written by `run_campaign()`"
+    return ResultsError(where, key, value, f"{allowed}; run the suite again")
 
 
 _WORDS = {
@@ -245,7 +257,8 @@ def lock_result_folder(
             allowed = "another folder; or remove this one"
             raise InputError(where, "", f"{folder} with results of suite {stored!r}", allowed)
     elif folder.is_dir() and any(folder.iterdir()) and not (folder / "cells").is_dir():
-        raise InputError(where, "", f"{folder} with other files", "a new or an empty folder")
+        found = f"{folder}, a folder with files that are not of a run"
+        raise InputError(where, "", found, "a new or an empty folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -260,8 +273,8 @@ def lock_result_folder(
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            found = f"{folder} in use by a run: {describe_lock_holders(lock)}"
-            raise InputError(where, "", found, "another folder; or wait for that run") from error
+            fault = f"{folder} is in use by {describe_lock_holders(lock)}"
+            raise SituationError(where, f"{fault}; use another folder, or wait for it") from error
         with lock_for_writing(folder, patience):
             yield
 

@@ -60,7 +60,7 @@ def build_closed_loop_setup(
     delay = make_delay_of_cell(cell, scenario.sample_s)
     why = scenario.controller.why_no_delay
     if delay.is_simulated and why:
-        raise InputError("closed loop", "slowdown", cell.slowdown, f"0 ({why})")
+        raise InputError("closed loop", "slowdown", cell.slowdown, f"0 for {why}")
     builder = QPBuilder(scenario, cell.units, sparse=cell.formulation == "sparse")
     layout = make_loop_layout(
         scenario.steps,

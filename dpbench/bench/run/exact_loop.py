@@ -332,7 +332,7 @@ def _rebuild_allocation_steps(
     allocation, demand = builder.allocation, exact.demand
     if allocation is None or demand is None:
         why = 'as only a cascade with allocation = "qp" has allocation QPs'
-        allowed = f"controller for scenario {scenario.name}, {why}"
+        allowed = f"'controller' for scenario {scenario.name}, {why}"
         raise InputError("`part`", "", "'allocation'", allowed)
     emitted = [builder.rebuild_allocation(k, demand, exact.thrust) for k in steps]
     return emitted, allocation.problem(emitted[0])

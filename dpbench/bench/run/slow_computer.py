@@ -78,8 +78,8 @@ def make_delay_of_cell(cell: Cell, sample_s: float) -> ComputationalDelay:
     if not (slowdown == 0.0 or 1.0 <= slowdown <= SLOWEST):
         raise InputError("closed loop", "slowdown", slowdown, f"0 (off), or 1 to {SLOWEST:g}")
     if not 0.0 <= deadline_s <= sample_s:
-        allowed = f"at most the sample time of {sample_s:g} s; 0 for the sample time itself"
-        raise InputError("closed loop", "deadline_s", deadline_s, allowed)
+        most = f"the sample time of {sample_s:g} s; or 0 for the sample time itself"
+        raise InputError("closed loop", "deadline_s", deadline_s, f"above 0 and at most {most}")
     return ComputationalDelay(
         slowdown, round((deadline_s or sample_s) * 1e9), round(sample_s * 1e9)
     )

@@ -182,13 +182,14 @@ class ObservedPlant:
         # A fifth of the time of numpy.isfinite; squares beyond 1e308 are no state of a plant.
         if array.shape == self._shape and math.isfinite(array.dot(array)):
             return array
-        fault = f"has shape {array.shape}, not {self._shape}"
-        if array.shape == self._shape:
-            fault = f"is not finite: {array}"
-        where = f", in sample {self._samples}" if self._samples else ""
+        when = f" in sample {self._samples}" if self._samples else ""
         if u is not None:
-            where = f", after step(u) of sample {self._samples}, u = {u}"
-        raise PlantError(self.name, f"{what} {fault}{where}")
+            when = f" after step(u) of sample {self._samples}"
+        fault = f"has shape {array.shape}, not {self._shape}{when}"
+        if array.shape == self._shape:
+            fault = f"is not finite{when}: {what} = {array}"
+            fault += "" if u is None else f", u = {u}"
+        raise PlantError(self.name, f"{'the ' * (what == 'state')}{what} {fault}")
 
 
 def build_steered_system(

@@ -113,7 +113,7 @@ def export_sequence(
         raise InputError("`format`", "", repr(format), ", ".join(FORMATS))
     if (suffix := FILES.get(format)) and target.suffix != suffix:
         others = [name for name, end in FILES.items() if end == target.suffix]
-        instead = "".join(f', or "{name}" as `format`' for name in others)
+        instead = "".join(f", or `format` {name}" for name in others)
         allowed = f"a file name that ends in {suffix}{instead}"
         raise InputError("`out`", "", repr(target.name), allowed)
     if at is not None and (steps is not None or every != 1):
@@ -255,7 +255,7 @@ def save_qpbenchmark(out: str | Path, recorded: Recorded) -> tuple[Path, Path]:
     path = Path(out)
     stem = path.stem
     if not stem.isidentifier() or stem in _TAKEN or path.suffix not in ("", ".py", ".parquet"):
-        allowed = "a Python module name that no library has, such as dp_paper.py"
+        allowed = "the file name of a Python module, such as dp_paper.py, that no library has"
         raise InputError("`out`", "", repr(path.name), allowed)
     sequence = recorded.sequence
     steps = list_steps_with_optimum(recorded)

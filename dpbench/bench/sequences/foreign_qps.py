@@ -31,7 +31,7 @@ ACADOS_INFINITY, MAT_INFINITY = 0.99e10, 9e19
 """Size from which a limit is none. acados has 1e10, less the state that it linearises at."""
 MOST_VARIABLES = 2000
 """Largest QP that is read: its matrices are dense, P then has 32 MB."""
-ONE_WAY = "the .mat, csv and QPS exports of dpbench cannot be read back"
+ONE_WAY = "the .mat, CSV and QPS exports of dpbench cannot be read back"
 _MATRICES = ("A", "B", "Q", "R", "S", "C", "D")
 _VECTORS = ("b", "q", "r", "lg", "ug", "lbx", "ubx", "lbu", "ubu", "idxb")
 _SOFT = ("idxs", "zl", "zu", "Zl", "Zu")
@@ -93,8 +93,8 @@ def _group_arrays_by_stage(document: dict[str, object], where: str) -> list[Arra
         raise InputError(
             where,
             "",
-            "gaps between the stages" if by_stage else "no stages",
-            f"stages 0 to N of {ACADOS}",
+            "missing stages" if by_stage else "no stages",
+            f"all stages 0 to N of {ACADOS}",
         )
     return [by_stage[k] for k in range(len(by_stage))]
 
@@ -142,7 +142,7 @@ class _Stages:
         entries = self.read(k, "idxb", sum(counts))
         known = np.isin(entries, np.arange(nu + nx)).all()
         if not known or len(np.unique(entries)) != len(entries):
-            allowed = f"distinct numbers from 0 to {nu + nx - 1}"
+            allowed = f"distinct indices from 0 to {nu + nx - 1}"
             raise InputError(f"{self._where}, stage {k}", "idxb", "invalid entries", allowed)
         return entries.astype(np.intp)
 
@@ -152,7 +152,8 @@ def read_maros_meszaros_problem(path: Path) -> QuadraticProgram:
     where = str(path)
     _, arrays = read_mat_structure_in_child(path, "")
     if "y_box" in arrays:
-        raise InputError(where, "", "a file written by dpbench", f"its .npz, as {ONE_WAY}")
+        allowed = f"the .npz file of the same QPs, as {ONE_WAY}"
+        raise InputError(where, "", "a file written by dpbench", allowed)
     # SciPy reads a single number as no array.
     arrays |= {name: arrays[name].reshape(-1) for name in ("q", "l", "u") if name in arrays}
     n = arrays["q"].size if "q" in arrays else 0

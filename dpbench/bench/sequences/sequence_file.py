@@ -63,7 +63,7 @@ from dpbench.errors import (
     require_type,
     shorten_found,
 )
-from dpbench.files.regular_files import open_regular_file, parse_json
+from dpbench.files.regular_files import describe_json_fault, open_regular_file, parse_json
 from dpbench.qp.program import (
     CONSTANT,
     QPSequence,
@@ -300,9 +300,8 @@ def _read_optima(arrays: Arrays, where: str, sizes: tuple[int, int, int]) -> lis
             allowed = ", ".join(get_args(Kind))
             raise InputError(where, f"certificate[{k}]", repr(kind), allowed)
         if np.isfinite(bound[k]) and not all(np.isfinite(c[k]).all() for c in columns):
-            raise InputError(
-                where, f"z, y, y_box[{k}]", "NaN with a finite bound", "finite numbers"
-            )
+            found = "NaN at a step with a finite error bound"
+            raise InputError(where, f"z, y, y_box[{k}]", found, "finite numbers")
     rows = zip(*columns, bound.tolist(), kinds, strict=True)
     return [Optimum(*row) for row in rows]
 
@@ -313,7 +312,7 @@ def _read_matrix(arrays: Arrays, where: str, name: str) -> NDArray[Any]:
     least = 1 if name == "q" else 0
     if array is None or array.ndim != 2 or array.shape[0] < least or array.shape[1] < 1:
         found = "nothing" if array is None else f"shape {array.shape}"
-        allowed = "shape (K, n) of one step or more" if name == "q" else "shape (m, n)"
+        allowed = "shape (K, n) for K steps, K ≥ 1" if name == "q" else "shape (m, n)"
         raise InputError(where, name, found, allowed)
     return array
 
@@ -323,9 +322,10 @@ def _read_document(where: str, name: str, texts: dict[str, str]) -> dict[str, An
     try:
         document = parse_json(texts[name])
     except ValueError as error:
-        raise InputError(where, name, f"invalid JSON ({error})", "a JSON object") from error
+        raise InputError(where, name, *describe_json_fault(error, "a JSON object")) from error
     if not isinstance(document, dict):
-        raise InputError(where, name, type(document).__name__, "a JSON object")
+        found = "a list" if isinstance(document, list) else shorten_found(document)
+        raise InputError(where, name, found, "a JSON object")
     return document
 
 

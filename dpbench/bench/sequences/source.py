@@ -452,13 +452,14 @@ def _check_step(where: str, k: int, sequence: QPSequence, claim: Optimum, optimu
     """Raise InputError where the stored optimum of step k differs from the certified one."""
     without = optimum.kind in WITHOUT_OPTIMUM
     if (claim.kind in WITHOUT_OPTIMUM) != without:
-        raise InputError(where, f"certificate[{k}]", repr(claim.kind), repr(optimum.kind))
+        allowed = f"{optimum.kind!r}, as found when this step was certified again"
+        raise InputError(where, f"certificate[{k}]", repr(claim.kind), allowed)
     if optimum.kind == "undecided":
         # Whether a point is feasible is a matter of rounding, and no proof is asked for.
         return
     if without:
         if not is_farkas_vector_proof(sequence.problem(k), claim.y, claim.y_box):
-            allowed = "a Farkas vector, as the step is infeasible"
+            allowed = f"a Farkas vector, as the step is infeasible (certificate[{k}])"
             raise InputError(where, f"y, y_box[{k}]", "no proof of infeasibility", allowed)
         return
     if not np.isfinite(claim.bound):
@@ -467,9 +468,9 @@ def _check_step(where: str, k: int, sequence: QPSequence, claim: Optimum, optimu
     rounding = ROUNDING * float(np.abs(claim.z).max())
     most = claim.bound + optimum.bound + rounding
     if not apart <= most:
-        fault = f"the stored optimum differs from the certified one by {apart:.1e}"
-        allowed = f"at most {most:.1e}, from the stored and the new error bound"
-        raise SituationError(f"{where}: z[{k}]", f"{fault}; allowed: {allowed}")
+        found = f"a difference of {apart:.1e} from the recomputed optimum"
+        allowed = f"at most {most:.1e}, the sum of the stored and the new error bound"
+        raise InputError(where, f"z[{k}]", found, f"{allowed}, and of rounding")
     _check_multipliers(where, k, sequence.problem(k), claim)
 
 

@@ -348,10 +348,11 @@ class Controller(ABC):
 
     def make_sparse_qp_builder(self, units: UnitSystem, where: str) -> StagedQP:
         """Return the builder of the sparse QPs; InputError where there is no sparse form."""
-        why = self.reason_for_no_sparse_form
+        why = self.reason_for_no_sparse_form.removeprefix("sparse: ")
         if why or self.amplitude == "soft":
-            allowed = "a scenario with one model, hard or reachable limits and no output bounds"
-            raise InputError(where, "formulation", why, allowed)
+            allowed = f"'condensed_box' or 'condensed_stacked', as {why}; or a scenario with one "
+            allowed += "model, hard or reachable limits and no output bounds"
+            raise InputError(where, "formulation", "'sparse'", allowed)
         return StagedQP(self.problem, units=units, amplitude=self.amplitude)
 
     @property

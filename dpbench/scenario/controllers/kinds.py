@@ -162,7 +162,7 @@ class CascadeController(ForceController):
     metric_groups: ClassVar[tuple[MetricGroup, ...]] = ("thrusters", "delivery")
     allocates: ClassVar[bool] = True
     commands: ClassVar[str] = ", cascade"
-    why_no_delay: ClassVar[str] = "slowdown: not for a cascade, which solves two QPs per sample"
+    why_no_delay: ClassVar[str] = "a cascade, as it solves two QPs per sample"
 
     @classmethod
     def from_specification(cls, spec: ControllerSpec) -> "CascadeController":

@@ -109,17 +109,19 @@ def _read_description(path: Path, where: str) -> Any:
         import fmpy
         from fmpy.model_description import read_model_description
     except ModuleNotFoundError:
-        fault = "an FMU needs FMPy, which is not installed: run pip install 'dpbench[fmi]'"
+        fault = "an FMU needs FMPy, which is not installed: run `pip install 'dpbench[fmi]'`"
         raise SituationError(f"{where}: {key}", fault) from None
     try:
         described, systems = read_model_description(str(path)), fmpy.supported_platforms(str(path))
     except Exception as error:  # FMPy's are bare; zipfile and lxml raise their own
-        raise InputError(where, key, f"{path.name}, an invalid FMU ({error})", _WHAT) from error
+        lines = str(error).split("\n- ")
+        fault = " ".join(lines[:2]) + f"; and {len(lines) - 2} more" * (len(lines) > 2)
+        raise InputError(where, key, f"{path.name}, an invalid FMU ({fault})", _WHAT) from error
     version = str(described.fmiVersion)
     if version not in _VERSIONS:
         raise InputError(where, key, f"FMI {version} in {path.name}", _WHAT)
     if described.coSimulation is None:
-        raise InputError(where, key, f"{path.name}, which has no co-simulation", _WHAT)
+        raise InputError(where, key, f"{path.name}, which has no co-simulation interface", _WHAT)
     system = fmpy.platform_tuple if version == "3.0" else fmpy.platform
     if system not in systems and fmpy.platform not in systems:
         found = f"{path.name} for {', '.join(systems) or 'no system'}"

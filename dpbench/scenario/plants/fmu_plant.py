@@ -143,15 +143,15 @@ class FmuPlant:
             fmu.enterInitializationMode()
             fmu.exitInitializationMode()
         except Exception as error:  # FMPy raises bare exceptions
-            raise PlantError(self.name, f"the FMU fails as it starts: {error}") from error
+            raise PlantError(self.name, f"the FMU does not start: {error}".rstrip(".")) from error
         self._read_state()
         away = np.abs(self.state - state)
         away[HEADING] = abs(math.remainder(away[HEADING], TURN))
         if not (away <= START_TOLERANCE * np.maximum(1.0, np.abs(state))).all():
             raise PlantError(
                 self.name,
-                f"the FMU starts at {self.state.round(6).tolist()}, the scenario at "
-                f"{state.round(6).tolist()} [u, v, r, n, e, ψ]: name its start variables in "
+                f"[u, v, r, n, e, ψ] starts at {self.state.round(6).tolist()} in the FMU, but at "
+                f"{state.round(6).tolist()} in the scenario: name the FMU's start variables in "
                 "plant.fmu.start, or change the start of the scenario",
             )
 

@@ -114,7 +114,8 @@ class LinearMPC:
                 raise InputError(self.name, key, repr(given), allowed)
             names = tuple(given) or tuple(f"{letter}{i}" for i in range(count))
             if len(names) != count or len(set(names)) != count:
-                raise InputError(self.name, key, names, f"{count} different names")
+                allowed = f"{count} different names" if count > 1 else "1 name"
+                raise InputError(self.name, key, f"{names}, {len(names)} in number", allowed)
             object.__setattr__(self, key, names)
         self.build_reference_table(1)
         object.__setattr__(self, "controller", self._build_controller())
@@ -267,8 +268,8 @@ def _to_array(name: str, key: str, values: ArrayLike, dimensions: int) -> Matrix
     """Return values as an array of finite numbers; InputError, naming the key, for others."""
     array = _to_numbers(name, key, values)
     if array.ndim != dimensions:
-        expected = ("a vector, as [1.0, 2.0]", "a matrix, as [[1.0], [2.0]]")[dimensions - 1]
-        raise ShapeError.from_shapes(name, key, array.shape, expected)
+        expected = "a vector, such as [1.0, 2.0]", "a matrix, such as [[1.0], [2.0]]"
+        raise ShapeError.from_shapes(name, key, array.shape, expected[dimensions - 1])
     return array
 
 

@@ -124,7 +124,9 @@ class PlantTable(FileModel):
     def _refuse_mismatch_of_fmu(self) -> PlantTable:
         """Return the table itself; ValueError for a mismatch of a ship that an FMU replaces."""
         if self.fmu is not None and (self.mass_percent or self.damping_percent):
-            raise ValueError("mass_percent and damping_percent of 0 where fmu replaces the ship")
+            key = "mass_percent" if self.mass_percent else "damping_percent"
+            allowed = "no mass_percent or damping_percent with fmu, which replaces the ship"
+            raise KeysError(f"{key} together with fmu", allowed)
         return self
 
 

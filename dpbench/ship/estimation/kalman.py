@@ -202,7 +202,7 @@ def _solve_for_covariances_and_gain(
 ) -> tuple[Matrix, Matrix, Matrix]:
     """Return state covariance P, innovation covariance S and gain K of the Riccati equation."""
     n, one = len(Phi), np.eye(AXES)
-    allowed = "noises of comparable effect"
+    allowed = "measurement_std, force_noise and bias_noise of comparable effect"
     try:
         # Our own units balance it; LAPACK's balancing overflows where the noises differ too much.
         P = np.asarray(solve_discrete_are(Phi.T, C.T, Q, one, balanced=False), np.float64)

@@ -44,7 +44,7 @@ def test_a_machine_offers_itself_once() -> None:
     cluster = Cluster(Client("a", "a", "b", exclusive=1))
     assert (cluster.exclusive, cluster.slots, cluster.concurrency) == (True, 3, 2)
     assert Cluster(Client("a", "b", exclusive=2)).exclusive
-    with pytest.raises(InputError, match="exclusive 2 times on a"):
+    with pytest.raises(InputError, match="the resource 'exclusive' 2 times on machine a"):
         Cluster(Client("a", "a", exclusive=2))
 
 

@@ -107,11 +107,11 @@ def test_a_policy_alone_keeps_the_routes_of_the_suite(suite: str) -> None:
         ({"policies": ["hot"]}, "`policies`: found 'hot'; allowed: fresh, reuse, warm"),
         (
             {"routes": ["native"], "policies": ["warm"], "solvers": ["quadprog"]},
-            "`routes`: found native warm, which quadprog does not have; allowed: native fresh",
+            "`routes`: found the call mode native warm, which quadprog does not have; allowed: ",
         ),
         (
             {"policies": ["warm"], "solvers": ["quadprog", "ecos"]},
-            "`policies`: found qpsolvers warm, which none of 2 solvers has",
+            "warm, which none of the 2 solvers has; allowed: a mode of one of them; ecos has",
         ),
     ],
 )

@@ -177,7 +177,7 @@ def test_the_tables_of_a_suite_may_name_a_choice_or_its_solver(suite: str) -> No
         ("rho = 1.6", "rho = []", InputError, r"settings\.mine\.osqp: rho: found \[\]"),
         ("rho = 1.6", "rho = 1979-05-27", InputError, r"settings\.mine\.osqp\.rho"),
         ("settings.mine", "settings.high", InputError, r"settings\.high: found the name of a p"),
-        ("settings.mine", 'settings."1e-4"', InputError, r"settings\.1e-4: found the name of a p"),
+        ("settings.mine", 'settings."1e-4"', InputError, r"settings\.1e-4: found a tolerance as"),
         ("osqp = { rho = 1.6", "osqq = { rho = 1.6", UnknownNameError, r"mine\.osqq: .*osqp"),
         (OSQP, "osqp = {}", InputError, r"mine\.osqp"),
         (OSQP, "rho = 1.6", InputError, r"mine\.rho: found 1\.6; allowed: route, policy, or the t"),

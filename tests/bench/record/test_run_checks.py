@@ -68,7 +68,7 @@ def test_what_a_campaign_writes_is_read(copy: Path) -> None:
         ('{"source": []}', "cell.source: found"),
         ('{"source": {"kind": "random", "recipe": 1}}', "cell.source.recipe: found"),
         ('{"study": {"x": 1}}', "cell.study.x: found"),
-        ('{"a":' * 5000, "cell: found invalid JSON (nested too deeply)"),
+        ('{"a":' * 5000, "cell: found JSON nested too deeply; allowed: at most 32 levels"),
     ],
 )
 def test_a_damaged_description_of_a_cell_is_one_line(

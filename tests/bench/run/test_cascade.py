@@ -344,7 +344,7 @@ def test_other_scenarios_have_no_allocations(case: Scenario) -> None:
 
 
 def test_a_cascade_waits_for_its_answers_and_opens_its_solver_twice(case: Scenario) -> None:
-    with pytest.raises(InputError, match="not for a cascade"):
+    with pytest.raises(InputError, match="allowed: 0 for a cascade"):
         run_closed_loop(case, open_workspace("daqp"), slowdown=10.0)
     with pytest.raises(
         InputError, match="needs two workspaces; open this solver with open_workspace"

@@ -174,7 +174,7 @@ def renamed(a: Arrays) -> Arrays:
         (with_nan("P"), ["P[14, 0]", "nan"]),
         (with_nan("q"), ["q[29, 0]", "nan"]),
         (with_nan("u"), ["u[29, 0]", "nan"]),
-        (with_nan("z"), ["z, y, y_box[29]", "NaN with a finite bound"]),
+        (with_nan("z"), ["z, y, y_box[29]", "NaN at a step with a finite error bound"]),
         (put("q", np.full((STEPS, 15), np.inf)), ["q[0, 0]", "inf", "finite"]),
         (renamed, ["certificate[0]", "hearsay", "linear"]),
     ],
@@ -326,13 +326,13 @@ def test_no_other_format_is_written_under_a_foreign_suffix(tmp_path: Path) -> No
     sequence, path = load_sequence("paper-30-5"), tmp_path / "x.mat"
     with pytest.raises(InputError, match=r"path: found 'x\.mat'; allowed: .*export_sequence"):
         save_sequence(path, sequence)
-    with pytest.raises(InputError, match=r'ends in \.npz, or "mat" as `format`'):
+    with pytest.raises(InputError, match=r"ends in \.npz, or `format` mat"):
         export_sequence(sequence, path)
     assert not list(tmp_path.iterdir())
     export_sequence(sequence, path, format="mat", steps=2)
     with pytest.raises(InputError, match=r"found a \.mat file; allowed: .*cannot be read back"):
         load_sequence(path)
-    with pytest.raises(InputError, match=r"found a file written by dpbench; allowed: its \.npz"):
+    with pytest.raises(InputError, match=r"found a file written by dpbench; allowed: the \.npz"):
         export_sequence(path, tmp_path / "x.npz")
     formats: list[Format] = ["csv", "qps"]
     for format in formats:
