@@ -44,7 +44,7 @@ from dpbench.errors import InputError, SituationError
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe
 from dpbench.report.formats import plural
 
-REMEDY = 'install it in a .venv of each tree, or give pytest `pythonpath = ["src"]`'
+REMEDY = 'install the package in a .venv of each tree, or set `pythonpath = ["src"]` for pytest'
 """Ways to have a tree measured with its own package."""
 STOPPED = "stopped after two disturbed pairs in a row"
 ADVICE = f"{STOPPED}: run again when no other program is at work, or on another machine"
@@ -168,13 +168,14 @@ def require_imports_of_own_files(
         for file in map(Path, run.imported):
             owners = [one for one in folders if file.is_relative_to(one)]
             if owners and max(owners, key=lambda one: len(one.parts)) == other != own:
-                raise SituationError(side, f"imports {file}: {REMEDY}")
+                raise SituationError(side, f"imports {file}, a file of the other tree; {REMEDY}")
     if folders[0] != folders[1]:
         for file in map(Path, sorted({*runs[0].imported}.intersection(runs[1].imported))):
             name = file.parent.name if file.stem == "__init__" else file.stem
             sources = [[one, one / "src"] for one in folders]
             if is_in_site_packages(file) and all(_has_source(name, *pair) for pair in sources):
-                raise SituationError("base and head", f"both import {file}: {REMEDY}")
+                fault = f"both import {file}, so both would run the same code"
+                raise SituationError("base and head", f"{fault}; {REMEDY}")
 
 
 def _has_source(name: str, *folders: Path) -> bool:
@@ -321,7 +322,8 @@ def compare_trees(
     base, head = pairs[-1]
     if head.reason:
         if base.reason:
-            raise InputError(str(trees[1]), "", head.reason, "a working tree with benchmarks")
+            required = "a working tree with benchmarks"
+            raise SituationError(str(trees[1]), f"{head.reason}; required: {required}")
         # Its benchmarks are not gone: nobody knows.
         row = Row("all benchmarks of the head", NOT_TIMED, remarks=(head.reason,))
         found = replace(found, rows=[row, *found.rows])

@@ -140,10 +140,9 @@ def _check_suite(file: Path, document: dict[str, Any]) -> str:
             "[limits] or [[thrusters]] (a vessel), [controller] and [environment] (a scenario), "
             f"or {', '.join(f'[[{table}]]' for table in of_suite)} (a suite)"
         )
-        found = (
-            f"the key{'s' * (len(document) > 1)} {', '.join(document)}" if document else "no keys"
-        )
-        raise InputError(str(file), "", found, allowed)
+        keys = f"only the key{'s' * (len(document) > 1)} {', '.join(document)}"
+        found = f"no vessel, scenario or suite, {keys if document else 'as it has no keys'}"
+        raise SituationError(str(file), f"found {found}; required: {allowed}")
     suite_path, suite = load_path_and_suite(file)
     from dpbench.bench.design import pair_controllers_with_vessels
     from dpbench.bench.embedded_counts import pair_sequences_with_cores

@@ -136,8 +136,8 @@ def _refuse_unsupported_controller(scenario: Scenario, controller: Controller) -
     is_force = type(controller) is ForceController
     if not is_force and not isinstance(controller, ThrusterController):
         found, allowed = (
-            controller.tuning_horizons_and_command_text,
-            "a controller of three forces with limits by axis, or of thrusters",
+            f"a cascade (tuning {controller.tuning_and_horizons_label})",
+            "a controller of three forces with limits per axis, or of thrusters",
         )
         raise InputError(where, "controller", found, f"{allowed}, without a cascade")
     if controller.linearisation is not FIXED_MODEL:
@@ -148,11 +148,12 @@ def _refuse_unsupported_controller(scenario: Scenario, controller: Controller) -
         raise InputError(where, "controller", found, allowed)
     if controller.amplitude == "soft" or controller.outputs is not None:
         found = "soft limits" if controller.amplitude == "soft" else "output bounds"
-        raise InputError(where, "controller", found, "neither soft limits nor output bounds")
+        allowed = "a controller without soft limits and without output bounds"
+        raise InputError(where, "controller", found, allowed)
     if scenario.preview:
         raise InputError(where, "reference.preview", "true", "false")
     if scenario.estimation.kind != "measured":
-        allowed = '"measured"; the code takes a filtered state as its measurement'
+        allowed = '"measured", as the generated code requires a filtered state as its measurement'
         raise InputError(where, "estimator.kind", f'"{scenario.estimation.kind}"', allowed)
     if not is_force and controller.amplitude == "hard":
         raise InputError(where, "controller.amplitude", '"hard"', '"reachable" for thrusters')

@@ -70,9 +70,8 @@ def generate_controller(
     if name not in SOLVERS:
         raise InputError("`solver`", "", repr(name), f"one of {', '.join(SOLVERS)}")
     if options and settings:
-        raise InputError(
-            "`settings`", "", repr(settings), f"no preset together with the options in {solver}"
-        )
+        found = f"{settings!r} with the options in {solver}"
+        raise InputError("`settings`", "", found, "a preset or options, not both")
     if fmi not in SYSTEMS:
         raise InputError("`fmi`", "", fmi, "2 or 3")
     data = read_controller_data_of_scenario(resolve_to_scenario(scenario))
@@ -108,7 +107,7 @@ def generate_controller(
     ]
     lines += [f"{cost.summary}." for cost in costs]
     if counts and not costs:
-        lines.append(f"Instructions were not counted: run {REMEDY}, then generate again.")
+        lines.append(f"Instructions were not counted: {REMEDY}, then generate again.")
     if fmu is not None:
         whole = build_fmu_bytes(data, files, fmi)
         write_bytes_to_file_or_pipe(Path(fmu), whole)

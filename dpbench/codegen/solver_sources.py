@@ -147,8 +147,9 @@ def _resolve_settings_of_osqp(settings: Settings | None) -> Options:
     for name, chosen in {**unsupported, **dict.fromkeys(_OF_GENERATED_OSQP, wanted)}.items():
         if chosen.get(name):
             found = format_each_option_as_toml(chosen)[name]
-            allowed = "a configuration without it: OSQP's generated C cannot "
-            allowed += "change rho, polish its solution or limit its time"
+            allowed = "no limit" if name == "time_limit" else "false"
+            allowed += ", as OSQP's generated C code cannot change rho, polish its solution or "
+            allowed += "limit its time"
             raise InputError("settings of osqp", name, found, allowed)
     options.pop("adaptive_rho_interval", None)
     return options | _OF_GENERATED_OSQP

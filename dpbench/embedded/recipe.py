@@ -118,7 +118,8 @@ class Recipe:
             if key not in self.file.settings:
                 known = list(self.file.settings)
                 allowed = format_allowed_names(key, known) if known else "no settings"
-                raise InputError(f"settings of {self.solver}", key, "an unknown option", allowed)
+                found = "an option that the recipe does not have"
+                raise InputError(f"settings of {self.solver}", key, found, allowed)
         return {**self.file.settings, **given}
 
     def check(self, sequence: QPSequence, *, single: bool) -> None:
@@ -237,14 +238,13 @@ def select_recipes(
     Without names, all recipes that miss nothing. `sources` are folders by solver.
     """
     known = find_recipes(folders)
+    for option, given in (("--source", sources or {}), ("--solver", names)):
+        for name in given:
+            if name not in known:
+                allowed = f"a solver with a recipe: {format_allowed_names(name, list(known))}"
+                raise UnknownNameError(option, "", repr(name), allowed)
     for name, source in (sources or {}).items():
-        if name not in known:
-            raise UnknownNameError("--source", "", name, format_allowed_names(name, list(known)))
         known[name] = Recipe(known[name].folder, source)
-    for name in names:
-        if name not in known:
-            allowed = f"a solver with a build recipe: {format_allowed_names(name, list(known))}"
-            raise UnknownNameError("--solver", "", repr(name), allowed)
     able = [name for name, recipe in known.items() if not recipe.missing]
     return [known[name] for name in (dict.fromkeys(names) or able)]
 
@@ -264,7 +264,8 @@ def fetch_sources(name: str, version: str, sha256: str) -> Path:
         raise SituationError(name, f"pip did not fetch {archive.name}")
     found = hashlib.sha256(archive.read_bytes()).hexdigest()
     if found != sha256:
-        raise SituationError(str(archive), f"its hash is {found}, not {sha256}: remove the file")
+        remedy = f"required: {sha256}; remove the file and run the command again"
+        raise SituationError(str(archive), f"found hash {found}; {remedy}")
     _unpack(archive, folder)
     return folder
 

@@ -20,7 +20,7 @@ from dpbench.temporary_folders import process_temporary_folder
 
 FOLDER = Path(__file__).parent
 RUNTIME = FOLDER / "runtime"
-REMEDY = "pip install 'dpbench[embedded]'"
+REMEDY = "run `pip install 'dpbench[embedded]'`"
 FLAGS = (
     "-g0 -O2 -fomit-frame-pointer -fhosted -fno-math-errno -fno-sanitize=all "
     "-fno-exceptions -fno-unwind-tables -fno-asynchronous-unwind-tables -ffunction-sections "
@@ -173,7 +173,8 @@ def require_extra() -> None:
     missing = [name for name in EXTRAS if importlib.util.find_spec(name) is None]
     if missing:
         names = " and ".join("pyelftools" if name == "elftools" else name for name in missing)
-        raise SituationError("embedded", f"missing {names}: {REMEDY}")
+        verb = "is" if len(missing) == 1 else "are"
+        raise SituationError("embedded", f"{names} {verb} not installed: {REMEDY}")
 
 
 def has_extra() -> bool:
@@ -186,7 +187,7 @@ def compiler_version() -> str:
     try:
         return importlib.metadata.version("ziglang")
     except importlib.metadata.PackageNotFoundError:
-        raise SituationError("embedded", f"missing ziglang: {REMEDY}") from None
+        raise SituationError("embedded", f"ziglang is not installed: {REMEDY}") from None
 
 
 def installed_compiler() -> str:

@@ -151,10 +151,10 @@ class QpsolversAdapter:
 
 
 SET_BY_DPBENCH = {
-    "verbose": "other options: dpbench runs solvers without output",
-    "warm_starting": "other options: the policy sets it, such as --policy warm",
+    "verbose": "an option that dpbench sets, as it runs solvers without output",
+    "warm_starting": "an option that the policy sets, which `policy` selects, such as 'warm'",
 }
-"""Options that a user cannot set, with what is allowed instead, and why."""
+"""Options that a user cannot set, with what is reported as found."""
 
 
 def list_public_settings_attributes(settings: Any) -> list[str]:

@@ -52,7 +52,7 @@ def _make_calibration_solver_record(name: str, method: str) -> SolverRecord:
                 ("reuse",),
                 gives_multipliers=False,
                 detects_infeasibility=False,
-                refused={"fresh": "it has nothing to set up", "warm": "it has no start"},
+                refused={"fresh": "the solver has nothing to set up", "warm": "it has no start"},
             )
         },
         levels={},

@@ -79,7 +79,8 @@ def expand_option_grid(options: Options, where: str) -> list[Options]:
         bad = [value for value in axis if not _is_allowed_option_value(value)]
         if bad or not axis:
             found = repr(bad[0])[:80] if bad else "[]"
-            raise InputError(where, key, found, "a number, text, true or false, or a list of them")
+            allowed = "a finite number, text, true or false, or a list of at least one of these"
+            raise InputError(where, key, found, allowed)
         if count > MOST_POINTS:
             raise InputError(where, key, f"a grid of {count} points", f"at most {MOST_POINTS}")
     keys = [key for key, _ in pairs]

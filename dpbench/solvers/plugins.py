@@ -212,7 +212,7 @@ def find_plugin(name: str) -> Plugin | None:
         raise
     except BaseException as error:  # a stranger's code may raise anything; it becomes an InputError
         raise InputError(
-            where, "", _describe_exception_on_one_line(error), "a module that can be imported"
+            where, "", _describe_exception_on_one_line(error), "an entry point that can be loaded"
         ) from error
     version = point.dist.version if point.dist is not None else ""
     plugin = _check_and_register_plugin(where, module, version, point.value)
@@ -241,8 +241,9 @@ def _check_and_register_plugin(
         raise InputError(where, "RECORD.name", repr(record.name), "a name without a path")
     other = _LOADED.get(record.name)
     if record.name in taken or (other is not None and other.origin != origin):
-        owner = "dpbench's own table" if other is None else other.origin
-        raise InputError(where, "RECORD.name", repr(record.name), f"a name not in {owner}")
+        owner = "of dpbench" if other is None else f"in {other.origin}"
+        allowed = f"a name that no solver {owner} has"
+        raise InputError(where, "RECORD.name", repr(record.name), allowed)
     if set(record.routes) != {"native"}:
         raise InputError(where, "RECORD.routes", sorted(record.routes), "route native only")
     policies = record.routes["native"].policies

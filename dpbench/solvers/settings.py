@@ -207,9 +207,9 @@ def refuse_unknown_option_names(
     for name, value in settings.items():
         keys = [f"{name}.{member}" for member in value] if isinstance(value, Mapping) else [name]
         for key in keys:
-            if (allowed := SET_BY_DPBENCH.get(key)) and key not in known:
-                found = "an option that dpbench sets"
-                raise SettingsError(f"settings of {solver}", key, found, allowed)
+            if key in SET_BY_DPBENCH and key not in known:
+                allowed = "other options" if known else "no settings"
+                raise SettingsError(f"settings of {solver}", key, SET_BY_DPBENCH[key], allowed)
             if key not in known:
                 allowed = (
                     format_allowed_names(key, known, listing=listing) if known else "no settings"
@@ -230,7 +230,8 @@ def _refuse_text_and_limits_below_zero(
         below = "iter" in key.lower() and isinstance(value, Real) and value < 0
         if isinstance(value, str) or below:
             allowed = "0 or more" if below else "a number"
-            raise SettingsError(f"settings of {solver}", key, repr(value)[:80], allowed)
+            found = f"{'the text ' * isinstance(value, str)}{value!r}"[:80]
+            raise SettingsError(f"settings of {solver}", key, found, allowed)
 
 
 def _refuse_values_out_of_range(

@@ -227,7 +227,8 @@ def _find_qpsolvers_availability(row: SolverRecord) -> Availability:
         warnings.simplefilter("ignore")
         served = importlib.import_module("qpsolvers").available_solvers
     if row.name not in served:
-        return Availability(False, "", f"qpsolvers does not find it: {row.install_command}")
+        remedy = f"run `{row.install_command}`" if row.distribution else row.install_command
+        return Availability(False, "", f"qpsolvers does not find {row.name}: {remedy}")
     try:
         return Availability(True, _get_installed_package_version(row.name))
     except metadata.PackageNotFoundError:

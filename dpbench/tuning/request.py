@@ -233,11 +233,11 @@ def _choose_call_mode(
     own: Route = "native" if "native" in row.routes else row.default_route
     chosen = route or own
     if chosen not in row.routes:
-        raise PolicyError("`route`", "", repr(chosen), f"{', '.join(row.routes)} for {solver}")
+        raise PolicyError("`route`", "", f"{chosen!r} for {solver}", ", ".join(row.routes))
     if reason := row.state_why_policy_is_unavailable(chosen, policy):
         runs = ", ".join(row.get_route_record(chosen).policies)
-        found = f"{policy!r} ({reason})" if policy in POLICIES else repr(policy)
-        raise PolicyError("`policy`", "", found, f"{runs} for {solver}")
+        why = f" ({reason})" if policy in POLICIES else ""
+        raise PolicyError("`policy`", "", f"{policy!r} for {solver}{why}", runs)
     return TunedSolver(solver, chosen, policy, requirements, solver_module)
 
 

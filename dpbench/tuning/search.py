@@ -19,6 +19,7 @@ from dpbench.arrays import Matrix, Vector
 from dpbench.errors import InputError, find_nearest_names
 from dpbench.solvers.contract import Options
 from dpbench.solvers.own_settings import format_options_as_toml, parse_options_of_choice
+from dpbench.solvers.settings import list_options_by_route
 from dpbench.solvers.table import find_solver_record, list_all_solver_names
 
 LOGARITHMIC_FROM = 20.0
@@ -167,8 +168,10 @@ def make_space(
             names = list_all_solver_names()
             ranged = [n for n in names if {n, find_solver_record(n).module} & stated.keys()]
             nearest = ", ".join(find_nearest_names(solver, ranged))
-            allowed = f"--range 'OPTION=[MIN,MAX]', or a solver with ranges, such as {nearest}"
-            raise InputError("tune-solver", "", f"{solver}, which has no predefined range", allowed)
+            which, allowed = "no options to tune", f"a solver with ranges, such as {nearest}"
+            if record.extra == "plugin" or any(list_options_by_route(solver).values()):
+                which, allowed = "no predefined range", f"--range 'OPTION=[MIN,MAX]', or {allowed}"
+            raise InputError("tune-solver", "", f"{solver}, which has {which}", allowed)
         found = {name: OptionRange(name, *ends) for name, ends in (usual or {}).items()}
     for option, texts in (("--range", ranges), ("--widen", widened)):
         for text in texts:

@@ -565,8 +565,9 @@ def _refuse_other_controllers(bases: Sequence[Scenario]) -> None:
             ),
         ):
             if own != known:
-                found = f"another {part} than in {first.name}"
-                raise InputError("SCENARIO", base.name, found, "one ship and controller for all")
+                found = f"a {part} other than that of {first.name}"
+                allowed = "scenarios with the same vessel, controller and sample_s"
+                raise InputError("SCENARIO", base.name, found, allowed)
 
 
 def _parse_seas(text: str) -> list[int]:

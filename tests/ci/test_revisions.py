@@ -213,7 +213,7 @@ def test_a_file_is_of_the_innermost_tree(trees: tuple[Path, Path]) -> None:
     require_imports_of_own_files(
         (base, base), (BenchmarkRun(imported=files), BenchmarkRun(imported=files))
     )
-    with pytest.raises(InputError, match=r"head: imports .*it\.py: install it in"):
+    with pytest.raises(InputError, match=r"head: imports .*it\.py, a file of the other tree; "):
         require_imports_of_own_files((base, head), (BenchmarkRun(), BenchmarkRun(imported=files)))
 
 
@@ -238,7 +238,9 @@ def test_one_installed_copy_for_both_trees_is_bad_input(
         require_imports_of_own_files(trees, (both, both))
         (tree / folder / "it").mkdir(parents=True)
         (tree / folder / "it" / "__init__.py").touch()
-    with pytest.raises(InputError, match=r"both import .*it/__init__\.py: install it in"):
+    with pytest.raises(
+        InputError, match=r"both import .*it/__init__\.py, so both .*; install the package in"
+    ):
         require_imports_of_own_files(trees, (both, both))
     require_imports_of_own_files(trees, (both, BenchmarkRun(imported=both.imported[:1])))
 
@@ -292,7 +294,10 @@ def test_a_package_in_src_is_missed_before_the_first_run(
     assert f"base and head: both import {site / 'mysolver' / '__init__.py'}: install it" in line
     (trees[1] / "test_it.py").write_text("import mysolver", encoding="utf-8")
     reason = revisions.measure_tree(trees[1], loaded).reason
-    assert "mysolver is in src, which is not on Python's path: install it in a .venv" in reason
+    assert (
+        "mysolver is in src, which is not on Python's path: install the package in a .venv"
+        in reason
+    )
 
 
 @pytest.mark.parametrize(("options", "code"), [([], 0), (["--disturbed-exit", "75"], 75)])

@@ -135,7 +135,7 @@ def test_the_tables_of_a_suite_are_named(place: Path, refuse: Say) -> None:
     tables = "[[study]], [[replay]], [[recorded]], [[random]], [[capability]]"
     line = refuse("check", "else.toml")
     assert tables in line and "[[thrusters]] (a vessel)" in line
-    assert "found the key title; allowed:" in line
+    assert "found no vessel, scenario or suite, only the key title; required:" in line
 
 
 def test_a_plug_in_is_not_read_as_toml(refuse: Say) -> None:
@@ -148,7 +148,7 @@ def test_a_vessel_with_a_hull_and_misspelt_limits_is_no_suite(place: Path, refus
     """A vessel has one table [capability], a suite a list of them."""
     (place / "hull.toml").write_text("[limitz]\n[capability]\nbreadth_m = 18.0\n", encoding="utf-8")
     line = refuse("check", "hull.toml")
-    assert "found the keys limitz, capability; allowed: [limits] or [[thrusters]]" in line
+    assert "only the keys limitz, capability; required: [limits] or [[thrusters]]" in line
 
 
 def spoil(name: str, **arrays: object) -> Callable[[Path], None]:

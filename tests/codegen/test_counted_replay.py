@@ -111,6 +111,6 @@ def test_without_the_extra_the_readme_says_so(
     monkeypatch.setattr(generate, "has_extra", lambda: False)
     lines = generate_controller("paper", out=tmp_path, steps=2)
     remedy = "pip install 'dpbench[embedded]'"
-    assert lines[-1] == f"Instructions were not counted: run {remedy}, then generate again."
+    assert lines[-1] == f"Instructions were not counted: run `{remedy}`, then generate again."
     readme = (tmp_path / "README.md").read_text()
     assert f"Instructions were not counted: run `{remedy}`, then generate again." in readme

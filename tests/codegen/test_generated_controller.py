@@ -283,7 +283,7 @@ def test_presets_of_osqp_have_a_constant_rho() -> None:
         (["--solver", "osqp[rho=[1,2]]"], "one value per option"),
         (
             ["--solver", "osqp[rho=1]", "--settings", "high"],
-            "no preset together with",
+            "found 'high' with the options in osqp[rho=1]; allowed: a preset or options, not both",
         ),
         (["--solver", "paper_active_set[rho=1]"], "allowed: no settings"),
         (["--solver", "daqp[primal=1]"], "primal: found an unknown option"),

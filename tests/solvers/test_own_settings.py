@@ -67,7 +67,7 @@ def test_what_is_no_choice_is_refused_in_one_line(choice: str) -> None:
     ["nan", "inf", "[]", "[[1]]", "1979-05-27", "[1,nan]", f"{2**63}", '"' + 201 * "x" + '"'],
 )
 def test_an_option_is_a_finite_number_or_a_short_text(value: str) -> None:
-    with pytest.raises(InputError, match=r"solver osqp: rho: found .*a number, text"):
+    with pytest.raises(InputError, match=r"solver osqp: rho: found .*a finite number, text"):
         expand_choice_over_option_grid(f"osqp[rho={value}]")
 
 

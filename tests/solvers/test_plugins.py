@@ -205,10 +205,12 @@ def test_a_solver_that_only_qpsolvers_knows_works_by_its_name(monkeypatch, seque
 
 def test_a_solver_that_qpsolvers_serves_but_does_not_find_says_so():
     assert not find_solver_availability("gurobi").ok
-    assert find_solver_availability("gurobi").reason.endswith("it: pip install 'qpsolvers[gurobi]'")
-    with pytest.raises(SolverUnavailableError, match=r"pip install 'qpsolvers\[gurobi\]'$"):
+    assert find_solver_availability("gurobi").reason.endswith("`pip install 'qpsolvers[gurobi]'`")
+    with pytest.raises(
+        SolverUnavailableError, match=r"gurobi: run `pip install 'qpsolvers\[gurobi\]'`$"
+    ):
         open_workspace("gurobi")
-    with pytest.raises(SolverUnavailableError, match=r"it: see the documentation of qpsolvers$"):
+    with pytest.raises(SolverUnavailableError, match=r"nppro: see the documentation of qpsolvers$"):
         open_workspace("nppro")
     with pytest.raises(UnknownNameError):
         find_solver_record("gurobii")

@@ -229,10 +229,10 @@ def test_the_refusal_names_the_nearest_keys(solver, key, near):
 
 @pytest.mark.parametrize("route", ["native", "qpsolvers"])
 @pytest.mark.parametrize(
-    ("key", "why"), [("verbose", "without output"), ("warm_starting", "policy")]
+    ("key", "why"), [("verbose", "dpbench sets.* without output"), ("warm_starting", "the policy")]
 )
 def test_an_option_that_dpbench_sets_is_refused(route, key, why):
-    with pytest.raises(SettingsError, match=f"{key}: found an option that dpbench sets; .*{why}"):
+    with pytest.raises(SettingsError, match=f"{key}: found an option that {why}.*: other options"):
         open_workspace("osqp", route=route, settings={key: False})
 
 
@@ -250,7 +250,7 @@ def test_a_value_of_the_wrong_kind_is_refused(solver):
 )
 def test_a_value_that_fails_each_solve_is_refused_at_opening(route, key, value, allowed):
     """By its defaults where the library has no settings object."""
-    with pytest.raises(SettingsError, match=f"daqp: {key}: found {value!r}; allowed: {allowed}"):
+    with pytest.raises(SettingsError, match=f"daqp: {key}: found .*{value!r}; allowed: {allowed}"):
         open_workspace("daqp", route=route, settings={key: value})
 
 
@@ -289,7 +289,7 @@ def test_a_value_out_of_range_is_refused_at_opening(route, key, value, allowed):
 
 def test_a_tolerance_is_no_text_where_the_library_has_no_defaults():
     """By the presets of the solver's record."""
-    with pytest.raises(SettingsError, match="cvxopt: feastol: found '1e-7'; allowed: a number"):
+    with pytest.raises(SettingsError, match="feastol: found the text '1e-7'; allowed: a number"):
         open_workspace("cvxopt", settings={"feastol": "1e-7"})
 
 

@@ -188,8 +188,8 @@ def test_a_controller_that_no_trial_beats_is_called_unchanged(
     ("other", "message"),
     [
         ("weather", "SCENARIO: found weather and weather; allowed: scenarios with different names"),
-        ("thrusters", "SCENARIO: thrusters: found another vessel than in weather; allowed: one"),
-        ("paper_tight", "SCENARIO: paper_tight: found another "),
+        ("thrusters", "SCENARIO: thrusters: found a vessel other than that of weather; allowed"),
+        ("paper_tight", "SCENARIO: paper_tight: found a controller other than that of weather"),
     ],
 )
 def test_scenarios_of_several_ships_or_controllers_are_refused(

@@ -22,7 +22,7 @@ FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-shared", "-fPIC")
 # The oldest glibc that zig links against, and the processors of wheels with the tag manylinux.
 GLIBC = (2, 17)
 MANYLINUX_MACHINES = ("aarch64", "x86_64")
-REMEDY = "install ziglang, or name a C compiler with DPBENCH_CC=cc"
+REMEDY = "run `pip install ziglang`, or name a C compiler with DPBENCH_CC, such as DPBENCH_CC=cc"
 
 
 def make_library_file_name() -> str:
@@ -64,7 +64,7 @@ def find_c_compiler_command() -> list[str]:
         return command
     if shutil.which("cc"):
         return ["cc"]
-    raise RuntimeError(f"no C compiler was found: {REMEDY}")
+    raise RuntimeError(f"found no C compiler; {REMEDY}")
 
 
 def compile_own_library_if_missing(folder: Path = FOLDER) -> Path:
@@ -82,6 +82,8 @@ def compile_own_library_if_missing(folder: Path = FOLDER) -> Path:
     command = [*find_c_compiler_command(), *FLAGS, "-o", str(partial), source]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)
+    except FileNotFoundError:
+        raise RuntimeError(f"found no C compiler {command[0]!r}; {REMEDY}") from None
     except (OSError, subprocess.CalledProcessError) as error:
         words = (getattr(error, "stderr", "") or str(error)).strip()
         raise RuntimeError(f"{shlex.join(command)}: {words}; {REMEDY}") from None
