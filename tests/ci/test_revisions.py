@@ -291,7 +291,7 @@ def test_a_package_in_src_is_missed_before_the_first_run(
         installed.setenv("PYTHONPATH", str(site), prepend=os.pathsep)
         assert main([*map(str, trees), "--", *loaded]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert f"base and head: both import {site / 'mysolver' / '__init__.py'}: install it" in line
+    assert f"base and head: both import {site / 'mysolver' / '__init__.py'}, so both would" in line
     (trees[1] / "test_it.py").write_text("import mysolver", encoding="utf-8")
     reason = revisions.measure_tree(trees[1], loaded).reason
     assert (
