@@ -117,12 +117,16 @@ def format_key_path(
     return ", ".join(texts)
 
 
-def require_integer_at_least(argument: str, value: int, least: int) -> None:
-    """Raise InputError for a number below `least`, TypeError for one that is not whole."""
+def require_integer_at_least(argument: str, value: int, least: int) -> int:
+    """Return a whole number, be it one of NumPy, as int; InputError for one below `least`.
+
+    Raises TypeError for one that is not whole.
+    """
     allowed = f"a whole number, {least} or more"
     require_type(argument, value, Integral, allowed)
     if value < least:
         raise InputError(argument, "", value, allowed)
+    return int(value)
 
 
 def require_name_or_file(argument: str, value: object, file: str) -> None:

@@ -432,8 +432,8 @@ def replay(
     """
     _refuse_unknown_choice("replay", "formulation", formulation, FORMULATIONS)
     sequence, workspace = as_sequence(sequence), _open_workspace_if_named(workspace)
-    require_integer_at_least("repeats", repeats, 1)
-    require_integer_at_least("warmup_steps", warmup_steps, 0)
+    repeats = require_integer_at_least("repeats", repeats, 1)
+    warmup_steps = require_integer_at_least("warmup_steps", warmup_steps, 0)
     warmup_steps = min(warmup_steps, len(sequence))
     steps, solver, log = build_sequence_solver_and_log(
         sequence, workspace, formulation, repeats, RawLog.in_memory

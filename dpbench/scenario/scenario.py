@@ -259,7 +259,10 @@ class Scenario:
         >>> load_scenario("paper").with_horizons(30, 8)
         <Scenario paper-30-8: supply_fs99, tuning paper 30/8, 1000 steps of 0.3 s>
         """
-        N_p, N_c = prediction_horizon, control_horizon
+        N_p, N_c = (
+            horizon.item() if isinstance(horizon, np.generic) else horizon
+            for horizon in (prediction_horizon, control_horizon)
+        )
         values = {"controller.prediction_horizon": N_p, "controller.control_horizon": N_c}
         return self._copy_with_keys(
             values, f"-{N_p}-{N_c}", f"{self.name} with horizons {N_p}/{N_c}"
@@ -318,7 +321,7 @@ class Scenario:
         >>> load_scenario("paper").truncate(10)
         <Scenario paper: supply_fs99, tuning paper 30/5, 10 steps of 0.3 s>
         """
-        require_integer_at_least(f"scenario {self.name}: steps", steps, 1)
+        steps = require_integer_at_least(f"scenario {self.name}: steps", steps, 1)
         return replace(self, steps=min(steps, self.steps))
 
 

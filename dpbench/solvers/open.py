@@ -4,6 +4,8 @@ import warnings
 from collections.abc import Mapping
 from functools import partial
 
+import numpy as np
+
 from dpbench.errors import PolicyError, UnknownNameError, require_type
 from dpbench.solvers.contract import (
     POLICIES,
@@ -63,6 +65,11 @@ def open_workspace(
     require_type("settings", settings, str | Mapping, allowed)
     for option in () if isinstance(settings, str) else settings:
         require_type("settings", option, str, "names of options")
+    if not isinstance(settings, str):
+        settings = {
+            option: value.item() if isinstance(value, np.generic) else value
+            for option, value in settings.items()
+        }
     name, brackets = split_into_solver_and_options_text(solver)
     if brackets:
         options = parse_options_of_choice(solver)

@@ -69,3 +69,12 @@ def test_a_step_of_another_size_is_named(sizes: tuple[int, int, int], words: str
 def test_no_suite_is_named_by_the_argument_of_the_function() -> None:
     with pytest.raises(dpbench.InputError, match="`suite`: missing; required: `suite` or `seq"):
         dpbench.run_campaign()
+
+
+def test_numbers_of_numpy_are_those_of_python() -> None:
+    two, run = np.int64(2), dpbench.run_closed_loop
+    loop = run(load_scenario("paper").with_horizons(np.int64(30), two), "daqp", steps=two)
+    assert loop.summary["steps_done"] == 2
+    workspace = dpbench.open_workspace("daqp", settings={"iter_limit": np.int64(500)})
+    replayed = dpbench.replay("paper-30-5", workspace, repeats=two, warmup_steps=two)
+    assert replayed.summary["options"] == '{"iter_limit": 500}'

@@ -203,7 +203,7 @@ def reduce_suite(
     loop and replay runs with them, from the first step on. InputError for less than one step.
     """
     if steps is not None:
-        require_integer_at_least("`steps`", steps, 1)
+        steps = require_integer_at_least("`steps`", steps, 1)
     asked = list(scenarios or ())
     tables: dict[str, list[Any]] = {
         key: list(getattr(suite, key)) for key in SuiteFile.list_names_of_run_tables()

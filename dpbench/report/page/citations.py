@@ -7,8 +7,8 @@ PAPER_CITATION = """@misc{xia_dp_mpc,
   author = {Xia, Guoqing and Liu, Ju and Pang, Chengcheng and Xue, Jingjing},
   title = {Constrained Model Predictive Control Design for Dynamic Positioning of a Supply Ship},
   howpublished = {Conference paper, College of Automation, Harbin Engineering University},
+  note = {The copy that dpbench follows names neither the year nor the conference},
 }"""
-"""A copy of the paper names neither the conference nor the year."""
 
 
 def format_citations(results: Results) -> str:
@@ -21,8 +21,8 @@ def format_software_citation(results: Results) -> str:
     version = f"Software, version {results.suite.get('harness_version', '')}"
     return f"""@misc{{dpbench,
   author = {{{{The dpbench authors}}}},
-  title = {{dpbench: benchmark of QP solvers inside the model predictive controller of a dynamically
-    positioned ship}},
+  title = {{dpbench: benchmark of {{QP}} solvers inside the model predictive controller of a
+    dynamically positioned ship}},
   year = {{{results.suite.get("started_utc", "")[:4]}}},
   howpublished = {{{", ".join(filter(None, (version, describe_revisions(results.suite))))}}},
 }}"""

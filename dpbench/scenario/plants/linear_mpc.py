@@ -253,7 +253,7 @@ class LinearMPC:
         >>> mpc.truncate(5).steps
         5
         """
-        require_integer_at_least(f"{self.name}: steps", steps, 1)
+        steps = require_integer_at_least(f"{self.name}: steps", steps, 1)
         return replace(self, steps=min(steps, self.steps))
 
     def _vector(self, key: str, values: ArrayLike, size: int) -> Vector:
