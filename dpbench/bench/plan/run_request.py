@@ -389,8 +389,8 @@ def list_solvers_without_settings(
         table = suite.settings[name].options_by_solver if name in suite.settings else {}
         lacking = [s for s in named if s not in table and not has_preset_or_tolerance(s, name)]
         if lacking:
-            text = f"solvers not run, as they have no settings {name}: {_name_a_few(lacking)}"
-            remarks.append(text)
+            text = f"solvers not run with settings {name}, as they do not have them"
+            remarks.append(f"{text}: {_name_a_few(lacking)}")
     return remarks
 
 

@@ -425,14 +425,12 @@ def build_sequence_suite(path: str | Path, meta: Mapping[str, object] | None = N
     calls: list[dict[str, list[str]]] = [{"settings": ["default", "high"]}]
     meta = meta or {}
     worst_case = {key: meta.get(f"worst_case_{key}") for key in _MODE_VALUES}
-    report = ReportTable()
     # A file may say anything, and not every solver has the settings one of them has.
     if all(
         name in known
         for name, known in zip(worst_case.values(), _MODE_VALUES.values(), strict=True)
     ):
         calls.append({_TABLE_KEY[key]: [str(name)] for key, name in worst_case.items()})
-        report = _make_report_table_of_worst_step(meta)
     tables = [RecordedTable.model_validate({"sequence": str(path)} | call) for call in calls]
     title = f"Recorded sequence {Path(path).name}"
     return SuiteFile(
@@ -440,7 +438,7 @@ def build_sequence_suite(path: str | Path, meta: Mapping[str, object] | None = N
         baseline_law=False,
         recorded=tables,
         requirements=_make_requirements_of_sample(meta.get("sample_s")),
-        report=report,
+        report=_make_report_table_of_worst_step(meta),
     )
 
 

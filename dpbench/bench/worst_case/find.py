@@ -22,7 +22,12 @@ from dpbench.bench.worst_case.search import GOALS, Case, Goal, Search, SearchedS
 from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.errors import InputError, SituationError, begin_in_lower_case, require_integer_at_least
 from dpbench.scenario.scenario import MAX_STEPS, Scenario, load_scenario
-from dpbench.solvers.contract import Policy, Route
+from dpbench.solvers.contract import DEFAULT, Policy, Route
+from dpbench.solvers.own_settings import (
+    encode_options_as_json,
+    format_options_as_toml,
+    parse_choice_without_grid,
+)
 from dpbench.solvers.table import (
     PluginFiles,
     find_solver_availability,
@@ -100,7 +105,7 @@ def find_worst_case(
     goal: Goal = "iterations",
     route: Route | None = None,
     policy: Policy = "fresh",
-    settings: str = "default",
+    settings: str = DEFAULT,
     budget: int = BUDGET,
     steps: int = STEPS,
     seed: int = 1,
@@ -114,6 +119,7 @@ def find_worst_case(
 
     Parameters
     ----------
+    solver : a name, or a name with options as `osqp[rho=1.6]`.
     scenario : whose ship, controller and weather the cases share; goal : as in `find_worst_step`.
     route, policy, settings : of the solver; no route is native where it has that.
     budget : cases tried; steps : length of each.
@@ -126,11 +132,18 @@ def find_worst_case(
     """
     load_plugin_solvers(solver_module)
     _refuse_bad_options(goal, budget, steps, seed)
+    solver, own = parse_choice_without_grid(solver, "worst-case", "one value per option")
+    if own and settings != DEFAULT:
+        allowed = f"no preset together with options of {solver}"
+        raise InputError("--settings", "", repr(settings), allowed)
     path = Path("worst-cases") / f"{solver}-{goal}.npz" if out is None else Path(out)
     if path.suffix != ".npz":
         raise InputError("--out", "", repr(path.name), "a file name that ends in .npz")
     base = load_scenario(scenario)
     cell = _make_baseline_cell(solver, route, policy, settings, base)
+    if own:
+        options = encode_options_as_json(own)
+        cell = replace(cell, settings=format_options_as_toml(own), options=options)
     _refuse_unwritable(path)
     space = SearchSpace(base, steps, f"{base.name}-worst-{solver}-{goal}")
     with first_signal_only():

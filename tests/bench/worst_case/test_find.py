@@ -83,6 +83,25 @@ def test_a_way_that_cannot_be_is_not_replayed() -> None:
         assert build_sequence_suite("x.npz", way | {f"worst_case_{key}": nonsense}) == plain
 
 
+def test_a_case_found_with_options_is_replayed_with_them(tmp_path: Path) -> None:
+    """With the options in brackets, as not every solver has them; the report shows its step."""
+    path, choice = tmp_path / "found.npz", "osqp[rho=1.6,max_iter=75]"
+    found = find_worst_case(choice, budget=1, steps=4, out=path)
+    assert found.lines[0].startswith("osqp native fresh max_iter=75,rho=1.6: 75 iterations (max_")
+    meta = load_sequence(path).meta
+    report = build_sequence_suite(path, meta).report
+    assert (report.step, report.configuration) == (
+        meta["worst_case_step"],
+        "osqp (native fresh, max_iter=75,rho=1.6)",
+    )
+    out = tmp_path / "out"
+    command = ["run", "--sequence", str(path), "--solver", choice, "--route", "native"]
+    main([*command, "--out", str(out)])
+    steps = load_results(out).steps
+    worst = steps[(steps["k"] == meta["worst_case_step"]) & ~steps["warmup"]]
+    assert (worst["iterations"] == 75).all() and len(worst) > 0
+
+
 def test_the_documents_make_the_same_sequence_again(tmp_path: Path) -> None:
     path = tmp_path / "found.npz"
     find_worst_case("daqp", scenario="turn", budget=3, steps=12, out=path)
@@ -276,6 +295,9 @@ def test_a_model_ship_is_pushed_by_what_it_can_hold() -> None:
         (["daqp", "--policy", "hot"], "policy: found 'hot'"),
         (["quadprog", "--policy", "warm"], "policy: found 'warm'"),
         (["daqp", "--settings", "best"], "'best'"),
+        (["osqp[rhoo=1.6]"], "settings of osqp: rhoo: found an unknown option"),
+        (["osqp[rho=[1,2]]"], "worst-case: found osqp[rho=[1,2]]; allowed: one value per option"),
+        (["osqp[rho=1]", "--settings", "high"], "no preset together with options of osqp"),
         (["daqp", "--out", "found.txt"], "--out"),
         (["daqp", "--scenario", "nowhere"], "nowhere"),
     ],
