@@ -154,7 +154,7 @@ def add_report_options(report: Command) -> None:
     _option(more, "--statement", "FILE", "write a statement for a class society (.pdf or .svg)")
     beside = (
         "write SOLVER.md in the result folder, as text for a pull request: a comparison of this "
-        "solver with others, and its worst steps"
+        "solver (in all its settings) with others, and its worst steps"
     )
     _option(more, "--for", "SOLVER", beside, dest="solver")
     against = "with --for: compare with this solver (default: osqp and daqp)"
@@ -228,7 +228,8 @@ def add_export_options(export: Command) -> None:
 
 def add_worst_case_options(worst_case: Command) -> None:
     """Add the options of `dpbench worst-case` to its parser."""
-    worst_case.add_argument("solver", metavar="SOLVER", help="solver to examine")
+    solver = "solver to examine, such as osqp or 'osqp[rho=1.6]'"
+    worst_case.add_argument("solver", metavar="SOLVER", help=solver)
     _add_call_options(worst_case.add_argument_group("solver"), has_settings=True)
     search = worst_case.add_argument_group("search")
     goal = "quantity to maximise: iterations (default) or error"
@@ -369,8 +370,8 @@ def add_codegen_options(codegen: Command) -> None:
     )
     _option(codegen, "--solver", "SOLVER", solver, default="paper_active_set")
     levels = (
-        "settings: default (those of the library, also without this option), low, mid, high, or a "
-        "tolerance such as 1e-4"
+        "settings: default (those of the library), low, mid, high, or a tolerance such as 1e-4; "
+        "without this option: default, but for osqp mid with rho = 0.25"
     )
     _option(codegen, "--settings", "NAME", levels)
     steps = "steps of the recorded trajectory (default: 1000)"

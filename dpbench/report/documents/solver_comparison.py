@@ -63,10 +63,10 @@ def compare_solver(
     best = {v.configuration.solver: v for v in list_best_verdict_of_each_solver(data.verdicts)}
     for option, name in (("--for", solver), *(("--against", other) for other in others)):
         if name not in best:
-            bare, options = split_into_solver_and_options_text(name)
+            bare = split_into_solver_and_options_text(name)[0].partition(" ")[0]
             allowed = format_allowed_names(bare, sorted(best))
-            if options:
-                allowed += ", without options; `dpbench compare DIR --solver` accepts options"
+            if bare != name:
+                allowed += ", without settings; `dpbench compare DIR --solver` accepts settings"
             raise UnknownNameError(option, "", repr(name), allowed)
     named = others or [name for name in USUAL if name in best]
     chosen = [best[name] for name in dict.fromkeys(named) if name != solver]

@@ -1,6 +1,7 @@
 """A solver beside others, for its author: a short comment, and the steps that export writes."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -127,9 +128,10 @@ def test_other_names_and_names_of_nobody(written: Any) -> None:
         compare_solver(written.report, "piq")
     with pytest.raises(InputError, match="--against: found 'nobody'"):
         compare_solver(written.report, "piqp", ["nobody"])
-    form = r"--for: found 'piqp\[tol=1\]'; allowed: piqp, .*, without options; `dpbench compare DIR"
-    with pytest.raises(InputError, match=form):
-        compare_solver(written.report, "piqp[tol=1]")
+    for choice in ("piqp[tol=1]", "piqp mine"):
+        form = f"--for: found '{re.escape(choice)}'; allowed: piqp, .*, without settings; `dpbench "
+        with pytest.raises(InputError, match=form):
+            compare_solver(written.report, choice)
 
 
 @pytest.mark.slow
