@@ -209,7 +209,7 @@ class Results(result_folder.Results):
     def ladder(self) -> pd.DataFrame:
         """Return step times [µs] of each timed solver's best and your own settings, as a table.
 
-        The best is the fastest of the best verdict by p99, or by its largest step without a p99.
+        The best is the fastest of the best verdict by p99, or by p50 without a p99.
         `share` is what calling a library that does nothing takes of its median.
 
         Examples
@@ -222,13 +222,14 @@ class Results(result_folder.Results):
     def paired_ratios(self, *choices: str) -> pd.DataFrame:
         """Return step time ratios of two configurations on the same steps, as a table.
 
-        Each solver's best against the fastest, and its settings, in one call mode, against
-        `default` or the first of them. One row for each number of `variables`. `low` and `high`
-        bound the mean ratio, second over first, within this run. `finding` is "slower" or "faster"
-        (the second), "tied" where they include 1, "unstable" where another measure disagrees,
-        "machine disturbed" where other load can explain the difference, "one run" of settings
-        without effect, or "too few steps" for an interval; these two have 0 to inf. Two that were
-        not interleaved have no ratio, and `finding` has the reason.
+        Each solver's best and up to 12 of your settings against the fastest, and its settings, in
+        one call mode, against `default` or the first of them. One row for each number of
+        `variables`. `low` and `high` bound the mean ratio, second over first, within this run.
+        `finding` is "slower" or "faster" (the second), "tied" where they include 1, "unstable"
+        where another measure disagrees, "machine disturbed" where other load can explain the
+        difference, "one run" of settings without effect, or "too few steps" for an interval; these
+        two have 0 to inf. Two that were not interleaved have no ratio, and `finding` has the
+        reason.
 
         choices : instead, of each two of these: solvers, `osqp[rho=1.6]`, `osqp high` or labels.
 
