@@ -45,7 +45,7 @@ from dpbench.solvers.settings import resolve_settings_with_fixed_options
 SIMILAR = 2.0
 """Factor below which largest errors differ little, so that a wider grid would hardly help."""
 NOT_RANKED = "times are not ranked, as the machine was disturbed"
-EQUALS = {"time": "equally fast within the noise", "iterations": "as many iterations"}
+EQUALS = {"time": "equally fast within the noise", "iterations": "with the same p50"}
 """Words on settings that are as good as the best, by the figure that it is best by."""
 MOST_EQUAL = 2
 """Settings that are named as equally fast; of the others their number is."""
@@ -233,7 +233,7 @@ def _list_others_as_good(best: Verdict, by: str, points: Sequence[Verdict]) -> l
     if by == "time":
         return list_equally_fast(best, rivals)
     if by == "iterations":
-        return [verdict for verdict in rivals if verdict.iterations == best.iterations]
+        return [verdict for verdict in rivals if verdict.iterations[0] == best.iterations[0]]
     error = format_error(best.error_move)
     return [verdict for verdict in rivals if format_error(verdict.error_move) == error]
 

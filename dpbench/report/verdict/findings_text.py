@@ -84,7 +84,10 @@ def _describe_ending(status: str, run: RunRecord) -> str:
     if status == "ERROR":
         return f"{ending}{_quote_library(run)}"
     if status == "INACCURATE" and not isnan(run.iterations_max):
-        return f"{ending} after at most {format_count(run.iterations_max)} iterations"
+        limit = "" if record is None else record.iteration_limit
+        is_limit = decode_options_from_json(run.options).get(limit) == run.iterations_max
+        most = f"{format_count(run.iterations_max)} iterations"
+        return f"{ending} after at most {most}{f' ({limit} of the settings)' * is_limit}"
     return ending
 
 

@@ -120,12 +120,17 @@ def test_the_first_failed_step_of_a_window_is_not_named(records: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("most", "after"), [(4000, " after at most 4\u202f000 iterations"), (math.nan, "")]
+    ("most", "after"),
+    [
+        (4000, " after at most 4\u202f000 iterations"),
+        (2000, " after at most 2\u202f000 iterations (max_iter of the settings)"),
+        (math.nan, ""),
+    ],
 )
 def test_an_inaccurate_answer_is_named_with_the_most_iterations(
     most: float, after: str, records: Any
 ) -> None:
-    records.replay("osqp", iterations_max=most)
+    records.replay("osqp", iterations_max=most, options='{"max_iter": 2000}')
     finding = Finding("failed", tuple(records.view().runs), 8.0, 2, status="INACCURATE")
     ended = f"as the solver reports an inaccurate solution{after}"
     assert describe_finding(finding).endswith(ended)
