@@ -88,7 +88,9 @@ def generate_controller(
     trajectory = record_closed_loop_trajectory(data, name, steps, sources.options or DEFAULT)
     costs = count_steps(data, sources, tables, trajectory) if counts and has_extra() else []
     arguments = shlex.join(["--solver", solver, *(["--settings", settings] if settings else [])])
-    facts = {**sizes, "arguments": arguments, "costs": [cost.row for cost in costs]}
+    unsolved = _describe_unsolved_steps(name, sources, trajectory)
+    rows = [cost.row for cost in costs]
+    facts = {**sizes, "arguments": arguments, "costs": rows, "warnings": unsolved}
     files = render_c_sources(data, sources, tables, **facts)
     names = [signal.name for signal in (*data.inputs, *data.outputs)]
     files["trajectory.csv"] = trajectory.format_as_csv(names).encode()
@@ -102,7 +104,7 @@ def generate_controller(
         f"{format_count(sizes['constants'])} bytes and working memory takes "
         f"{format_count(sizes['memory'])} bytes"
         + ("." if sources.copies else f", without the static memory of {name}."),
-        *_describe_unsolved_steps(name, sources, trajectory),
+        *unsolved,
         *_describe_settings(name, sources),
     ]
     lines += [f"{cost.summary}." for cost in costs]
@@ -220,6 +222,7 @@ def render_c_sources(
         "origin": sources.origin,
         "heap": sources.heap,
         "tolerance": format_number_for_c(TOLERANCE),
+        "warnings": [],
         **facts,
     }
     defines = [f"THETA {theta}"]

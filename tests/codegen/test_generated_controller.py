@@ -248,7 +248,9 @@ def test_steps_that_stop_at_the_iteration_limit_are_counted(
         f"{unsolved} of the recorded loop ended without the status solved (max_iter = {limit}): "
     )
     assert found == [f"{words}judge the settings with dpbench run."] * bool(unsolved)
-    assert f"max_iter={limit}" in (tmp_path / "README.md").read_text("utf-8")
+    text = (tmp_path / "README.md").read_text("utf-8")
+    assert f"max_iter={limit}" in text
+    assert [line for line in text.splitlines() if "without the status solved" in line] == found
 
 
 @pytest.mark.parametrize(
