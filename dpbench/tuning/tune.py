@@ -254,7 +254,7 @@ class Tuning:
 
     @property
     def _warning(self) -> list[str]:
-        """Line on the sequences on which the best settings fail, or on a preset to use instead."""
+        """Line on the sequences on which the best settings fail, or on settings to use instead."""
         if failed := join_with_and([role.title for role in self._failed_roles]):
             return [f"the best settings fail on the {failed} sequences: do not use them"]
         ranked = [role.rank_presets(self.solver.requirements) for role in self.roles]
@@ -262,7 +262,8 @@ class Tuning:
             if ratio > 1.0 - ALIKE and all(name in presets for presets in ranked):
                 gain = f"not more than {100.0 * ALIKE:g} % faster on the test sequences"
                 return [f"use the preset {name}: the best settings are {gain}"]
-        return []
+        is_own = bool(self.roles) and self.best.options == self.request.start
+        return ["keep your settings: the search found none faster"] * is_own
 
     @property
     def is_successful(self) -> bool:

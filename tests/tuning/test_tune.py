@@ -221,6 +221,21 @@ def test_a_preset_as_fast_as_the_best_is_recommended(
     assert "use the preset" not in replace(found, roles=(inaccurate, equal)).toml
 
 
+def test_own_settings_that_are_the_best_are_to_be_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not where others are the best, or before the measurement on test sequences."""
+    monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=0))
+    monkeypatch.setattr(tune, "find_step_of_largest_error", lambda *_: 0)
+    found = tune_solver(
+        "osqp[rho=1.6]", training=["calm"], test=["move"], steps=75, trials=3, out=tmp_path
+    )
+    text = "keep your settings: the search found none faster"
+    own = replace(found, best=replace(found.best, options={"rho": 1.6}))
+    assert own.lines[-1] == text and own.toml.startswith(f"# {text}\n")
+    assert text not in found.lines and text not in replace(own, roles=()).lines
+
+
 def test_failed_steps_have_a_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
