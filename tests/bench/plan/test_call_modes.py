@@ -52,8 +52,8 @@ def test_solvers_without_chosen_settings_are_named(suite: str) -> None:
     chosen = ["default", "high_polished", "mine"]
     plan = RunRequest(suite, settings=chosen, solvers=["osqp", "quadprog"]).make_plan()
     assert [text for text in plan.remarks if text.startswith("solvers")] == [
-        "solvers not run, as they have no settings high_polished: quadprog",
-        "solvers not run, as they have no settings mine: quadprog",
+        f"solvers not run with settings {name}, as they do not have them: quadprog"
+        for name in ("high_polished", "mine")
     ]
     alone = RunRequest(suite, settings=["default", "high_polished"], solvers=["osqp"]).make_plan()
     assert not [text for text in alone.remarks if text.startswith("solvers")]
