@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from dpbench.bench.capability.utilisation import ThrusterReach
 from dpbench.bench.design import (
     can_recover_from_offset,
     find_bracket_in_still_water,
@@ -20,6 +21,7 @@ from dpbench.cli.ship import check_ship
 from dpbench.scenario.own_ship import compute_mean_force_of_dp_number
 from dpbench.scenario.problem_files import find_problem_path, list_shipped_problem_names
 from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel
+from dpbench.ship.characteristics import compute_mean_weather_force
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
 
@@ -68,12 +70,11 @@ def test_quick_simulates_nothing_and_names_what_is_left_out(
 
 @pytest.mark.parametrize("name", list_shipped_problem_names("scenarios"))
 def test_a_scenario_fits_a_terminal(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sixteen lines at most, and up to six on mean loads by level 1."""
+    """Sixteen lines at most, up to six on mean loads by level 1, and two on a loss."""
     up_to(monkeypatch, 1.7)
     lines = check_ship.describe_checked_scenario(name, load_scenario(name)).splitlines()
-    assert len(lines) <= (
-        22 if any(line.startswith("DNV-ST-0111, level 1") for line in lines) else 16
-    )
+    most = 22 if any(line.startswith("DNV-ST-0111, level 1") for line in lines) else 16
+    assert len(lines) <= most + 2 * ("After the loss of" in " ".join(lines))
     assert max(map(len, lines)) <= 80
 
 
@@ -178,6 +179,23 @@ def test_a_load_above_the_share_of_level_1_has_a_caution(
         said.append(" ".join(line for line in lines if "at most 72 % is allowed" in line))
     assert said[0] == ""
     assert re.fullmatch(rf"CAUTION: the level-1 load needs [\d.]+ % of the {whole}; .*", said[1])
+
+
+def test_the_load_is_compared_with_the_thrust_left_after_a_loss() -> None:
+    scenario = load_scenario("thrusters_loss")
+    lines = check_ship.describe_checked_scenario("thrusters_loss", scenario, quick=True)
+    thrusters = scenario.vessel.thrusters
+    assert thrusters is not None
+    left = ThrusterSet(tuple(one for one in thrusters.thrusters if one.group != "board A"))
+    load = compute_mean_weather_force(scenario.vessel, scenario.environment, 0.0)
+    share = ThrusterReach(left).find_least_thrust_share(-load)
+    assert (
+        "These shares are those of the intact ship. After the loss of board A at 90 s, the mean "
+        f"load needs {100 * share:.0f} % (simulated) or 61 % (level 1) of the remaining "
+        "thrust."
+    ) in " ".join(lines.split())
+    larger = check_ship._describe_shares_after_losses(scenario, {"simulated": 10.0 * load})
+    assert "needs more than 100 % (simulated) of the remaining thrust" in larger
 
 
 def test_thrusters_show_what_they_make_together(monkeypatch: pytest.MonkeyPatch) -> None:

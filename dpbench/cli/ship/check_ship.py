@@ -227,7 +227,29 @@ def _describe_weather_load(scenario: Scenario) -> str:
         together = f", {100 * share:.0f} % of the thrust"
         most = max(most, share)
     over = "; the ship cannot hold it" if most > 1.0 else ""
-    return f"mean force: {shares} of the limits{together}{over}"
+    after = _describe_shares_after_losses(scenario, {"simulated": load})
+    return f"mean force: {shares} of the limits{together}{over}{'.' if after else ''}{after}"
+
+
+def _describe_shares_after_losses(scenario: Scenario, loads: Mapping[str, Vector]) -> str:
+    """Return sentences on the thrust that loads need after each loss; "" without one."""
+    faults = scenario.files["scenario"].get("faults") or []
+    losses = sorted((one for one in faults if one.get("lost")), key=lambda one: one["at_s"])
+    if scenario.vessel.thrusters is None or not losses:
+        return ""
+    reach, lost = ThrusterReach(scenario.vessel.thrusters), set[int]()
+    text = " These shares are those of the intact ship."
+    for loss in losses:
+        names, at_s = loss["lost"], loss["at_s"]
+        lost |= scenario.vessel.thrusters.find_indices_of_thrusters_or_groups(names, "", "")
+        needed = []
+        for name, load in loads.items():
+            share = reach.find_least_thrust_share(-load, lost)
+            percent = f"{100 * share:.0f}" if share <= 1.0 else "more than 100"
+            needed.append(f"{percent} % ({name.rpartition(', ')[2]})")
+        text += f" After the loss of {join_with_and(names)} at {at_s:g} s, the mean load needs "
+        text += f"{' or '.join(needed)} of the remaining thrust."
+    return text
 
 
 def compare_with_level_1(scenario: Scenario) -> list[str]:
@@ -275,6 +297,7 @@ def compare_with_level_1(scenario: Scenario) -> list[str]:
             f"or {100 * taken[LEVEL_1]:.0f} % (level 1, which allows at most {100 * SPARE:.0f} %)."
         )
     about += " The ship cannot hold the simulated mean load." if most > 1.0 else ""
+    about += _describe_shares_after_losses(scenario, loads)
     over = f"CAUTION: the level-1 load needs {significant(100.0 * needed)} % of the {whole}; "
     over += f"at most {100 * SPARE:.0f} % is allowed."
     notes = [about, *[over] * (needed > SPARE)]
