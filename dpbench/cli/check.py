@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -187,7 +188,8 @@ def _count_refused_and_rows(planned: Sequence[PlannedCell]) -> str:
 def _suggest_first_run(file: Path) -> list[str]:
     """Return lines with a short first run of a suite, or of the suite beside a ship's file.
 
-    None where there is no such suite, or it is wrong: that is for its own check.
+    A scenario that the suite does not contain is run in place of its own. None where there is no
+    such suite, or it is wrong: that is for its own check.
     """
     stems = ("_".join(file.stem.split("_")[:n]) for n in range(file.stem.count("_") + 1, 0, -1))
     beside = (file.with_name(f"{stem}_suite.toml") for stem in stems)
@@ -199,14 +201,21 @@ def _suggest_first_run(file: Path) -> list[str]:
 
     try:
         whole = RunRequest(str(path)).make_plan()
-        part = RunRequest(str(path), solvers=[FIRST_SOLVER], settings=["default"]).make_plan()
+        own = [path.parent / name for name in whole.document.scenario_names]
+        is_other = "controller" in problems.read_toml_as_dict(file) and file not in own
+        run = RunRequest(str(path), solvers=[FIRST_SOLVER], settings=["default"])
+        part = replace(run, scenarios=[str(file)] * is_other).make_plan()
     except InputError:
         return []
     if FIRST_SOLVER not in name_solvers_of_suite(whole.document.solvers) or not part.cells:
         return []
     share = f"{len(part.cells)} of the suite's {len(whole.cells)} cells"
+    options, folder = f"--solver {FIRST_SOLVER} --settings default", "first"
+    if is_other:
+        share = "the suite does not contain this scenario"
+        options, folder = f"--scenario {file} {options}", f"first-{file.stem}"
     # Solvers that are added to the folder later are not timed beside it.
-    command = f"dpbench run {path} --solver {FIRST_SOLVER} --settings default --out results/first"
+    command = f"dpbench run {path} {options} --out results/{folder}"
     return [f"short first run ({share}), in a folder of its own:", f"  {command}"]
 
 

@@ -112,6 +112,20 @@ def test_a_suite_in_which_nothing_can_pass_is_said_to_be(
     assert ("both a closed loop and a replay, so none can pass" in text) is warned
 
 
+def test_a_first_run_is_that_of_the_checked_scenario(place: Path, say: Say) -> None:
+    """A copy that the suite beside it does not contain replaces the suite's own."""
+    (place / "mine_gale.toml").write_bytes((place / "mine.toml").read_bytes())
+    (place / "mine_suite.toml").write_text(
+        'title = "x"\nsolvers = ["daqp"]\n[[closed_loop]]\nscenarios = ["mine.toml"]\n',
+        encoding="utf-8",
+    )
+    run, rest = "dpbench run mine_suite.toml", "--solver daqp --settings default --out results"
+    for file in ("mine.toml", "mine_suite.toml"):
+        assert f"{run} {rest}/first" in " ".join(say("check", file, "--quick").split())
+    text = " ".join(say("check", "mine_gale.toml", "--quick").split())
+    assert f"{run} --scenario mine_gale.toml {rest}/first-mine_gale" in text
+
+
 def test_the_loops_of_a_suite_that_are_unstable_without_limits_are_named(
     place: Path, say: Say
 ) -> None:
