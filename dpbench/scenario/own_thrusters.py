@@ -20,7 +20,7 @@ from dpbench.errors import InputError, SituationError, format_allowed_names
 from dpbench.files.regular_files import read_csv_rows
 from dpbench.scenario.problem_files import validate_settings_as_model
 from dpbench.scenario.tables.vessel_file import MOST_X, ThrusterTable, build_thruster_set
-from dpbench.ship.thrusters import ThrusterSet
+from dpbench.ship.thrusters import Thruster, ThrusterSet
 from dpbench.ship.vessel import Vessel
 from dpbench.ship.weather import Windage
 
@@ -201,18 +201,22 @@ def list_assumptions_on_vessel(vessel: Vessel) -> list[str]:
         text = _WIND_AREAS.sub("", text).strip("; ")
     assumed = [text] if text else []
     thrusters = () if vessel.thrusters is None else vessel.thrusters.thrusters
-    screws = {t.name: t.screw for t in thrusters if t.screw is not None}
-    lacking = [name for name, screw in screws.items() if screw.height_m is None]
-    if lacking:
-        whose = "" if len(lacking) == len(screws) else f" of {', '.join(lacking)}"
-        assumed.append(
-            f"loss of thrust by ventilation in waves neglected, as shaft heights{whose} are unknown"
-        )
+    if heights := _name_unknown_heights(thrusters):
+        lost = "loss of thrust by ventilation in waves"
+        assumed.append(f"{lost} neglected, as {heights} are unknown")
     hull = vessel.capability
     if hull is not None and hull.assumed:
         of_hull = ", ".join(HULL_WORDS[key] for key in hull.assumed)
         assumed.append(f"hull data from the main dimensions: {of_hull}")
     return assumed
+
+
+def _name_unknown_heights(thrusters: Sequence[Thruster]) -> str:
+    """Return in words the shaft heights that are unknown, and whose unless all; "" without any."""
+    screws = {t.name: t.screw for t in thrusters if t.screw is not None}
+    lacking = [name for name, screw in screws.items() if screw.height_m is None]
+    whose = "" if len(lacking) == len(screws) else f" of {', '.join(lacking)}"
+    return f"shaft heights{whose}" if lacking else ""
 
 
 def describe_assumed_values(
@@ -223,13 +227,14 @@ def describe_assumed_values(
     rises, sizes = values.get("rise times", ""), values.get("diameters", "")
     propellers = values.get("propellers", "")
     astern = values.get("ratio of thrust astern to thrust ahead", "")
+    heights = _name_unknown_heights([table.build_thruster() for table in tables])
     sentences = {
         f"Rise times: {rises}, scaled from the ship of Xia, Liu, Pang & Xue with the square root "
         "of the length.": rises,
         f"Diameters, from the power as on the rescue ship Ratownik: {sizes}.": sizes,
         f"Propellers: {propellers}.": propellers,
-        "Shaft heights (height_m) are unknown: loss of thrust by ventilation in waves is "
-        "neglected.": any("height_m" not in row for row in rows if "power_kW" in row),
+        f"{heights[:1].upper()}{heights[1:]} (height_m) are unknown: loss of thrust by ventilation "
+        "in waves is neglected.": heights,
         f"Ratio of thrust astern to thrust ahead: {astern}.": astern,
         "A thruster without a group fails alone.": any("group" not in row for row in rows),
     }

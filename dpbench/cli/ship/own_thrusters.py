@@ -208,18 +208,20 @@ def _explain_side(by_side: Mapping[float, Mapping[str, WindLimit]]) -> str:
     orders = [
         sorted(held, key=lambda case: round(held[case].wind_mps, 3)) for held in by_side.values()
     ]
+    equal: dict[str, None] = {}
     for cases in zip(*orders, strict=True):
         winds = [held[case].wind_mps for case, held in zip(cases, by_side.values(), strict=True)]
+        first, second = (
+            f"{format_wind_held(wind)} {'intact' if case == INTACT else f'without {case}'}"
+            for case, wind in zip(cases, winds, strict=True)
+        )
         if round(winds[0], 3) < round(winds[1], 3):
-            first, second = (
-                f"{format_wind_held(wind)} {'intact' if case == INTACT else f'without {case}'}"
-                for case, wind in zip(cases, winds, strict=True)
-            )
-            equal = "" if cases[0] == orders[0][0] else " Worse losses leave equal winds."
+            alike = f" From both sides alike, it holds {join_with_and([*equal])}." if equal else ""
             return (
                 f"weather from {side}: there the ship holds less, {first}, than from {other}, "
-                f"{second}.{equal}"
+                f"{second}.{alike}"
             )
+        equal |= dict.fromkeys((first, second))
     return f"weather from {side}: the ship holds as much wind from {other}."
 
 

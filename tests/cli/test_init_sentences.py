@@ -1,0 +1,56 @@
+"""Sentences of `dpbench init --thrusters` on assumed values and on the side of the weather."""
+
+import pytest
+
+from dpbench.bench.capability.frontier import INTACT, WindLimit
+from dpbench.cli.ship.own_thrusters import _explain_side
+from dpbench.scenario.own_thrusters import (
+    Berth,
+    complete_thruster_values,
+    describe_assumed_values,
+)
+
+BOW = {"name": "bow", "kind": "tunnel", "x_m": "30", "power_kW": "800", "group": "A"}
+ROWS = (
+    {"name": "port", "kind": "main", "x_m": "-38", "y_m": "-4", "power_kW": "900", "group": "A"},
+    {"name": "starboard", "kind": "main", "x_m": "-38", "y_m": "4", "power_kW": "900"},
+    BOW,
+)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        ((), "Shaft heights (height_m) are unknown: "),
+        (("bow",), "Shaft heights of port, starboard (height_m) are unknown: "),
+        (("port", "starboard", "bow"), ""),
+    ],
+)
+def test_thrusters_without_a_shaft_height_are_named(names: tuple[str, ...], said: str) -> None:
+    rows = [row | ({"height_m": "2"} if row["name"] in names else {}) for row in ROWS]
+    tables, _ = complete_thruster_values(rows, Berth(80.0, 18.0, 11.6), "mine.csv")
+    found = [text for text in describe_assumed_values(rows, tables) if "ventilation" in text]
+    assert [text.partition("loss of thrust")[0] for text in found] == ([said] if said else [])
+
+
+@pytest.mark.parametrize(
+    ("worst", "alike"),
+    [
+        ((0.0, 0.0), " From both sides alike, it holds 0.0 m/s without A."),
+        ((0.0, 5.0), ""),
+    ],
+)
+def test_losses_that_leave_the_same_wind_on_both_sides_are_named(
+    worst: tuple[float, float], alike: str
+) -> None:
+    by_side = {
+        from_deg: {
+            case: WindLimit(wind, 1) for case, wind in {INTACT: 12.0, "A": a, "B": b}.items()
+        }
+        for from_deg, a, b in ((30.0, worst[0], 6.0), (330.0, worst[1], 6.24))
+    }
+    case, winds = ("B", ("6.0", "6.2")) if alike else ("A", ("0.0", "5.0"))
+    assert _explain_side(by_side) == (
+        f"weather from starboard (30°): there the ship holds less, {winds[0]} m/s without {case}, "
+        f"than from port (330°), {winds[1]} m/s without {case}.{alike}"
+    )
