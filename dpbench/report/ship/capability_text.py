@@ -124,7 +124,8 @@ def describe_time_held(of_group: pd.DataFrame) -> str:
     states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
     if states == [HELD]:
         return "throughout"
-    if HELD not in states:
+    # A time that rounds to 0 s is that of the first samples alone.
+    if HELD not in states or (states == [HELD, LOST] and change_s < 0.5):
         return "at no time"
     if states == [HELD, LOST]:
         return (
@@ -244,16 +245,23 @@ def describe_required_force(analysis: ConsequenceAnalysis) -> str:
 
 
 def describe_unanswered_qps(records: Records, solver: str) -> str:
-    """Return a text on how many QPs of consequence analyses a solver leaves open; "" for none."""
+    """Return a text on a solver's missed alarms and QPs without an answer; "" for none.
+
+    In the folder's consequence analyses, of the solver's best configuration.
+    """
     best = [
         a.best_answers_by_solver[solver]
         for a in build_consequence_analyses(records)
         if solver in a.best_answers_by_solver
     ]
     silent, asked = sum(a.unanswered_count for a in best), sum(a.asked for a in best)
-    infeasible = sum(a.infeasible - a.refused for a in best)
-    if not silent:
-        return ""
-    alarms = " where a loss cannot be held" if silent == infeasible else ""
+    missed = sum(a.missed for a in best)
+    infeasible = sum(a.infeasible - a.refused - a.missed for a in best)
+    where = " where a loss cannot be held" if silent == infeasible else ""
     qps = f"{silent} of {asked} QPs of the consequence analysis"
-    return f"`{solver}` leaves {qps} unanswered{alarms}"
+    counts = {
+        f"misses {plural(missed, 'alarm')} of the consequence analysis": missed,
+        f"leaves {qps} unanswered{where}": silent,
+    }
+    said = join_with_and([text for text, count in counts.items() if count])
+    return said and f"`{solver}` {said}"

@@ -140,6 +140,7 @@ def test_spans_join_what_is_proven_alike(storm: Records) -> None:
     [
         (["linear"] * 4, "throughout"),
         (["infeasible"] * 4, "at no time"),
+        (["linear", "infeasible", "infeasible", "infeasible"], "at no time"),
         (
             ["linear", "linear", "infeasible", "infeasible"],
             "until 1 s, after which the remaining thrusters cannot produce the required force",
@@ -206,12 +207,23 @@ def test_it_says_nothing_of_what_steers_the_ship(records: Any, storm: Records) -
     assert UNKNOWN not in set(build_consequence_analyses(storm)[0].spans["state"])
 
 
-def test_a_solver_that_leaves_qps_unanswered_is_named(storm: Records) -> None:
+def test_a_solver_that_misses_alarms_or_leaves_qps_unanswered_is_named(storm: Records) -> None:
     assert (
         describe_unanswered_qps(storm, "quadprog") == describe_unanswered_qps(storm, "piqp") == ""
     )
     left = "`daqp` leaves 1 of 8 QPs of the consequence analysis unanswered"
     assert describe_unanswered_qps(storm, "daqp") == left
+    assert describe_unanswered_qps(storm, "osqp") == (
+        "`osqp` misses 1 alarm of the consequence analysis and leaves 1 of 8 QPs of the "
+        "consequence analysis unanswered where a loss cannot be held"
+    )
+
+
+def test_a_missed_alarm_alone_is_named(records: Any) -> None:
+    """Reported as solved at both samples at which the loss cannot be held."""
+    missed = view(records, {"daqp": {"board B": [[TRUE, TRUE, {}, {}]]}})
+    said = "`daqp` misses 2 alarms of the consequence analysis"
+    assert describe_unanswered_qps(missed, "daqp") == said
 
 
 def test_a_solver_that_is_silent_where_a_loss_cannot_be_held_is_named(records: Any) -> None:
