@@ -110,7 +110,8 @@ class RunRequest:
         check_mode_names(self.routes, self.policies)
         chosen = {"settings": self.settings, "routes": self.routes, "policies": self.policies}
         keys = {key: list(names) for key, names in chosen.items() if names}
-        document = reduce_suite(document, scenarios=self.scenarios, steps=self.steps, **keys)
+        suite = document
+        document = reduce_suite(suite, scenarios=self.scenarios, steps=self.steps, **keys)
         asked = self.solvers
         if self.settings:
             # A choice with options ignores the settings of a table.
@@ -129,6 +130,7 @@ class RunRequest:
                 remarks += [WITHOUT_SAMPLE]
             if self.scenarios:
                 remarks += list_tables_left_out(document)
+                remarks += list_windows_left_out(suite, self.scenarios)
             cells = plan_suite(
                 document, solvers=asked, scenarios=self.scenarios, beside=path.parent
             )
@@ -253,6 +255,17 @@ def list_tables_left_out(suite: SuiteFile) -> list[str]:
     of_none = ("study", "recorded", "random", "capability")
     tables = [f"[[{name}]]" for name in of_none if getattr(suite, name)]
     return [f"not run, because scenarios are selected: {', '.join(tables)}"] if tables else []
+
+
+def list_windows_left_out(suite: SuiteFile, scenarios: Sequence[str]) -> list[str]:
+    """Return a remark if a window of consequence analysis is not used for other scenarios."""
+    is_cut = any(table.consequence and (table.first or table.steps) for table in suite.replay)
+    if not is_cut or set(scenarios) <= set(suite.scenario_names):
+        return []
+    return [
+        "the consequence analysis begins at step 0 and may include steps after a loss, because "
+        "`first` and `steps` of the suite apply to its own scenarios only"
+    ]
 
 
 def list_replays_of_other_horizons(

@@ -127,3 +127,17 @@ def test_a_choice_of_scenarios_names_what_it_leaves_out() -> None:
     assert "not run, because scenarios are selected: [[capability]]" in chosen.remarks
     everything = RunRequest("thrusters", solvers=["daqp"]).make_plan()
     assert not [remark for remark in everything.remarks if "left out" in remark]
+
+
+@pytest.mark.parametrize(("scenario", "is_other"), [("thrusters_loss", False), ("thrusters", True)])
+def test_a_window_of_consequence_analysis_is_said_not_to_apply_to_other_scenarios(
+    tmp_path: Path, scenario: str, is_other: bool
+) -> None:
+    path = tmp_path / "window.toml"
+    path.write_text(
+        'title = "Window"\nsolvers = ["daqp"]\n[[replay]]\nscenario = "thrusters_loss"\n'
+        "consequence = true\nfirst = 200\nsteps = 100\n"
+    )
+    plan = RunRequest(str(path), scenarios=[scenario]).make_plan()
+    said = [text for text in plan.remarks if text.startswith("the consequence analysis begins")]
+    assert bool(said) is is_other
