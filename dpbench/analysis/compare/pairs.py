@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.records.run_record import RunRecord
+from dpbench.analysis.records.run_record import RunRecord, map_first_by_key
 from dpbench.bench.judge.rules import mask_decided_steps, mask_failed_steps
 from dpbench.bench.record.cell import CONFIGURATION_COLUMNS
 from dpbench.errors import ResultsError
@@ -45,6 +45,11 @@ class Pair:
         return f"{label} with {change}" if (change := self.changed_options_text) else label
 
     @property
+    def measurement_key(self) -> tuple[object, ...]:
+        """Key that is equal for two measured runs paired under several names of settings."""
+        return self.a.measurement_key, self.b.measurement_key, self.a.steps_planned
+
+    @property
     def changed_options_text(self) -> str:
         """Options of custom settings that differ, such as `rho 1.6 → 0.01`; "" for none."""
         old, new = (
@@ -62,11 +67,13 @@ class Pair:
 class Pairs:
     """Paired runs of two result folders, and descriptions of the runs left unpaired.
 
-    refused : the pairs that both folders refused to run, which are not in `pairs`.
+    refused, repeated : the pairs that both folders refused to run, and those that repeat another
+        pair under another name of its settings. They are not in `pairs`.
     """
 
     pairs: list[Pair]
     refused: list[Pair]
+    repeated: list[Pair]
     only_a: list[str]
     only_b: list[str]
     changed: list[str]
@@ -112,8 +119,10 @@ def pair_runs_of_folders(a: Records, b: Records, names: tuple[str, str]) -> Pair
         raise ResultsError(names[1], "", missing, f"results of the same suite as {names[0]}")
     only_a = [_describe_run(run) for key, run in cells_a.items() if key not in partners]
     found = set(partners.values())
+    first = map_first_by_key(pairs, lambda pair: pair.measurement_key)
+    repeated = [pair for pair in pairs if first[pair.measurement_key] is not pair]
     only_b = [_describe_run(run) for key, run in cells_b.items() if key not in found]
-    return Pairs(pairs, refused, only_a, only_b, changed, lost)
+    return Pairs(list(first.values()), refused, repeated, only_a, only_b, changed, lost)
 
 
 def _pair_keys_of_changed_options(

@@ -128,7 +128,7 @@ def compute_log_time_ratios(a: Records, b: Records, pairs: Sequence[Pair]) -> li
         for pair in replays
         if (timing := time_of(a, b, pair)) is not None
     ]
-    return _name_groups(list(map_first_by_key(timings, _make_measurement_key).values()))
+    return _name_groups(timings)
 
 
 def _compute_spread(records: Records, run: RunRecord) -> float:
@@ -151,12 +151,6 @@ def _name_groups(timings: Sequence[Timing]) -> list[Timing]:
         group += f", command {number} of {len(of_sequence)}" if len(of_sequence) > 1 else ""
         named.append(replace(timing, group=group))
     return named
-
-
-def _make_measurement_key(timing: Timing) -> tuple[object, ...]:
-    """Return a key that is equal for one measured run listed under two names of settings."""
-    unnamed = pick_identifying_columns(timing.pair.a) | {"settings": ""}
-    return *unnamed.values(), timing.log, timing.own
 
 
 def explain_unjudged_sequences(a: Records, b: Records, timings: Sequence[Timing]) -> dict[str, str]:

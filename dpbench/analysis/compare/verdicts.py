@@ -33,7 +33,7 @@ def find_verdict_changes(a: Records, b: Records, pairs: Pairs) -> list[VerdictCh
     """
     if not (a.has_steps and b.has_steps):
         return []
-    both = [*pairs.pairs, *pairs.refused]
+    both = [*pairs.pairs, *pairs.refused, *pairs.repeated]
     in_a = _judge_paired_runs(a, [pair.a for pair in both])
     in_b = _judge_paired_runs(b, [pair.b for pair in both])
     found: dict[Configuration, VerdictChange] = {}
