@@ -238,12 +238,13 @@ def _judge_timing(timing: Timing, assessment: Assessment) -> ComparedTimes:
     """Return a step time ratio with its verdict; "faster" only if all B's answers are true.
 
     "not judged" where nothing tells the machine's factor, so that the interval is unbounded;
-    "machine disturbed" where the rounds of a disturbed run differ by as much as A and B.
+    "machine disturbed" where a run is disturbed and the ratio is neither equivalent nor differs
+    from 1 by more than the rounds of that run.
     """
-    ratio, is_difference = assessment.ratio, assessment.verdict in ("slower", "faster")
+    ratio, is_equal = assessment.ratio, assessment.verdict == "equivalent"
     if not math.isfinite(ratio.high):
         assessment = replace(assessment, verdict="not judged")
-    elif is_difference and timing.spread > 1.0 and ratio.is_within_spread(timing.spread):
+    elif timing.spread > 1.0 and not is_equal and ratio.is_within_spread(timing.spread):
         assessment = replace(assessment, verdict=MACHINE_DISTURBED)
     elif assessment.verdict == "faster" and timing.pair.b.true_share != 1.0:
         assessment = replace(assessment, verdict="faster, not all verified")

@@ -1,6 +1,6 @@
 """Verdicts on ratios against known distributions, and Holm's procedure against its definition."""
 
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from dpbench.analysis.compare.evidence import (
 from dpbench.analysis.compare.pairs import Pair
 from dpbench.analysis.compare.times import Timing, _judge_timing
 from dpbench.analysis.statistics import Interval, adjust_p_values_by_holm
+from dpbench.analysis.times.paired_times import MACHINE_DISTURBED
 
 FLAT = Prior(sd=0.01, df=6.0)
 """The prior of the simulations, whose noise is drawn with this standard deviation."""
@@ -225,3 +226,19 @@ def test_rounds_of_a_disturbed_run_that_differ_as_much_take_the_verdict(
     )
     found = Assessment(1.5, 1.0, Interval(1.5, 1.4, 1.6), 0.01, 1.0, "slower")
     assert _judge_timing(timing, found).assessment.verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("verdict", "disturbed"),
+    [("no difference shown", MACHINE_DISTURBED), ("equivalent", "equivalent")],
+)
+def test_an_interval_too_wide_for_a_verdict_is_disturbed_only_in_a_disturbed_run(
+    verdict: Any, disturbed: str
+) -> None:
+    """docs/glossary.md on *no difference shown*; the interval is that of a run under load."""
+    found = Assessment(1.1, 1.0, Interval(1.1, 0.226, 5.35), 1.0, 1.0, verdict)
+    for spread, expected in ((1.0, verdict), (1.2, disturbed)):
+        timing = Timing(
+            cast(Pair, None), np.log(1.1), 0.0, 1, 2, (1.0, 1.1), *[np.empty(0)] * 3, spread=spread
+        )
+        assert _judge_timing(timing, found).assessment.verdict == expected

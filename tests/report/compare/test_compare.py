@@ -279,6 +279,18 @@ HINT = "times not judged give exit code 0; --disturbed-exit CODE"
 
 
 @pytest.mark.slow
+def test_an_interval_without_a_verdict_on_a_disturbed_machine_sets_the_exit_code(
+    make: Make, capsys: Any
+) -> None:
+    """A ratio at the margin, with the kernel untimed so that only the verdicts show the load."""
+    a = make("a", seed=1)
+    for state, verdict, code in (({}, "no difference shown", 0), (STOLEN, "machine disturbed", 75)):
+        b = make(verdict, seed=2, slow={"piqp": 1.05}, reference_kernel_ns=np.nan, **state)
+        assert verdicts(compare(a, b).times)["piqp"] == verdict
+        assert main(["compare", str(a), str(b), "--disturbed-exit", "75"]) == code
+
+
+@pytest.mark.slow
 def test_a_disturbed_kernel_stands_for_no_machine(make: Make) -> None:
     """Two configurations, both 1.5 times as slow while a disturbed kernel says 1.0."""
     both = ("daqp", "piqp")
