@@ -122,7 +122,9 @@ def make_times_table(
     if not reference:
         machine = (
             "the median of that ratio over the other configurations of the sequence (with fewer "
-            "than four, the ratio of the reference kernel if both runs were quiet)"
+            "than four, the ratio that the reference kernel and the calibration workload predict, "
+            "if both runs were quiet). If the calibration workload changed more around one "
+            "configuration than around the others, half of this excess is included"
         )
     rows = (
         compared if ordered else sorted(compared, key=lambda c: TIMES.index(c.assessment.verdict))
@@ -248,8 +250,8 @@ def describe_changes_in_si_units(answers: Sequence[FigureChange]) -> list[str]:
     if not counts:
         return []
     return [
-        f"of these in SI units: {', '.join(counts)} (such runs show the effect of scaling and "
-        "count towards no verdict)"
+        f"in SI units: {', '.join(counts)} (such runs show the effect of scaling and "
+        "count towards no solver's verdict)"
     ]
 
 
@@ -339,8 +341,10 @@ class Comparison:
         'no difference shown...'
         """
         times = {one.assessment.verdict for one in self.compared}
-        if any(figure.change == "worse" for figure in self.figures):
-            return "worse accuracy or control" + (", slower" if "slower" in times else "")
+        if worse := [figure for figure in self.figures if figure.change == "worse"]:
+            where = "" if list_metrics_in_verdicts(worse) else " in SI units"
+            slower = ", slower" if "slower" in times else ""
+            return f"worse accuracy or control{where}{slower}"
         if self.worse:
             return "slower"
         is_better = any(figure.change == "better" for figure in self.figures)
@@ -517,7 +521,7 @@ def _make_summary_lines(
             f"{format_count(n)} {words.get(change, change)}" for change, n in changes.most_common()
         )
         lines.append(f"accuracy and control: {counts}")
-        lines += describe_changes_in_si_units(figures)
+        lines += [f"of these {line}" for line in describe_changes_in_si_units(figures)]
     for what, cells in (
         ("only in A", pairs.only_a),
         ("only in B", pairs.only_b),
@@ -537,9 +541,14 @@ def _describe_verdict_changes(changes: Sequence[VerdictChange]) -> list[str]:
     return [f"verdicts changed: {counts}"] if changes else []
 
 
+def list_metrics_in_verdicts(figures: Sequence[FigureChange]) -> list[FigureChange]:
+    """Return the metrics of runs in scaled units, which count towards verdicts of solvers."""
+    return [figure for figure in figures if figure.pair.a.units != "si"]
+
+
 def _describe_worse(figures: Sequence[FigureChange]) -> list[str]:
     """Return a line that counts the metrics that are worse and gives the first; or none."""
-    worse = [figure for figure in figures if figure.change == "worse"]
+    worse = [f for f in list_metrics_in_verdicts(figures) if f.change == "worse"]
     if not worse:
         return []
     return [f"worse: {plural(len(worse), 'metric')}, first {describe_change(worse[0])}"]

@@ -20,6 +20,7 @@ from dpbench.report.compare.comparison import (
     describe_change,
     describe_changes_in_si_units,
     describe_shared_factor,
+    list_metrics_in_verdicts,
     make_times_table,
 )
 from dpbench.report.compare.folders import describe_changed_options
@@ -145,8 +146,8 @@ def make_lead_sentences(comparison: Comparison) -> list[str]:
         for shared in comparison.shared
         if shared.assessment is not None and shared.assessment.verdict == "slower"
     ]
-    worse = [answer for answer in comparison.figures if answer.change == "worse"]
-    count = len(comparison.figures)
+    counted = list_metrics_in_verdicts(comparison.figures)
+    worse, count = [answer for answer in counted if answer.change == "worse"], len(counted)
     figures = (
         f"None of {plural(count, 'metric')} of accuracy and control is worse." if count else ""
     )
@@ -157,7 +158,8 @@ def make_lead_sentences(comparison: Comparison) -> list[str]:
     changed = [
         f"{line[0].upper()}{line[1:]}." for line in describe_changed_options(comparison.pairs)
     ]
-    si = [f"{line[0].upper()}{line[1:]}." for line in describe_changes_in_si_units(worse)]
+    of_si = describe_changes_in_si_units([f for f in comparison.figures if f.change == "worse"])
+    si = [f"{line[0].upper()}{line[1:]}." for line in of_si]
     return [*changed, strip_markdown(f"{_describe_slower(comparison)} {figures}"), *si, *together]
 
 

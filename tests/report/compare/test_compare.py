@@ -327,11 +327,24 @@ def test_changes_in_si_units_are_counted_apart(make: Make) -> None:
         make(name, seed=1, configurations=("daqp",), loop={"r_rms_m": r_m, "units": units})
         for name, r_m, units in (("a", 0.3, "si"), ("b", 0.4, "si"), ("c", 0.4, "scaled"))
     )
-    reason = "(such runs show the effect of scaling and count towards no verdict)"
+    reason = "(such runs show the effect of scaling and count towards no solver's verdict)"
     found = compare(a, b)
     assert f"of these in SI units: 1 worse {reason}" in found.lines
-    assert f"Of these in SI units: 1 worse {reason}." in make_lead_sentences(found)
+    assert f"In SI units: 1 worse {reason}." in make_lead_sentences(found)
     assert not any("SI units" in line for line in compare(scaled, scaled).lines)
+    assert found.worse and found.headline == "worse accuracy or control in SI units"
+    assert not any(line.startswith("worse: ") for line in found.lines)
+    both = [
+        make(name, seed=1, configurations=("daqp",), errors={"daqp": error}, loop=loop)
+        for name, error, loop in (
+            ("d", 1e-6, {"r_rms_m": 0.3, "units": "si"}),
+            ("e", 0.5, {"r_rms_m": 0.4, "units": "si"}),
+        )
+    ]
+    found = compare(*both)
+    assert found.headline == "worse accuracy or control"
+    assert found.lines[0].startswith("worse: 3 metrics, first largest error of the first move")
+    assert make_lead_sentences(found)[0].split("Worse: ")[1].startswith("3 of 5 metrics, first ")
 
 
 @pytest.mark.slow
@@ -675,6 +688,7 @@ def test_a_configuration_that_met_another_neighbour_is_not_blamed_for_it(make: M
     assert found.loc["piqp", "verdict"] == "no difference shown"
     assert found.loc["piqp", "machine"] == pytest.approx(1.2**0.5, rel=0.02)
     assert found.loc["piqp", "raw"] == pytest.approx(1.1, rel=0.02)
+    assert "half of this excess is included" in compare(a, b).markdown()
 
 
 def test_another_build_of_the_same_version_is_said() -> None:
