@@ -202,7 +202,7 @@ class StepTimes:
     net_ns : (K,) least timing less its wait for the core; None where a wait is unknown.
     timings : (K,) timings of each step that count.
     rounds_ns : (R,) median of the samples of each round: how far they differ is the machine's part.
-    hardest_wait_ns : wait for the core in the fastest repetition of the hardest step; 0 if unknown.
+    wait_ns : (K,) wait for the core in the fastest repetition of each step; 0 if unknown.
     """
 
     k: Ints
@@ -211,7 +211,12 @@ class StepTimes:
     timings: Ints
     raw_max_ns: float
     rounds_ns: Floats
-    hardest_wait_ns: float
+    wait_ns: Floats
+
+    @property
+    def hardest_wait_ns(self) -> float:
+        """Wait for the core in the fastest repetition of the hardest step [ns]; 0 if unknown."""
+        return float(self.wait_ns[self.algo_ns.argmax()])
 
 
 def yield_step_times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTimes]]:
@@ -223,9 +228,8 @@ def yield_step_times_by_run(steps: pd.DataFrame) -> Iterator[tuple[str, StepTime
         net = None if net_ns is None else _find_least_by_step(k, net_ns)[done]
         rounds = np.array([float(np.median(total_ns[repeat == r])) for r in np.unique(repeat)])
         timings = np.bincount(k)[done].astype(np.int64)
-        hardest = int(done[best[done].argmax()])
-        waits = waited_ns[(k == hardest) & (total_ns == best[hardest])]
-        wait_ns = float(np.nan_to_num(waits).min())
+        fast = total_ns == best[k]
+        wait_ns = _find_least_by_step(k[fast], np.nan_to_num(waited_ns[fast]))[done]
         raw_max_ns = float(total_ns.max())
         yield run_id, StepTimes(done, best[done], net, timings, raw_max_ns, rounds, wait_ns)
 

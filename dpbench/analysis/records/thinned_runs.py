@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -152,7 +152,7 @@ class WorstStep:
     """A configuration's step of largest error, time or iterations, with its run's median.
 
     value, median : of the measure, at the step and over its run: ns, iterations, or an error.
-    wait_ns : wait for the core in a largest time of a replay.
+    wait_ns : wait for the core in a largest time of a replay, which is chosen without it.
     """
 
     measure: Measure
@@ -197,7 +197,7 @@ def find_worst_steps(records: Records, configuration: Configuration) -> list[Wor
         if run.units == "scaled" and run.configuration.moved_to_common_formulation == configuration
     }
     worst_of_run = {
-        run_id: _find_worst_step_by_measure(runs[run_id], steps)
+        run_id: _find_worst_step_by_measure(records, runs[run_id], steps)
         for run_id, steps, _ in records.yield_merged_and_raw_steps(list(runs.values()))
     }
     stepped = sorted(worst_of_run, key=lambda run_id: runs[run_id].mode != "replay")
@@ -209,27 +209,30 @@ def find_worst_steps(records: Records, configuration: Configuration) -> list[Wor
             step.run.run_id: step
             for group in groups
             if (found := [worst_of_run[i][measure] for i in group if measure in worst_of_run[i]])
-            for step in [max(found, key=lambda step: step.value)]
+            for step in [max(found, key=lambda step: step.value - step.wait_ns)]
         }
         worst += largest.values()
-    return [_add_wait_for_core(records, step) for step in worst]
+    return worst
 
 
-def _add_wait_for_core(records: Records, step: WorstStep) -> WorstStep:
-    """Return a worst step with the wait for the core in a replay's hardest step."""
-    is_timed = step.measure == "time" and step.run.mode == "replay"
-    times = records.get_step_times(step.run) if is_timed else None
-    return step if times is None else replace(step, wait_ns=times.hardest_wait_ns)
+def _find_worst_step_by_measure(
+    records: Records, run: RunRecord, steps: RunSteps
+) -> dict[Measure, WorstStep]:
+    """Return one run's step of largest error, of largest time, and of most iterations.
 
-
-def _find_worst_step_by_measure(run: RunRecord, steps: RunSteps) -> dict[Measure, WorstStep]:
-    """Return one run's step of largest error, of largest time, and of most iterations."""
+    The wait for the core is no time of the solver, so it does not choose the step.
+    """
     worst: dict[Measure, WorstStep] = {}
+    times = records.get_step_times(run) if run.mode == "replay" else None
     for measure in MEASURES:
-        at, values = find_hardest_steps(steps, measure, 1), steps.get_values_of_measure(measure)
-        if len(at):
-            value, usual = float(values[at[0]]), median_of_known(values)
-            worst[measure] = WorstStep(measure, run, steps.select_steps(at), value, usual)
+        values, waits = steps.get_values_of_measure(measure), np.zeros(len(steps.k))
+        if measure == "time" and times is not None:
+            waits[np.searchsorted(steps.k, times.k)] = times.wait_ns
+        if np.isfinite(values).any():
+            at = int(np.nanargmax(values - waits))
+            step, usual = steps.select_steps(np.array([at])), median_of_known(values)
+            figures = float(values[at]), usual, float(waits[at])
+            worst[measure] = WorstStep(measure, run, step, *figures)
     return worst
 
 

@@ -330,7 +330,7 @@ def test_own_times_of_two_timings_by_hand(
     """
     run: Any = SimpleNamespace(outcome=outcome, involuntary_switches=switches, voluntary_switches=0)
     k, algo_ns = np.arange(4), np.array([4.0, 1.0, 9.0, 2.0])
-    times = StepTimes(k, algo_ns, None, np.full(4, 2), 9.0, np.array([3.0, 3.0]), 0.0)
+    times = StepTimes(k, algo_ns, None, np.full(4, 2), 9.0, np.array([3.0, 3.0]), np.zeros(4))
     assert find_own_times_ns(run, times).tolist() == expected
 
 

@@ -47,6 +47,20 @@ def test_the_worst_step_is_the_largest_of_one_configuration(written: Any) -> Non
     assert np.isclose(row["error_move"].max(), error.value)
 
 
+def test_the_worst_time_is_chosen_without_waits_for_the_core(records: Any) -> None:
+    """Step 7 took 9 ms, 8.5 ms of it waiting, and step 3 took 2 ms, a tenth of it waiting."""
+    records.replay("daqp", median_us=20.0, spread=0.0)
+    frame = records._steps[-1]
+    frame["waited_ns"] = 0
+    frame.loc[frame["k"] == 7, ["total_ns", "waited_ns"]] = 9_000_000, 8_500_000
+    frame.loc[frame["k"] == 3, ["total_ns", "waited_ns"]] = 2_000_000, 200_000
+    view = records.view()
+    (time,) = (
+        one for one in find_worst_steps(view, view.runs[0].configuration) if one.measure == "time"
+    )
+    assert (time.step_index, time.value, time.wait_ns) == (3, 2e6, 2e5)
+
+
 @pytest.mark.parametrize(
     ("error", "said"),
     [
