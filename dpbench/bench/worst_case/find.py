@@ -170,12 +170,15 @@ def _refuse_bad_options(goal: str, budget: int, steps: int, seed: int) -> None:
 def _refuse_unwritable(path: Path) -> None:
     """Raise InputError where a result file cannot be written, before a search of minutes."""
     trial = path.with_name(path.name + ".part")
+    missing = [folder for folder in path.parents if not folder.exists()]
     try:
         if path.is_dir():
             raise IsADirectoryError(None, "it is a folder", str(path))
         path.parent.mkdir(parents=True, exist_ok=True)
         trial.touch()
         trial.unlink()
+        for folder in missing:
+            folder.rmdir()  # Nothing may be found.
     except OSError as error:
         fault = f"cannot write {path} ({begin_in_lower_case(error.strerror or str(error))})"
         raise SituationError("--out", f"{fault}; required: a file that can be written") from error
@@ -240,4 +243,5 @@ def _save_case(path: Path, case: Case, facts: dict[str, Any]) -> None:
             "status": worst.status.name.lower(),
         }
     meta = case.sequence.meta | {f"worst_case_{name}": fact for name, fact in facts.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
     save_sequence(path, replace(case.sequence, meta=meta))

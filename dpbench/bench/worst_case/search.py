@@ -44,6 +44,8 @@ _LARGEST = 1e300
 _NO_ANSWER_CLAIMS = [status for status in Status if status.claims_no_optimum_exists]
 CASE_LIMIT_S = 5.0
 """Run time of one case; a solver that takes longer hangs."""
+FIRST_STEPS = 5
+"""Steps of the scenario that show whether a solver counts its iterations."""
 BASELINE_LIMIT_S = 60.0
 """Run time of the scenario's own sequence; a slower solver answers part of it."""
 _POPULATIONS = (8, 16, 32)
@@ -139,6 +141,11 @@ class SearchedSolver:
         self._context, self._folder, self._cell = context, folder, cell
         self._start_process()
 
+    @property
+    def name(self) -> str:
+        """Name of the solver."""
+        return self._cell.solver
+
     def _start_process(self) -> None:
         """Start a worker process with the solver; InputError where it cannot run."""
         args = (self._cell.to_json(), self._folder, "searched")
@@ -233,13 +240,22 @@ class Search:
 
     def _evaluate_baseline(self, base: Scenario) -> None:
         """Replay the unchanged scenario and set its outcome and worst step."""
+        if self._goal == "iterations":
+            self._refuse_solver_without_count(base.truncate(FIRST_STEPS))
         self._progress.advance(0, f"{base.name} itself, {base.steps} steps")
         outcome, evaluated = self._solver_process.answer(record_sequence(base), BASELINE_LIMIT_S)
         self.baseline_outcome = outcome
         self.baseline = None if evaluated is None else find_worst_step(evaluated, self._goal)
-        if self._goal == "iterations" and outcome.outcome == "finished" and self.baseline is None:
+
+    def _refuse_solver_without_count(self, first: Scenario) -> None:
+        """Raise InputError if the solver solves the first steps and reports no iterations."""
+        _, evaluated = self._solver_process.answer(record_sequence(first), CASE_LIMIT_S)
+        if evaluated is None or find_worst_step(evaluated, "iterations") is not None:
+            return
+        if (evaluated.columns["status"] == Status.SOLVED).any():
+            where = f"solver {self._solver_process.name}"
             allowed = "a solver that counts its iterations on this route, or --goal error"
-            raise InputError("--goal", "", "iterations, which the solver does not report", allowed)
+            raise InputError(where, "", "no number of iterations in its solutions", allowed)
 
     def _evolve(self, rng: np.random.Generator) -> None:
         """Search scenario variants for the worst step by differential evolution, until stopped."""

@@ -18,8 +18,9 @@ from dpbench.bench.worst_case.find import find_worst_case
 from dpbench.bench.worst_case.search import find_worst_step
 from dpbench.bench.worst_case.space import SearchSpace
 from dpbench.cli.main import main
+from dpbench.qp.program import QPSequence
 from dpbench.qp.solution import Status
-from dpbench.scenario.scenario import build_scenario_from_documents
+from dpbench.scenario.scenario import Scenario, build_scenario_from_documents
 
 pytestmark = pytest.mark.slow
 
@@ -325,11 +326,21 @@ def test_where_nothing_can_be_written_nothing_is_searched(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_iterations_of_a_solver_that_counts_none_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--goal error"):
-        find_worst_case(
-            "searched", budget=2, steps=4, out=tmp_path / "found.npz", solver_module=FAULTY
-        )
+def test_iterations_of_a_solver_that_counts_none_are_refused_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a few steps, without a file or folder, and without naming an option not given."""
+    recorded = []
+
+    def record(scenario: Scenario) -> QPSequence:
+        recorded.append(scenario.steps)
+        return record_sequence(scenario)
+
+    monkeypatch.setattr(case_search, "record_sequence", record)
+    out = tmp_path / "deep" / "found.npz"
+    with pytest.raises(InputError, match=r"^solver searched: .*--goal error"):
+        find_worst_case("searched", budget=2, steps=4, out=out, solver_module=FAULTY)
+    assert recorded == [case_search.FIRST_STEPS] and not any(tmp_path.iterdir())
 
 
 def test_the_command_prints_findings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
