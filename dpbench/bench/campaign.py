@@ -60,7 +60,7 @@ CELL_KEYS = (
 )
 """Keys of a suite that are part of many or all of its cells: a change runs these again."""
 LIST_ENTRIES = {
-    "scenarios": "a name or a file in the list",
+    "scenarios": "a name or a file in the list; for other values of keys, a study in the suite",
     "solvers": "a name in the list; for your own solver, a plug-in file in `solver_module`",
 }
 

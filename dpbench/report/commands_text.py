@@ -14,6 +14,8 @@ from dpbench.solvers.calibration import CALIBRATION
 
 MOST_COMMANDS = 3
 """Commands, and sequences, that are named; of the others their number is."""
+MOST_PARTS = 12
+"""Scenarios, and settings, that are named; of the others their number is."""
 
 BASELINE = "Baseline law (the unconstrained optimum, clipped to the limits)"
 
@@ -72,6 +74,16 @@ def describe_how_results_were_made(
         )
         for is_law in (False, True)
     ]
+    # A command may have run a part of the suite.
+    parts = [
+        f"{kind}: {', '.join(f'`{name}`' for name in names[:MOST_PARTS])}"
+        + f" and {len(names) - MOST_PARTS} more" * (len(names) > MOST_PARTS)
+        for kind, names in (
+            ("Scenarios", [*dict.fromkeys(run.scenario for run in runs if run.scenario)]),
+            ("Settings", [*dict.fromkeys(run.settings for run in runs)]),
+        )
+        if names
+    ]
     steps = sum(int(run.steps_done) for run in runs)
     note = _describe_counted_runs(runs, records)
     numpy = machine.get("versions", {}).get("numpy", "")
@@ -84,7 +96,7 @@ def describe_how_results_were_made(
     return (
         f"The suite `{suite.get('name', '')}` was run with {describe_version(suite)}, {ran}. "
         f"It has {plural(len(runs), 'run')} with {plural(steps, 'step')}{note}. "
-        f"Solvers: {solvers}. {f'{BASELINE}: {laws}. ' if laws else ''}"
+        f"{'. '.join(parts)}. Solvers: {solvers}. {f'{BASELINE}: {laws}. ' if laws else ''}"
         f"Machine: {computer}; {software}."
     )
 

@@ -188,7 +188,7 @@ def _format_effect(effect: Effect, units: str) -> str:
     numbers = (0.0 if abs(n) < 1e-4 else n for n in convert_effect_and_interval(effect))
     value, low, high = format_estimate_with_bounds(*numbers)
     if not np.isfinite(effect.mean_difference.mean_interval.low):
-        return f"{value} (no interval)"
+        return f"{value} (no interval: too few pairs)"
     if effect.mean_difference.is_constant:
         return f"{value} in every realisation"
     count = len(effect.measured.units)

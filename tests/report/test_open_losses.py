@@ -73,7 +73,8 @@ def test_every_report_has_a_line_on_losses_that_no_closed_loop_shows_to_be_held(
     not_held = "Loss of A: not held.", "Loss of B: not held."
     losses = OpenLosses(not_held, "Loss of C: not simulated.")
     summary = (
-        "Loss of A: not held. Not held either: 1 more, see the statement. Loss of C: not simulated."
+        "Loss of A: not held. Not held either: 1 more, listed by dpbench report --statement. Loss "
+        "of C: not simulated."
     )
     records.loop("daqp")
     assert summary not in make_report_markdown(Report.from_results(records.results()))

@@ -113,6 +113,7 @@ def export_sequence(
         raise InputError("`format`", "", repr(format), ", ".join(FORMATS))
     if (suffix := FILES.get(format)) and target.suffix != suffix:
         others = [name for name, end in FILES.items() if end == target.suffix]
+        others += ["csv"] * (target.suffix == ".csv")  # which writes a folder
         instead = "".join(f", or `format` {name}" for name in others)
         allowed = f"a file name that ends in {suffix}{instead}"
         raise InputError("`out`", "", repr(target.name), allowed)

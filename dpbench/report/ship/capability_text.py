@@ -119,6 +119,9 @@ def _format_least_wind(edges: pd.DataFrame) -> str:
     return f"{format_wind_held(least['wind_mps'])} of wind {where}"
 
 
+_NEVER = "at no time"
+
+
 def describe_time_held(of_group: pd.DataFrame) -> str:
     """Return in words when a thruster loss can be held: throughout, until a time, or never."""
     states, change_s = of_group["state"].tolist(), of_group["from_s"].iloc[-1]
@@ -126,7 +129,7 @@ def describe_time_held(of_group: pd.DataFrame) -> str:
         return "throughout"
     # A time that rounds to 0 s is that of the first samples alone.
     if HELD not in states or (states == [HELD, LOST] and change_s < 0.5):
-        return "at no time"
+        return _NEVER
     if states == [HELD, LOST]:
         return (
             f"until {change_s:.0f} s, after which the remaining thrusters cannot produce the "
@@ -147,8 +150,12 @@ def describe_losses_held(analysis: ConsequenceAnalysis) -> str:
     held = [f"the loss of {' or of '.join(of)} can be held {time}" for time, of in when.items()]
     loop = _describe_analysed_loop(analysis)
     lost = f" {caution}" if (caution := describe_analysed_ship(analysis)) else ""
+    static = (
+        " The analysis is static and has a margin: the simulated ship may hold its station."
+    ) * (_NEVER in when)
     return (
-        f"In {analysis.name}{loop} {'; '.join(held)} ({describe_required_force(analysis)}).{lost}"
+        f"In {analysis.name}{loop} {'; '.join(held)} ({describe_required_force(analysis)})."
+        f"{static}{lost}"
     )
 
 

@@ -39,7 +39,11 @@ class OpenLosses:
     def summary(self) -> str:
         """Line with the first loss that is not held, how many more, and those not simulated."""
         first, more = self.not_held[:1], len(self.not_held) - 1
-        others = [f"Not held either: {more} more, see the statement."] if more > 0 else []
+        others = (
+            [f"Not held either: {more} more, listed by dpbench report --statement."]
+            if more > 0
+            else []
+        )
         return " ".join([*first, *others, *filter(None, [self.not_simulated])])
 
 

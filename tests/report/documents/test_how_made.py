@@ -72,7 +72,7 @@ def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> N
     assert (
         "In both numbers 1 run is counted twice, because two names of settings stand for the same "
         "options. Both numbers exclude 1 run on simulated slower computers and 1 run of "
-        "consequence analyses. Solvers: "
+        "consequence analyses. Scenarios: `"
     ) in made
 
 

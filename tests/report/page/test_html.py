@@ -189,7 +189,7 @@ def test_citations_are_those_of_the_citation_file(written: Any) -> None:
         of.setdefault(name, []).extend(value.strip('"') for value in values)
     entry = format_software_citation(written.results)
     title, of_the_paper = of["title"]
-    assert title in " ".join(entry.split())
+    assert title in " ".join(entry.replace("{QP}", "QP").split())  # braces keep its capitals
     assert f"{{{of['name'][0]}}}" in entry
     assert f"year = {{{written.results.suite['started_utc'][:4]}}}" in entry
     assert f"version {written.results.suite['harness_version']}" in entry
