@@ -250,11 +250,14 @@ def find_nearest_names(text: str, known: Iterable[str], *, likeness: float = 0.0
 
 
 def format_allowed_names(text: str, known: Sequence[str], *, listing: str = "") -> str:
-    """Return as text all known names, or the three nearest to `text` and what lists all."""
+    """Return as text all known names, or the three nearest to `text` and what lists all.
+
+    Of more than `MOST_NAMES`, the nearest are the first.
+    """
+    near = find_nearest_names(text, known) if len(known) > MOST_NAMES else []
     if len(known) <= (MOST_NAMES if listing else MOST_UNLISTED):
-        names = ", ".join(known)
+        names = ", ".join(dict.fromkeys([*near, *known]))
         return names if len(known) == 1 else f"one of {names}"
-    near = find_nearest_names(text, known)
     rest = f"{', '.join(near)}, … {len(known) - len(near)} more"
     return f"{rest}: `{listing}`" if listing else rest
 

@@ -96,7 +96,7 @@ def test_rows_of_a_table_in_latex_can_be_chosen(results: Results) -> None:
     assert solvers == ["solver", *chosen["solver"]]
     assert "not run" in results.to_latex() and "not run" not in known
     assert results.to_latex(chosen, ["solver"]).count(r"\\") == 1 + len(chosen)
-    with pytest.raises(InputError, match=r"found 'dapq'; allowed: daqp"):
+    with pytest.raises(InputError, match=r"found 'dapq'; allowed: one of daqp"):
         results.to_latex(solvers=["dapq"])
     with pytest.raises(InputError, match="found 'solver'"):
         results.to_latex("paired_ratios", solvers=["daqp"])
@@ -115,7 +115,7 @@ def test_every_table_in_latex_is_complete_ascii(results: Results) -> None:
 
 
 def test_an_unknown_table_is_named_with_the_nearest(results: Results) -> None:
-    with pytest.raises(KeyError, match="no table 'verdict'; allowed: verdicts"):
+    with pytest.raises(KeyError, match="no table 'verdict'; allowed: one of verdicts"):
         results.tables["verdict"]
 
 

@@ -138,7 +138,7 @@ def test_the_worst_error_of_a_closed_loop_is_named_without_an_export(records: An
 def test_other_names_and_names_of_nobody(written: Any) -> None:
     text, _ = compare_solver(written.report, "piqp", ["clarabel"])
     assert text.startswith("# piqp compared with clarabel\n")
-    with pytest.raises(InputError, match=r"--for: found 'piq'; allowed: one of clarabel, "):
+    with pytest.raises(InputError, match=r"--for: found 'piq'; allowed: one of piqp, "):
         compare_solver(written.report, "piq")
     with pytest.raises(InputError, match="--against: found 'nobody'"):
         compare_solver(written.report, "piqp", ["nobody"])
