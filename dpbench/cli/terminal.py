@@ -71,7 +71,7 @@ def wrap_paragraph(text: str, *, first: str = "", others: str = "") -> str:
 def print_wrapped(lines: Iterable[str]) -> None:
     """Print lines of text, all but commands wrapped at 80 columns with a hanging indent of two."""
     for line in lines:
-        is_whole = len(line) <= WIDTH or line.startswith("dpbench run ")
+        is_whole = len(line) <= WIDTH or line.lstrip().startswith("dpbench run ")
         print(line if is_whole else wrap_paragraph(line, others="  "))
 
 
