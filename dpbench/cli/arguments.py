@@ -255,7 +255,7 @@ COMMANDS: dict[str, CommandHelp] = {
             "compare results/mine --solver 'osqp[rho=1.6]' --solver daqp",
         ),
         f"0 no significant regression; 1 a significant regression; {_BAD_INPUT}; "
-        "CODE (--disturbed-exit) times not judged, no significant regression",
+        "CODE (--disturbed-exit) step times are not judged, and there is no significant regression",
     ),
     "paper": CommandHelp(
         _BENCHMARK,
@@ -274,7 +274,7 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "worst-case": CommandHelp(
         _ANALYSE,
-        "Search for a solver's most iterations or largest error",
+        "Search for a solver's hardest case by iterations or error",
         options.add_worst_case_options,
         ("worst-case osqp --budget 100", "worst-case daqp --goal error --policy warm"),
         f"0 done; {_BAD_INPUT}; 130 interrupted (the worst step so far is written)",
@@ -331,11 +331,11 @@ COMMANDS: dict[str, CommandHelp] = {
         "  NAME_weak_side.toml   scenario with weather from the direction with the\n"
         "                        smallest wind held\n"
         "  NAME_capability.svg   capability plot\n"
-        "In FILE.csv, give the sector or barred zone of an azimuth thruster as the directions in "
-        "which it pushes the ship, clockwise from ahead; its race (wash) goes the opposite way. "
-        "For example, if the race of a port azimuth thruster must not point between 60° and 120°, "
-        "towards the starboard one, set the columns barred_from_deg and barred_to_deg to 240 and "
-        "300.\n"
+        "In the file of --thrusters, give the sector or barred zone of an azimuth thruster as the "
+        "directions in which it pushes the ship, clockwise from ahead; its race (wash) goes the "
+        "opposite way. For example, if the race of a port azimuth thruster must not point between "
+        "60° and 120°, towards the starboard one, set the columns barred_from_deg and "
+        "barred_to_deg to 240 and 300.\n"
         "If NAME.toml exists and only --sea is given, write the scenario and the suite of that "
         "ship for that sea.",
     ),
@@ -350,8 +350,8 @@ COMMANDS: dict[str, CommandHelp] = {
         "Search for controller weights and horizons for a ship",
         options.add_tune_options,
         ("tune my_ship_weather.toml --seas 4,5", "tune my_ship_weak_side.toml my_ship_intact.toml"),
-        "0 a controller was found that keeps the ship within --margin; 1 the best controller "
-        f"does not, in the search or in the test; {_BAD_INPUT}",
+        "0 a controller was found that keeps the ship within --margin; 1 the best controller does "
+        f"not keep the ship within --margin in the search or in the test; {_BAD_INPUT}",
         "Search for controller weights and horizons that keep the ship on station with a margin "
         "and with little thruster wear. Test them in other realisations of the sea and write a "
         "scenario with them. Each controller is judged by its largest offset over all scenarios. "

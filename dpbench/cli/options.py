@@ -169,8 +169,8 @@ def add_report_options(report: Command) -> None:
 def add_compare_options(compare: Command) -> None:
     """Add the options of `dpbench compare` to its parser."""
     folders = (
-        "two result folders, first before, then after a change; one with --solver; two or more "
-        "with --releases"
+        "two result folders: that from before a change, then that from after it; with --solver, "
+        "one folder; with --releases, two or more"
     )
     compare.add_argument("folders", metavar="DIR", nargs="+", help=folders)
     chosen = "configuration to compare within one folder, such as osqp or 'osqp[rho=1.6]'"
@@ -178,7 +178,7 @@ def add_compare_options(compare: Command) -> None:
     releases = "compare the releases of each solver that the folders contain"
     _flag(compare, "--releases", releases)
     reference = (
-        "divide step times by those of this solver; always done for results of two machines "
+        "divide step times by those of this solver; results from two machines are always divided "
         "(default: paper_active_set, or daqp if that was not run)"
     )
     _option(compare, "--reference", "SOLVER", reference)
@@ -208,7 +208,7 @@ def add_export_options(export: Command) -> None:
         "scenario, sequence (name, .npz file or random_mpc-STATES-INPUTS-HORIZON) or folder of QPs"
     )
     export.add_argument("what", metavar="WHAT", nargs="?", help=problems)
-    _flag(export, "--all", "write all stored sequences instead")
+    _flag(export, "--all", "write all stored sequences instead of WHAT")
     choice = export.add_argument_group("selection")
     horizons = "use these prediction and control horizons instead of the scenario's"
     _option(choice, "--horizons", "N_p/N_c", horizons)
@@ -257,7 +257,7 @@ def _add_call_options(group: Command, *, has_settings: bool = False) -> None:
     _option(group, "--policy", "POLICY", policies, default="fresh")
     if has_settings:
         levels = (
-            "settings: default (those of the library, also without this option), low, mid, high, "
+            "settings: default (those of the library; used without this option), low, mid, high, "
             "or a tolerance such as 1e-4"
         )
         _option(group, "--settings", "NAME", levels, default="default")
@@ -316,8 +316,8 @@ def add_init_options(init: Command) -> None:
     moment = "largest yaw moment [kN·m] (default: 0.57 times --sway-thrust times --length)"
     _option(thrust, "--yaw-moment", "KNM", moment)
     rows = (
-        "read the thrusters from this file, one per row, instead of their forces; '-' prompts for "
-        "them"
+        "read the thrusters from this file, one per row, in place of the three options above; '-' "
+        "prompts for the thrusters"
     )
     _option(thrust, "--thrusters", "FILE.csv", rows)
     _option(
@@ -445,8 +445,8 @@ def add_tune_solver_options(tune: Command) -> None:
     _option(data, "--steps", "N", "use at most N steps of each (default: all)", type=int, default=0)
     search = tune.add_argument_group("search")
     ranges = (
-        "search this option, from the first value to the second, and none of the predefined ones, "
-        "such as 'rho=[1e-3,10]'"
+        "search this option from the first value to the second, such as 'rho=[1e-3,10]', and no "
+        "predefined range"
     )
     repeated(search, "--range", "RANGE", ranges, dest="ranges")
     widened = "search this option too, in this range; the others keep their predefined ranges"
@@ -477,7 +477,7 @@ def add_tune_options(tune: Command) -> None:
     trials = "number of controllers to try (default: 48)"
     _option(search, "--trials", "N", trials, type=int, default=48)
     count = (
-        "number of realisations of each sea in the search (default: 2); as many others in the test"
+        "number of realisations of each sea in the search, and of others in the test (default: 2)"
     )
     _option(search, "--realisations", "N", count, type=int, default=2)
     margin = "largest allowed offset, as a share of the limits of 5 m and 5° (default: 0.7)"

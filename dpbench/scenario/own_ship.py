@@ -247,7 +247,7 @@ def compute_mean_force_of_dp_number(
     has no hull for it.
     """
     if vessel.capability is None:
-        allowed = "this table, with at least breadth_m and draught_m, and [windage]"
+        allowed = "this table with at least breadth_m and draught_m, and the table [windage]"
         raise InputError(vessel.where, "capability", "nothing", allowed)
     condition = Condition(*DP_NUMBERS[number])
     load: Vector = compute_mean_environmental_loads(

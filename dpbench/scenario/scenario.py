@@ -118,7 +118,7 @@ def _require_peak_period_s(table: EstimatorTable, spec: ScenarioFile, where: str
     if table.peak_period_s is not None:
         return table.peak_period_s
     if spec.environment.waves is None:
-        allowed = "the peak period of the waves for the filter, as the weather has no waves"
+        allowed = "the wave peak period for the filter, as the weather of the scenario has no waves"
         raise InputError(where, "peak_period_s", "nothing", allowed)
     return spec.environment.waves.tp_s
 
@@ -376,7 +376,7 @@ def _check_and_identify_fmu(spec: ScenarioFile, table: FmuTable, path: Path) -> 
     """Return a scenario file whose FMU is found, checked and identified by its SHA-256."""
     file = next((p for p in (path.parent / table.file, Path(table.file)) if p.is_file()), None)
     if file is None:
-        allowed = "an FMU; a relative path starts at the folder of this file"
+        allowed = "an FMU; a relative path starts at the folder of the scenario file"
         raise InputError(str(path), "plant.fmu.file", f"no such file {table.file!r}", allowed)
     read_fmu_interface(file, table, str(path))
     own = hash_fmu(file)

@@ -198,7 +198,9 @@ class Environment:
             coefficients[WIND_U:DRIFT_U] = vessel.windage.wind_force_coefficients(vessel.length_m)
         if self.drift is not None:
             if vessel.reflection is None:
-                allowed = "a breadth and wave reflection, because the weather has wave drift"
+                allowed = (
+                    "a breadth and the wave reflection coefficients, as the weather has wave drift"
+                )
                 raise InputError(vessel.where, "reflection", "nothing", allowed)
             coefficients[DRIFT_U:] = vessel.reflection.wave_drift_coefficients(
                 vessel.length_m, self.drift.sea

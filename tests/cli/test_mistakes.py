@@ -26,7 +26,7 @@ def changed(text: str, key: str, line: str) -> str:
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
-        (HEAD, ["x.toml: nothing to run; required: [[closed_loop]]"]),
+        (HEAD, ["x.toml: nothing to run; required: a table of runs"]),
         (HEAD + '[[closed_loop]]\nscenarios = ["papr"]\n', ["x.toml: scenario name", "paper"]),
         (
             HEAD + '[[closed_loop]]\nscenarios = ["my.toml"]\n',

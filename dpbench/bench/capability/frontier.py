@@ -78,7 +78,7 @@ class CapabilityPlot:
                 vessel.where, "thrusters", "nothing", "a [[thrusters]] table for each thruster"
             )
         if vessel.capability is None:
-            allowed = "this table, with at least breadth_m and draught_m, and [windage]"
+            allowed = "this table with at least breadth_m and draught_m, and the table [windage]"
             raise InputError(vessel.where, "capability", "nothing", allowed)
         if sides is not None and (sides < 4 or sides % 2):
             raise InputError("`sides`", "", sides, "an even number, 4 or more")

@@ -186,7 +186,9 @@ def refuse_invalid_own_settings(suite: SuiteFile, choices: Iterable[str], where:
                 where = f"suite: settings.{name}"
                 is_preset = name in list_preset_names(solver)
                 found = "the name of a preset" if is_preset else "a tolerance as a name"
-                raise InputError(where, "", found, "a name that is no tolerance and no preset")
+                raise InputError(
+                    where, "", found, "a name that is neither a tolerance nor a preset"
+                )
 
 
 def _refuse_unavailable_call_mode(solver: str, table: SettingsTable) -> None:
@@ -325,7 +327,7 @@ def find_backup_and_refusal(name: str) -> tuple[str, str]:
     one = name != "all" and "[" not in name
     (solver,) = _resolve_solvers("closed_loop.backup", [name]) if one else ("",)
     if not solver or find_plugin_file(solver) or solver in CALIBRATION:
-        allowed = "one solver without options, of `list_solvers()` or of an installed plug-in"
+        allowed = "one solver without options, from `list_solvers()` or an installed plug-in"
         raise InputError("suite", "closed_loop.backup", repr(name), allowed)
     here = find_solver_availability(solver)
     return solver, "" if here.ok else f"backup {solver}: {here.reason}"

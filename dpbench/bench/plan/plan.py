@@ -110,7 +110,7 @@ def _load_scenario_of_suite(name: str, beside: Path | None) -> Scenario:
 def _explain_empty_plan(suite: SuiteFile, solvers: Sequence[str]) -> str:
     """Return why a suite, reduced to the requested runs, has no run."""
     if not any(getattr(suite, key) for key in SuiteFile.list_names_of_run_tables()):
-        return "nothing to run; required: [[closed_loop]] or another table of runs"
+        return "nothing to run; required: a table of runs, such as [[closed_loop]] or [[replay]]"
     if set(solvers) == {BASELINE_LAW}:
         where = "closed loops, with the settings default and the policy fresh"
         return f"nothing to run for {BASELINE_LAW}, as it runs only in {where}"

@@ -383,7 +383,9 @@ def check_call_modes(suite: SuiteFile, solvers: Sequence[str], has_routes: bool)
         argument = "`routes`" if has_routes else "`policies`"
         if len(missing) > 1:
             found = f"{found}, which none of the {len(missing)} solvers has"
-            raise PolicyError(argument, "", found, f"a mode of one of them; {name} has {allowed}")
+            raise PolicyError(
+                argument, "", found, f"a mode that one of them supports, such as {allowed} ({name})"
+            )
         raise PolicyError(argument, "", f"{found}, which {name} does not have", allowed)
     return [
         f'{name} does not run: it does not support the call mode "{found}"'

@@ -137,7 +137,7 @@ _FIGURES = (
     style.tooltip("off:N", f"{style.ERROR}, in all replays"),
     alt.Tooltip("p50_us:Q", title="p50 [µs]", format=".3r"),
     alt.Tooltip("p99_us:Q", title="p99 [µs]", format=".3r"),
-    style.tooltip("timed_on:N", "times from the replay of"),
+    style.tooltip("timed_on:N", "replay for the times"),
 )
 
 

@@ -489,7 +489,7 @@ def _describe_limiting_p99(margin: SpeedMargin, wait: str, measured_ns: float) -
     wait *= margin.p99.time_ns == margin.hardest.time_ns
     step = f"{_name_slow_step(margin.p99)} ({_describe_work(margin.p99)})"
     estimated = (
-        f" It is estimated from a window of {run.steps_planned} of the "
+        f" The limiting p99 is estimated from a window of {run.steps_planned} of the "
         f"{plural(run.steps_searched_for_hardest, 'step')} of `{run.scenario}`, without a "
         "confidence interval."
     ) * bool(run.steps_searched_for_hardest)
@@ -511,7 +511,7 @@ def _describe_limiting_p99(margin: SpeedMargin, wait: str, measured_ns: float) -
     time = format_time(margin.limiting_p99_ns)
     scaled = f"the limiting p99 is {significant(run.untimed_iterations)} times as long, {time}"
     if isclose(margin.limiting_p99_ns, run.algo_max_ns, rel_tol=ROUNDING):
-        scaled = f"it is scaled up, but at most to the longest step: the limiting p99 is {time}"
+        scaled = f"this p99 is scaled up, at most to the longest step: the limiting p99 is {time}"
     return (
         f"{measured} The p99 of the iterations is larger in the closed loop than in the {than}, so "
         f"{scaled} (formula: page “Method” of the documentation).{beyond}{estimated}"

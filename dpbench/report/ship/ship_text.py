@@ -392,7 +392,7 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
     for ship in after[:MOST_NAMED]:
         run = ship.run
         losses = [f"{join_with_and(names)} at {at_s:g} s" for at_s, names in list_losses(run)]
-        what = f"the loss of {join_with_and(losses)}" if losses else "the loss of force limits"
+        what = f"the loss of {join_with_and(losses)}" if losses else "the drop of the force limits"
         largest = (
             f"{significant(run.exact_loss_offset_max_m)} m",
             f"{significant(run.exact_loss_heading_max_deg)}°",

@@ -88,7 +88,8 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
             f"is larger.{below}"
         )
     waits = [
-        f"{WAITS_NS[n] / 1e3:g} µs as {significant(p50 / 1e3, 4)} µs" for n, p50 in missed.items()
+        f"{WAITS_NS[n] / 1e3:g} µs measured as {significant(p50 / 1e3, 4)} µs"
+        for n, p50 in missed.items()
     ]
     worst = max(abs(compute_excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
@@ -124,7 +125,7 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
-        "The limits of a quiet machine hold for the complete command. Taken one by one, "
+        "The limits for a quiet machine apply to the whole command. Taken one by one, "
         f"{format_count(worse)} of {format_count(len(timed))} replays{windows} exceeded the limit "
         f"of {' or '.join(kinds)}. A ratio of step times from one of these is significant only if "
         "its interval is outside 1/s to s, where s is the time of the slowest round divided by "

@@ -21,7 +21,7 @@ STATE_NAMES = ("surge", "sway", "yaw", "north", "east", "heading")
 """Names of [u, v, r, n, e, ψ] in the tables of an FMU."""
 FORCE_NAMES = ("surge", "sway", "yaw")
 _VERSIONS = ("2.0", "3.0")
-_WHAT = "a co-simulation FMU, version 2.0 or 3.0"
+_WHAT = "a co-simulation FMU of FMI version 2.0 or 3.0"
 _REAL = ("Real", "Float64")
 # Exponents of kg, m, s; those of rad are left out, as angles are often declared as numbers.
 _FORCE, _MOMENT, _LENGTH, _ANGLE = (1, 1, -2), (1, 2, -2), (0, 1, 0), (0, 0, 0)

@@ -193,7 +193,7 @@ class LinearMPC:
             if is_wrong:
                 raise InputError(name, key, shorten_found(getattr(self, key)), allowed)
         if not 1 <= self.control_horizon <= self.prediction_horizon:
-            allowed = f"1 to prediction_horizon, {self.prediction_horizon}"
+            allowed = f"1 to prediction_horizon ({self.prediction_horizon})"
             raise InputError(name, "control_horizon", self.control_horizon, allowed)
         problem = ControlProblem(
             augment_to_incremental_model(self.model),
@@ -208,7 +208,7 @@ class LinearMPC:
         )
         eigenvalues = np.linalg.eigvalsh(CondensedQP(problem).P)
         if not eigenvalues[0] > _ROUNDING * len(eigenvalues) * eigenvalues[-1]:
-            found = f"a Hessian with the smallest eigenvalue {eigenvalues[0]:.1g}"
+            found = f"a Hessian whose smallest eigenvalue is {eigenvalues[0]:.1g}"
             allowed = "weights that make it positive definite, such as weights above 0"
             raise InputError(name, "increment_weight", found, allowed)
         return LinearController(

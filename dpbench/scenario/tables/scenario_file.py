@@ -125,7 +125,7 @@ class PlantTable(FileModel):
         """Return the table itself; ValueError for a mismatch of a ship that an FMU replaces."""
         if self.fmu is not None and (self.mass_percent or self.damping_percent):
             key = "mass_percent" if self.mass_percent else "damping_percent"
-            allowed = "no mass_percent or damping_percent with fmu, which replaces the ship"
+            allowed = "either fmu, which replaces the ship, or mass_percent and damping_percent"
             raise KeysError(f"{key} together with fmu", allowed)
         return self
 

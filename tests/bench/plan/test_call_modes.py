@@ -111,7 +111,7 @@ def test_a_policy_alone_keeps_the_routes_of_the_suite(suite: str) -> None:
         ),
         (
             {"policies": ["warm"], "solvers": ["quadprog", "ecos"]},
-            "warm, which none of the 2 solvers has; allowed: a mode of one of them; ecos has",
+            "warm, which none of the 2 solvers has; allowed: a mode that one of them supports",
         ),
     ],
 )

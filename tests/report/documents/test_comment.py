@@ -143,7 +143,8 @@ def test_other_names_and_names_of_nobody(written: Any) -> None:
     with pytest.raises(InputError, match="--against: found 'nobody'"):
         compare_solver(written.report, "piqp", ["nobody"])
     for choice in ("piqp[tol=1]", "piqp mine"):
-        form = f"--for: found '{re.escape(choice)}'; allowed: piqp, .*, without settings; `dpbench "
+        found = f"--for: found '{re.escape(choice)}'; allowed: one of piqp, "
+        form = found + ".*, without settings; `dpbench "
         with pytest.raises(InputError, match=form):
             compare_solver(written.report, choice)
 

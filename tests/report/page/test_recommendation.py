@@ -146,7 +146,9 @@ def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int,
     following = time.replace("`", "").format("30.0 µs")
     against = "Compared with daqp (qpsolvers fresh): too few common steps for a ratio (15 of 500)."
     assert f"{following}. {against}" in ending["next"]
-    estimated = "It is estimated from a window of 15 of the 450 steps of paper, without a"
+    estimated = (
+        "The limiting p99 is estimated from a window of 15 of the 450 steps of paper, without a"
+    )
     assert (estimated in ending["margin"]) is (of == 450)
 
 

@@ -134,7 +134,7 @@ def test_a_wait_is_said_by_its_largest_replay(records: Any) -> None:
     (waits,) = (
         line for line in topic.lines if "of known length, 1 had an error above both" in line
     )
-    assert "50 µs as 52.00 µs. Absolute times" in waits
+    assert "50 µs measured as 52.00 µs. Absolute times" in waits
     assert "may be wrong by up to 4.0 %" in waits
     assert "busy_wait_50us 52.0 µs" in records.ending()["timing"]
 

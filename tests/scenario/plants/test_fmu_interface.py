@@ -40,7 +40,7 @@ def read_changed(fmu: Path, folder: Path, old: str, new: str) -> None:
         ("[plant.fmu.parameters]", "[plant.fmu.parameters]\nmass = 1.0", "parameters.mass: found"),
         ("[plant.fmu]", "[plant.fmu]\nstep_s = 0.2", "step_s: found 0.2; allowed: the sample t"),
         ("[plant.fmu]", '[plant.fmu]\nsha256 = "00"', "sha256: found '00'; allowed: [0-9a-f]{64}"),
-        ("[plant.fmu]", "[plant]\nmass_percent = 5.0\n[plant.fmu]", "no mass_percent or damp"),
+        ("[plant.fmu]", "[plant]\nmass_percent = 5.0\n[plant.fmu]", "either fmu, which repl"),
         ("[environment]", "[environment]\nmean_kN = [1.0, 0.0, 0.0]", "environment.mean_kN: found"),
         ("ship2.fmu", "none.fmu", "plant.fmu.file: no such file '.*none.fmu'"),
     ],

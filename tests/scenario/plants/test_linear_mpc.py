@@ -153,7 +153,7 @@ def test_a_reference_over_time_keeps_its_last_row() -> None:
         ({"reference": [1.0, 2.0]}, "cart: reference: found"),
         (
             {"control_horizon": 20},
-            "control_horizon: found 20; allowed: 1 to prediction_horizon, 12",
+            "control_horizon: found 20; allowed: 1 to prediction_horizon \\(12\\)",
         ),
         ({"B": [0.5, 1.0]}, r"B: found shape .2,.; allowed: a matrix, such as \[\[1"),
         ({"A": [[np.nan]]}, "cart: A: .*finite"),
@@ -167,7 +167,7 @@ def test_a_reference_over_time_keeps_its_last_row() -> None:
         ({"A": "x"}, "cart: A: found 'x'; allowed: finite numbers"),
         (
             {"increment_weight": [0.0], "output_weight": [0.0]},
-            "a Hessian with the smallest eigenvalue 0; allowed: .*positive definite",
+            "a Hessian whose smallest eigenvalue is 0; allowed: .*positive definite",
         ),
     ],
 )
