@@ -255,7 +255,7 @@ COMMANDS: dict[str, CommandHelp] = {
             "compare results/mine --solver 'osqp[rho=1.6]' --solver daqp",
         ),
         f"0 no significant regression; 1 a significant regression; {_BAD_INPUT}; "
-        "CODE (--disturbed-exit) step times are not judged, and there is no significant regression",
+        "CODE (--disturbed-exit) step times not judged, no significant regression",
     ),
     "paper": CommandHelp(
         _BENCHMARK,

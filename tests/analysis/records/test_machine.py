@@ -87,7 +87,8 @@ def test_the_bar_is_1_us_or_a_hundredth(records: Any, off_us: float, missed: lis
     topic = build_trust_topic(records.view())
     waits = [us / 1e3 for name, us in WAITS_NS.items() if name in missed]
     measured = [f"{us + off_us:#.4g}".rstrip(".").replace("1011", "1\u202f011") for us in waits]
-    off = join_with_and([f"{us:g} µs as {m} µs" for us, m in zip(waits, measured, strict=True)])
+    pairs = zip(waits, measured, strict=True)
+    off = join_with_and([f"{us:g} µs measured as {m} µs" for us, m in pairs])
     assert (off or "to within 1 µs or 1 %, whichever is larger.") in topic.lines[0]
     if waits:
         worst = f"wrong by up to {format_sample_share(max(off_us / us for us in waits))}."
