@@ -64,10 +64,10 @@ def _explain_step_times(data: PageData) -> str:
     which = " (column `timed_on` of `tables/ladder.csv`)" * (len(timed_on) > 1)
     untimed = [v for v in list_main_verdicts(data.verdicts) if v.state != "not run"]
     names = _mark_names(v.configuration.solver for v in untimed if not v.timed_on)
-    is_are = "is" if len(names) == 1 else "are"
-    absent = (f" {join_with_and(names)} {is_are} absent, because its replays were stopped.") * bool(
-        names
-    )
+    is_are, them = ("is", "it") if len(names) == 1 else ("are", "them")
+    absent = (
+        f" {join_with_and(names)} {is_are} absent: no replay of {them} was timed completely."
+    ) * bool(names)
     left_out = len(list_best_verdict_of_own_settings(data.verdicts)) - MOST_OWN
     more = f" {left_out} more custom settings: `tables/verdicts.csv`." * (left_out > 0)
     return (

@@ -150,9 +150,8 @@ def describe_losses_held(analysis: ConsequenceAnalysis) -> str:
     held = [f"the loss of {' or of '.join(of)} can be held {time}" for time, of in when.items()]
     loop = _describe_analysed_loop(analysis)
     lost = f" {caution}" if (caution := describe_analysed_ship(analysis)) else ""
-    static = (
-        " The analysis is static and has a margin: the simulated ship may hold its station."
-    ) * (_NEVER in when)
+    static = " The analysis is static: the simulated ship may hold its station."
+    static *= _NEVER in when and not lost
     return (
         f"In {analysis.name}{loop} {'; '.join(held)} ({describe_required_force(analysis)})."
         f"{static}{lost}"

@@ -1,8 +1,9 @@
 """Text of the controller's own result: the first lines of every report."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.verdict.ship_results import ShipResult, is_accurate_loop
@@ -148,8 +149,13 @@ def _has_noise_or_estimator(ship: ShipResult) -> bool:
 
 def list_losses(run: RunRecord) -> list[tuple[float, list[str]]]:
     """Return the time [s] and the names of each loss of thrusters in the scenario of a run."""
-    faults = (run.scenario_documents or {}).get("scenario", {}).get("faults") or ()
+    faults = _get_faults(run)
     return [(fault["at_s"], [*map(str, fault["lost"])]) for fault in faults if fault.get("lost")]
+
+
+def _get_faults(run: RunRecord) -> Sequence[Mapping[str, Any]]:
+    """Return the tables of the faults in the scenario of a run."""
+    return (run.scenario_documents or {}).get("scenario", {}).get("faults") or ()
 
 
 def _name_failures(lost: Sequence[ShipResult]) -> str:
@@ -420,7 +426,10 @@ def _name_stopped_before_loss(known: Sequence[ShipResult]) -> str:
     early = [
         ship
         for ship in known
-        if any(at_s >= ship.run.exact_steps * ship.run.sample_s for at_s in _list_faults(ship.run))
+        if any(
+            fault["at_s"] >= ship.run.exact_steps * ship.run.sample_s
+            for fault in _get_faults(ship.run)
+        )
     ]
     runs = f"{'run' if len(early) == 1 else 'runs'} of {_name_ships(early)}"
     were = "was" if len(early) == 1 else "were"
@@ -428,12 +437,6 @@ def _name_stopped_before_loss(known: Sequence[ShipResult]) -> str:
         f"The {runs} {were} stopped before a loss in the scenario, so the ship was not simulated "
         "after it."
     ) * bool(early)
-
-
-def _list_faults(run: RunRecord) -> list[float]:
-    """Return the times of all faults in the scenario of a run [s]."""
-    faults = (run.scenario_documents or {}).get("scenario", {}).get("faults") or ()
-    return [float(fault["at_s"]) for fault in faults]
 
 
 def _name_unsettled(known: Sequence[ShipResult]) -> str:
