@@ -134,8 +134,8 @@ def find_worst_case(
     _refuse_bad_options(goal, budget, steps, seed)
     solver, own = parse_choice_without_grid(solver, "worst-case", "one value per option")
     if own and settings != DEFAULT:
-        allowed = f"no preset together with options of {solver}"
-        raise InputError("--settings", "", repr(settings), allowed)
+        found = f"{settings!r} with the options of {solver}"
+        raise InputError("--settings", "", found, "a preset or options, not both")
     path = Path("worst-cases") / f"{solver}-{goal}.npz" if out is None else Path(out)
     if path.suffix != ".npz":
         raise InputError("--out", "", repr(path.name), "a file name that ends in .npz")

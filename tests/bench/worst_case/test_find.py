@@ -298,7 +298,10 @@ def test_a_model_ship_is_pushed_by_what_it_can_hold() -> None:
         (["daqp", "--settings", "best"], "'best'"),
         (["osqp[rhoo=1.6]"], "settings of osqp: rhoo: found an unknown option"),
         (["osqp[rho=[1,2]]"], "worst-case: found osqp[rho=[1,2]]; allowed: one value per option"),
-        (["osqp[rho=1]", "--settings", "high"], "no preset together with options of osqp"),
+        (
+            ["osqp[rho=1]", "--settings", "high"],
+            "with the options of osqp; allowed: a preset or options, not both",
+        ),
         (["daqp", "--out", "found.txt"], "--out"),
         (["daqp", "--scenario", "nowhere"], "nowhere"),
     ],
