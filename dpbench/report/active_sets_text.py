@@ -53,4 +53,4 @@ def _format_p50_and_p99(values: Floats) -> str:
     """Return median and p99 of numbers as text; a dash without any."""
     if not len(values):
         return MISSING
-    return " and ".join(format_count(int(np.percentile(values, q))) for q in (50, 99))
+    return " and ".join(format_count(round(float(np.percentile(values, q)))) for q in (50, 99))
