@@ -195,7 +195,8 @@ def test_the_load_is_compared_with_the_thrust_left_after_a_loss() -> None:
         "thrust."
     ) in " ".join(lines.split())
     larger = check_ship._describe_shares_after_losses(scenario, {"simulated": 10.0 * load})
-    assert "needs more than 100 % (simulated) of the remaining thrust" in larger
+    assert "needs more than 100 % (simulated) of the remaining thrust. The ship then" in larger
+    assert larger.endswith("cannot hold the mean load (simulated).") and "cannot" not in lines
 
 
 def test_thrusters_show_what_they_make_together(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -242,13 +242,16 @@ def _describe_shares_after_losses(scenario: Scenario, loads: Mapping[str, Vector
     for loss in losses:
         names, at_s = loss["lost"], loss["at_s"]
         lost |= scenario.vessel.thrusters.find_indices_of_thrusters_or_groups(names, "", "")
-        needed = []
+        needed, too_large = [], []
         for name, load in loads.items():
-            share = reach.find_least_thrust_share(-load, lost)
+            share, model = reach.find_least_thrust_share(-load, lost), name.rpartition(", ")[2]
             percent = f"{100 * share:.0f}" if share <= 1.0 else "more than 100"
-            needed.append(f"{percent} % ({name.rpartition(', ')[2]})")
+            needed.append(f"{percent} % ({model})")
+            too_large += [model] * (share > 1.0)
         text += f" After the loss of {join_with_and(names)} at {at_s:g} s, the mean load needs "
         text += f"{' or '.join(needed)} of the remaining thrust."
+        if too_large:
+            text += f" The ship then cannot hold the mean load ({' or '.join(too_large)})."
     return text
 
 

@@ -360,11 +360,18 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         moves = ", once it has arrived there"
         largest = "On station, the largest offset"
     return (
-        f"With exactly solved QPs, the controller holds the ship on station "
-        f"({_format_station_limits(farthest)}){weather} {where}{moves}. {largest} is "
-        f"{significant(run.exact_offset_max_m)} m{at} "
+        "With exactly solved QPs, the controller holds the ship on station "
+        f"({_format_station_limits(farthest)}){weather} {where} ({_format_durations(kept)})"
+        f"{moves}. {largest} is {significant(run.exact_offset_max_m)} m{at} "
         f"({significant(run.exact_offset_end_m)} m at {end})."
     )
+
+
+def _format_durations(ships: Sequence[ShipResult]) -> str:
+    """Return the simulated time [s] of ships as text, a range where it differs."""
+    times_s = [ship.run.exact_steps * ship.run.sample_s for ship in ships]
+    shortest, longest = f"{min(times_s):.4g}", f"{max(times_s):.4g}"
+    return f"{shortest} s" if shortest == longest else f"{shortest} to {longest} s"
 
 
 def _describe_transfers(known: Sequence[ShipResult]) -> Iterator[str]:
