@@ -116,7 +116,7 @@ def _describe_counted_runs(runs: Sequence[RunRecord], records: Records) -> str:
     notes = [f". The number of runs includes {plural(refused, 'refused run')}"] * bool(refused)
     if twice:
         why = "because two names of settings stand for the same options"
-        notes.append(f". Both numbers include {plural(twice, 'run')} twice, {why}")
+        notes.append(f". Both numbers count {plural(twice, 'run')} twice, {why}")
     notes += [f". Both numbers exclude {join_with_and(excluded)}"] * bool(excluded)
     return "".join(notes)
 

@@ -167,7 +167,7 @@ def describe_cheapest_solver(sequence: CountedSequence, requirements: Requiremen
     first, *others = right
     following = of_ranked = ""
     if others:
-        of_ranked = f" of {len(right)} accurate solvers"
+        of_ranked = f" of the {len(right)} accurate solvers"
         p99, worst = format_count(others[0].p99), format_count(others[0].worst)
         following = f" `{others[0].solver}` follows (p99 {p99}, maximum {worst})."
     return (
@@ -199,7 +199,7 @@ def yield_ranking_sentences(
         more = f", and {len(pairs) - MOST_PAIRS} more" if len(pairs) > MOST_PAIRS else ""
         where = _mark_sequence_and_core(sequence)
         yield (
-            f"In {where}, instruction counts and times on this machine rank solvers differently: "
+            f"In {where}, instruction counts rank solvers differently from times on this machine: "
             f"{join_with_and(named)}{more}."
         )
     if alike:
@@ -208,7 +208,7 @@ def yield_ranking_sentences(
         solvers = "the solvers" if is_whole else join_with_and([f"`{name}`" for name in ranked])
         where = "" if len(alike) == len(sequences) else f" in {join_with_and(alike)}"
         yield (
-            f"Instruction counts and times on this machine rank {solvers} in the same order{where}."
+            f"Instruction counts rank {solvers} in the same order as times on this machine{where}."
         )
 
 

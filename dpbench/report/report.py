@@ -162,7 +162,10 @@ class Report:
         if headline.sentence and not (lead and lead.id == "loops"):
             rows.append(("solver" if lead else "answer", headline.sentence))
         noted = [(about, text) for about, text in headline.notes if about in TERMINAL_NOTES]
-        rows += [(about, text.removeprefix("The next fastest is ")) for about, text in noted]
+        rows += [
+            (about, text.removeprefix("The next fastest solver that passes is "))
+            for about, text in noted
+        ]
         beside = (topic for topic in self.topics if topic.id in BESIDE and not topic.leads)
         rows += [(topic.id, topic.lines[0]) for topic in beside]
         if excluded := " ".join(yield_excluded_points_sentences(self.data.studies)):

@@ -78,7 +78,8 @@ def test_a_lost_ship_is_a_banner_with_when_and_how_far(records: Any) -> None:
         "largest offset 37.0 m at 30.0 s, last offset 36.0 m."
     )
     assert (
-        "in 1 of 2 scenarios. The largest offset is 1.77 m, at the start of `rough` (" in told.text
+        "in 1 of 2 scenarios (30 s). The largest offset is 1.77 m, at the start of `rough` ("
+        in told.text
     )
 
 
@@ -203,7 +204,7 @@ def test_a_small_offset_that_is_largest_at_the_end_is_not_settled(
     """0.271 m after the loss and at the end, be an offset before the loss larger or not."""
     own = {"exact_loss_offset_max_m": 0.271, "exact_offset_end_m": 0.271} | columns
     records.loop("daqp", "thrusters_loss", steps=500, **own)
-    said = "At the end of `thrusters_loss`, the offset still grows or swings."
+    said = "At the end of `thrusters_loss`, the offset has not settled."
     assert (said in _summary(records).headline) != is_settled
     assert "At the end, 60.0 s after the loss, the offset is 0.2" in _summary(records).details
     assert "still rises" not in _summary(records).caution
@@ -525,7 +526,7 @@ def test_an_undamped_swing_after_a_loss_is_named(
     after = {"exact_loss_offset_max_m": 2.5, "exact_loss_heading_max_deg": 1.25}
     records.loop("daqp", "thrusters_loss", exact_loss_swing_m=swing_m, **after)
     summary = _summary(records)
-    said = "At the end of `thrusters_loss`, the offset still grows or swings."
+    said = "At the end of `thrusters_loss`, the offset has not settled."
     assert (said in summary.headline) == is_named
     ending = "heading error 0.0100°; the ship still swings by 0.500 m, without decay."
     assert (ending in summary.details) == is_named
@@ -534,9 +535,11 @@ def test_an_undamped_swing_after_a_loss_is_named(
 def test_weather_from_one_direction_is_named_with_it(records: Any) -> None:
     """Wind and waves of `weather` come from 40°, its current goes to 220°; `paper` has none."""
     records.loop("daqp", "weather")
-    assert "(5 m, 5°) in weather from 40° in `weather`. The largest" in _summary(records).text
+    assert (
+        "(5 m, 5°) in weather from 40° in `weather` (36 s). The largest" in _summary(records).text
+    )
     records.loop("daqp", "thrusters")
-    assert "(5 m, 5°) in weather from 40° in 2 of 2 scenarios. " in _summary(records).text
+    assert "(5 m, 5°) in weather from 40° in 2 of 2 scenarios (36 s). " in _summary(records).text
     records.loop("daqp", "paper")
     assert "weather from" not in _summary(records).text
 
@@ -570,18 +573,18 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     text = _summary(records).text
     assert text.startswith(
         "With exactly solved QPs, the controller holds the ship on station (5 m, 5°) in 2 of 2 "
-        "scenarios, once it has arrived there. On station, the largest offset is 1.77 m, at the "
-        "start of `paper` (0.0400 m at its end)."
+        "scenarios (36 s), once it has arrived there. On station, the largest offset is 1.77 m, at "
+        "the start of `paper` (0.0400 m at its end)."
     )
     assert text.endswith(
-        "In `turn`, the ship is up to 17.0 m from its setpoint during the approach and on "
+        "In scenario `turn`, the ship is up to 17.0 m from its setpoint during the approach and on "
         "station from t = 73.8 s."
     )
     farther = {"exact_transfer_offset_max_m": 25.0, "exact_transfer_s": 40.2}
     records.loop("daqp", "move", **TURN | farther)
     assert (
-        "In `turn` and `move`, the ship is up to 25.0 m from its setpoint during the approach "
-        "and on station from t = 73.8 s at the latest."
+        "In scenarios `turn` and `move`, the ship is up to 25.0 m from its setpoint during the "
+        "approach and on station from t = 73.8 s at the latest."
     ) in _summary(records).text
 
 
@@ -591,7 +594,7 @@ def test_a_transfer_of_an_earlier_release_is_named_without_numbers(records: Any)
         cell = json.dumps({"scenario": load_scenario(name).files})
         records.loop("daqp", name, cell=cell)
     assert (
-        "In `turn`, the ship is on station after the approach to its setpoint."
+        "In scenario `turn`, the ship is on station after the approach to its setpoint."
         in _summary(records).details
     )
 
@@ -612,7 +615,7 @@ def test_a_small_offset_that_grows_until_the_end_has_not_settled(records: Any) -
     """As after a loss; an offset from 0.5 m on is in the caution, and in it alone."""
     records.loop("daqp", "paper")
     records.loop("daqp", "thrusters", exact_offset_rise_m=0.3, **GROWING)
-    assert "At the end of `thrusters`, the offset still grows or" in _summary(records).headline
+    assert "At the end of `thrusters`, the offset has not settled." in _summary(records).headline
     said = "After the last step of `thrusters`, the offset is 0.446 m and still growing."
     assert said in _summary(records).details and _summary(records).caution == ""
     records.loop("daqp", "waves", exact_offset_rise_m=0.1, **GROWING | {"exact_offset_end_m": 0.45})

@@ -66,15 +66,16 @@ def _explain_step_times(data: PageData) -> str:
     names = _mark_names(v.configuration.solver for v in untimed if not v.timed_on)
     is_are, them = ("is", "it") if len(names) == 1 else ("are", "them")
     absent = (
-        f" {join_with_and(names)} {is_are} absent: no replay of {them} was timed completely."
+        f" {join_with_and(names)} {is_are} absent: no replay of {them}, except windows, was timed "
+        "completely."
     ) * bool(names)
     left_out = len(list_best_verdict_of_own_settings(data.verdicts)) - MOST_OWN
     more = f" {left_out} more custom settings: `tables/verdicts.csv`." * (left_out > 0)
     return (
         "Step time of each solver in the replays and windows of hardest steps. The marker shows "
         f"the p50 in the replay of {replay}{which}. The bar ends at the limiting p99, the line at "
-        "the longest step and the dashed line at the largest single timing, including closed "
-        f"loops. The grey bar shows the call overhead.{absent}{more}"
+        "the longest step and the dashed line at the largest single timing, in closed "
+        f"loops too. The grey bar shows the call overhead.{absent}{more}"
     )
 
 

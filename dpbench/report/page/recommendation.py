@@ -232,14 +232,14 @@ def _describe_choice(
     own = is_recommended and record is not None and record.extra == "own"
     both = describe_consequence_solver(data.records, c.solver)
     timed = copy_with_thruster_times(data.records, data.requirements, chosen)
-    feasible = " feasible" * bool(data.list_runs_with_infeasible_steps(c))
+    feasible = " with a feasible QP" * bool(data.list_runs_with_infeasible_steps(c))
     unranked = (
         " Several settings of this solver pass and are equally fast within the noise; these are "
         "the most usual ones."
     ) * (is_recommended and not is_first)
     return (
         f"{both + ' ' if both else ''}{opening}.{' It is part of dpbench itself.' * own}",
-        f"It was accurate on every{feasible} step of {describe_judged_runs(chosen)}. "
+        f"It was accurate on every step{feasible} of {describe_judged_runs(chosen)}. "
         f"{_open_time_sentence(chosen, timed)} {describe_limiting_time(timed)}.",
         f"The largest error of the first move is {format_error(chosen.error_move)} times the "
         f"maximum increment.{_describe_unverified_steps(data, c)}"
@@ -356,7 +356,7 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
         error = _describe_larger_error(chosen, found.runner_up)
         its = _open_time_sentence(found.runner_up, timed)
         time = describe_limiting_time(timed)
-        text = f"The next fastest is {label}. {its} {time}. {beside}{error}"
+        text = f"The next fastest solver that passes is {label}. {its} {time}. {beside}{error}"
         yield "next", text
     named = [*filter(None, (chosen, found.faster, found.runner_up))]
     if short := describe_short_times(data.records, named):
@@ -510,8 +510,14 @@ def _describe_limiting_p99(margin: SpeedMargin, wait: str, measured_ns: float) -
         measured = f"The p99 of {name_experiment(run)} is the time of {step}, {time}{wait}."
     time = format_time(margin.limiting_p99_ns)
     scaled = f"the limiting p99 is {significant(run.untimed_iterations)} times as long, {time}"
+    longest_ns = run.algo_max_ns * run.untimed_iterations_max
     if isclose(margin.limiting_p99_ns, run.algo_max_ns, rel_tol=ROUNDING):
         scaled = f"this p99 is scaled up, at most to the longest step: the limiting p99 is {time}"
+    elif isclose(margin.limiting_p99_ns, longest_ns, rel_tol=ROUNDING):
+        scaled = (
+            "this p99 is scaled up, at most to the longest step, which is scaled too: the limiting "
+            f"p99 is {time}"
+        )
     return (
         f"{measured} The p99 of the iterations is larger in the closed loop than in the {than}, so "
         f"{scaled} (formula: page “Method” of the documentation).{beyond}{estimated}"

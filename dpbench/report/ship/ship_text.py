@@ -377,7 +377,8 @@ def _format_durations(ships: Sequence[ShipResult]) -> str:
 def _describe_transfers(known: Sequence[ShipResult]) -> Iterator[str]:
     """Yield a sentence on ships that move to a new setpoint and then stay on station, if any."""
     if moved := [ship for ship in known if ship.state == "on station" and ship.has_transfer]:
-        yield f"In {_name_ships(moved)}, the ship is {_describe_arrival(moved)}."
+        scenarios = "scenario" if len(moved) == 1 else "scenarios"
+        yield f"In {scenarios} {_name_ships(moved)}, the ship is {_describe_arrival(moved)}."
 
 
 def find_weather_direction(runs: Iterable[RunRecord]) -> float:
@@ -405,7 +406,11 @@ def _describe_after_losses(known: Sequence[ShipResult]) -> Iterator[str]:
     for ship in after[:MOST_NAMED]:
         run = ship.run
         losses = [f"{join_with_and(names)} at {at_s:g} s" for at_s, names in list_losses(run)]
-        what = f"the loss of {join_with_and(losses)}" if losses else "the drop of the force limits"
+        what = (
+            f"the loss of {join_with_and(losses)}"
+            if losses
+            else "the reduction of the force limits"
+        )
         largest = (
             f"{significant(run.exact_loss_offset_max_m)} m",
             f"{significant(run.exact_loss_heading_max_deg)}°",
@@ -449,9 +454,8 @@ def _name_stopped_before_loss(known: Sequence[ShipResult]) -> str:
 def _name_unsettled(known: Sequence[ShipResult]) -> str:
     """Return a sentence that names ships outside of studies whose small offset still grows."""
     growing = [ship for ship in known if ship.is_unsettled and _has_small_growth(ship)]
-    return (
-        f"{AT_END.capitalize()} of {_name_ships(growing)}, the offset still grows or swings."
-        * bool(growing)
+    return f"{AT_END.capitalize()} of {_name_ships(growing)}, the offset has not settled." * bool(
+        growing
     )
 
 

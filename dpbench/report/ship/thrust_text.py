@@ -96,7 +96,7 @@ def tabulate_thruster_use(ships: Sequence[ShipResult]) -> Table | None:
             "mean thrust [%]": f"{100.0 * mean:.0f}",
             "peak thrust [%]": f"{100.0 * most:.0f}",
             "steps at a limit [%]": f"{100.0 * limit:.0f}",
-            "steps at the rate limit [%]": f"{100.0 * rate:.0f}",
+            "steps at the thrust rate limit [%]": f"{100.0 * rate:.0f}",
         }
         for ship in ships
         if not ship.run.study and (use := ship.thruster_use) is not None

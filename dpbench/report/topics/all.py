@@ -15,7 +15,7 @@ from dpbench.report.page.section import Topic
 from dpbench.report.topics.anytime import build_anytime_topic
 from dpbench.report.topics.capability import build_capability_topic, build_consequence_topic
 from dpbench.report.topics.embedded import build_embedded_topic
-from dpbench.report.topics.paper import build_paper_topic
+from dpbench.report.topics.paper import build_paper_topic, build_stability_topic
 from dpbench.report.topics.random import build_random_topic
 from dpbench.report.topics.replays import (
     build_formulations_topic,
@@ -65,7 +65,7 @@ def build_topics(
         build_levels_topic(records, requirements) if replays else None,
         build_thrusters_topic(records, requirements),
         build_embedded_topic(counts, requirements),
-        build_paper_topic(records, designs),
+        build_paper_topic(records, designs) or build_stability_topic(records, designs),
         build_trust_topic(records),
     )
     topics = [topic for topic in candidates if topic is not None]

@@ -1,10 +1,10 @@
-"""The paper: its figures 4-7 and its claims, each with what the runs show.
+"""The paper: its figures 4-7 and its claims, each with what the runs show; stability.
 
 The wording of the claims is in `paper.toml`, their criteria are in the analysis.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.suites.paper import (
@@ -26,6 +26,7 @@ from dpbench.report.formats import (
     format_rounded_down,
     format_rounded_up,
     join_with_and,
+    plural,
     strip_markdown,
 )
 from dpbench.report.page.citations import PAPER_CITATION
@@ -89,6 +90,24 @@ def build_paper_topic(records: Records, designs: Designs | None = None) -> Topic
             ),
             *([_make_stability_table(records, designs)] if designs is not None else ()),
         ),
+    )
+
+
+def build_stability_topic(records: Records, designs: Designs | None) -> Topic | None:
+    """Return the report's part on the stability of controllers; None if none was analysed.
+
+    Of results with the paper's scenario, `build_paper_topic` contains the same table.
+    """
+    if designs is None or not designs.records:
+        return None
+    stable = sum(record.spectral_radius < 1.0 for record in designs.records)
+    count = plural(len(designs.records), "controller")
+    is_are = "is" if stable == 1 else "are"
+    return Topic(
+        id="stability",
+        title="Stability",
+        lines=(f"{stable} of {count} {is_are} stable without active limits.",),
+        tables=(replace(_make_stability_table(records, designs), folded=False),),
     )
 
 

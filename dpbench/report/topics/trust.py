@@ -94,7 +94,7 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
     worst = max(abs(compute_excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
     return (
         f"Of {plural(len(measured), 'wait')} of known length, {len(missed)} had an error above "
-        f"both 1 µs and 1 %: {join_with_and(waits)}. Absolute times of similar length "
+        f"both 1 µs and 1 %: {join_with_and(waits)}. Absolute times of these lengths "
         f"may be wrong by up to {format_sample_share(worst)}.{below}"
     )
 
@@ -127,9 +127,9 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     return (
         "The limits for a quiet machine apply to the whole command. Taken one by one, "
         f"{format_count(worse)} of {format_count(len(timed))} replays{windows} exceeded the limit "
-        f"of {' or '.join(kinds)}. A ratio of step times from one of these is significant only if "
-        "its interval is outside 1/s to s, where s is the time of the slowest round divided by "
-        "that of the fastest round of this run."
+        f"of {' or '.join(kinds)}. A ratio with such a run is significant only if its whole "
+        "interval is outside the range from 1/s to s, where s is the time of the slowest round of "
+        "that run divided by that of its fastest round."
     )
 
 

@@ -80,9 +80,9 @@ def _describe_time_limits(requirements: Requirements) -> str:
         return "and no limit on step time, as no deadline is known"
     share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
     return (
-        f"a p99 step time of at most {requirements.p99_ms:g} ms ({share} % of the deadline), "
-        "counting the fastest round of each step; and every step within the deadline of "
-        f"{requirements.deadline_ms:g} ms"
+        f"a p99 step time of at most {requirements.p99_ms:g} ms ({share} % of the deadline); "
+        f"and every step within the deadline of {requirements.deadline_ms:g} ms. Each step counts "
+        "with its fastest round"
     )
 
 
@@ -263,9 +263,9 @@ def describe_stopped_runs(runs: Sequence[RunRecord]) -> str:
     return (
         f"The time limit of a run (`cell_limit_s`) stopped {len(late)} of "
         f"{plural(len(ran), 'started run')}: {name_counts(stopped.most_common(), others)}. "
-        "A configuration with a stopped closed loop cannot pass; one with a stopped replay passes "
-        "only if all steps were timed. `tables/runs.csv` lists these runs with the outcome "
-        "`timed_out`."
+        "A configuration with a stopped closed loop cannot pass; one with a stopped replay can "
+        "pass only if each step was timed in at least one round. `tables/runs.csv` lists these "
+        "runs with the outcome `timed_out`."
     )
 
 

@@ -70,7 +70,7 @@ def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> N
     made = _paragraph(make_report_markdown(Report.from_results(records.results())))
     assert "3 runs with" in made
     assert (
-        "Both numbers include 1 run twice, because two names of settings stand for the same "
+        "Both numbers count 1 run twice, because two names of settings stand for the same "
         "options. Both numbers exclude 1 run on simulated slower computers and 1 run of "
         "consequence analyses. Scenarios: `"
     ) in made

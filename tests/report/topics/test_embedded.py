@@ -61,7 +61,7 @@ def test_the_topic_names_the_disagreement(judged: MadeRecords) -> None:
     (topic,) = (topic for topic in report.topics if topic.id == "embedded")
     assert topic.lines[0].startswith(
         "The solvers' C code was compiled for a Cortex-M7 and run in an emulator. In steps 0 to "
-        "199 of `paper` on a Cortex-M7, `daqp` has the smallest p99 of 2 accurate solvers: "
+        "199 of `paper` on a Cortex-M7, `daqp` has the smallest p99 of the 2 accurate solvers: "
     )
     (line,) = (line for line in topic.lines if "rank solvers differently" in line)
     assert "`daqp` executes fewer instructions than `quadprog`" in line

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 from dpbench.analysis.records.records import Records
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.bench.design import Bracket, DesignRecord, Designs, UnanalysedStability
 from dpbench.bench.record.result_folder import Results
+from dpbench.report.topics.all import build_topics
 from dpbench.report.topics.paper import (
     Claim,
     build_paper_topic,
@@ -258,6 +261,7 @@ ROBUST = replace(
     held={"still water": Bracket(64.0, None), "calm": Bracket(0.0, 0.25)},
 )
 MISSING = UnanalysedStability("tug", "turn", "killed by SIGKILL")
+DESIGNS = Designs((PAPER, ROBUST))
 
 
 def _rows(designs: Designs | None, records: Any) -> list[tuple[str, ...]]:
@@ -282,6 +286,15 @@ def test_the_note_names_the_command_for_offsets_that_were_not_tested(records: An
     for record, count in ((replace(PAPER, held={}), 1), (PAPER, 0)):
         topic = build_paper_topic(records.view(), Designs((record,)))
         assert topic.tables[-1].note.count("`dpbench check paper` computes") == count
+
+
+def test_without_the_paper_stability_is_a_part_of_its_own(records: Any) -> None:
+    records.loop("daqp", "rough", steps=1000)
+    topics = build_topics(records.view(), judge_solvers(records.view(), Requirements()), DESIGNS)
+    (topic,) = (topic for topic in topics if topic.id == "stability")
+    assert topic.lines == ("1 of 2 controllers is stable without active limits.",)
+    assert [row[1] for row in topic.tables[0].rows] == ["0.9055", "1.0200"]
+    assert not topic.tables[0].folded
 
 
 @pytest.mark.slow
