@@ -25,12 +25,9 @@ _STORED = {
 }
 """Arguments whose values are names of stored files, with their kind."""
 _BAD_INPUT = "2 bad input"
-_LOST = "1 a run was lost to a fault of dpbench or the machine (run the same command again)"
+_LOST = "1 a run was lost through a fault of dpbench or the machine (repeat the command)"
 _NOT_HELD = "with --strict, a ship does not stay on station in a closed loop"
-_BUSY = (
-    f"{_BAD_INPUT}, or another dpbench run is still active (with --no-wait, or after the time of "
-    "--wait)"
-)
+_BUSY = f"{_BAD_INPUT}, or another dpbench run is still active (with --no-wait, or after --wait)"
 
 
 @dataclass(frozen=True)
@@ -224,16 +221,15 @@ COMMANDS: dict[str, CommandHelp] = {
         options.add_cells_options,
         ("cells standard --shard 1/8 --out shard-1", "gather shard-* --out results/all"),
         f"0 done, even if solvers failed; {_LOST}; {_BUSY}",
-        "Run one of N shards of a suite, each a part of its cells; several machines can run "
-        "different shards at the same time. To continue after an interruption, run the same "
-        "command again.",
+        "Run one of N shards (parts) of a suite; several machines can run different shards at the "
+        "same time. To continue after an interruption, run the same command again.",
     ),
     "gather": CommandHelp(
         _BENCHMARK,
         "Join the shards of a suite and write the report",
         options.add_gather_options,
         ("gather shard-* --out results/all", "gather a b --out results/all --open"),
-        "0 done; 1 runs are missing (run them on this machine with `dpbench run` and the same "
+        "0 done; 1 cells are missing (run them on this machine with `dpbench run` and the same "
         f"--out) or, {_NOT_HELD}; {_BAD_INPUT}",
     ),
     "report": CommandHelp(
@@ -274,10 +270,10 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "worst-case": CommandHelp(
         _ANALYSE,
-        "Search for a solver's hardest case by iterations or error",
+        "Search for a solver's worst case in iterations or error",
         options.add_worst_case_options,
         ("worst-case osqp --budget 100", "worst-case daqp --goal error --policy warm"),
-        f"0 done; {_BAD_INPUT}; 130 interrupted (the worst step so far is written)",
+        f"0 done; {_BAD_INPUT}; 130 interrupted (the worst case so far is written)",
     ),
     "iteration-bound": CommandHelp(
         _ANALYSE,
@@ -321,15 +317,15 @@ COMMANDS: dict[str, CommandHelp] = {
         text="Write NAME.toml (vessel), NAME_weather.toml (scenario) and NAME_suite.toml (suite). "
         "Comments in them explain how the main values were derived. With --thrusters, also "
         "write:\n"
-        "  NAME_thrusters.toml   scenario with commanded thrusters and the most severe\n"
-        "                        loss of a failure group after which the ship holds\n"
+        "  NAME_thrusters.toml   scenario with commanded thrusters and the worst loss\n"
+        "                        of a failure group after which the ship holds\n"
         "                        station\n"
         "  NAME_loss_*.toml      scenarios with the other losses\n"
         "  NAME_intact.toml      scenario without a loss, in the largest sea off the\n"
-        "                        bow that the ship holds (only if this sea is larger\n"
-        "                        than in NAME_thrusters.toml)\n"
-        "  NAME_weak_side.toml   scenario with weather from the direction with the\n"
-        "                        smallest wind held\n"
+        "                        bow in which the ship holds station (only if larger\n"
+        "                        than that of NAME_thrusters.toml)\n"
+        "  NAME_weak_side.toml   scenario with weather from the direction of least\n"
+        "                        wind held\n"
         "  NAME_capability.svg   capability plot\n"
         "In the file of --thrusters, give the sector or barred zone of an azimuth thruster as the "
         "directions in which it pushes the ship, clockwise from ahead; its race (wash) goes the "
@@ -341,9 +337,10 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "check": CommandHelp(
         _SHIP,
-        "Check a vessel, scenario, suite, sequence or community result",
+        "Check a vessel, scenario, suite, sequence or submitted result",
         options.add_check_options,
         ("check my_ship.toml", "check paper@osv --quick"),
+        "0 valid, perhaps with cautions; 2 not valid, or not found",
     ),
     "tune": CommandHelp(
         _SHIP,
@@ -359,21 +356,21 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "capability": CommandHelp(
         _SHIP,
-        "Compute the largest wind in which the thrusters hold the ship",
+        "Compute the largest wind in which the ship holds station",
         options.add_capability_options,
         ("capability osv --figure osv.svg", "capability my_ship.toml --solver daqp"),
-        text="For each of 36 wind directions, compute the largest wind in which the thrusters hold "
-        "the ship, intact and after the loss of each failure group (DNV-ST-0111, level 1). "
-        "With --solver, also judge the answers of solvers to the allocation QPs at this wind.",
+        text="For each of 36 wind directions, compute the largest wind in which the ship holds "
+        "station, intact and after the loss of each failure group (DNV-ST-0111, level 1). "
+        "With --solver, also check solvers' answers to the allocation QPs at this wind.",
     ),
     "embedded": CommandHelp(
         _DEPLOY,
-        "Measure the instructions and memory of solvers' C code",
+        "Count instructions and measure memory of solvers' C code",
         options.add_embedded_options,
         ("embedded paper-30-5 --target m7 --target a53", "embedded rough-60-10 --solver daqp"),
-        "0 done; 1 a solver's instructions could not be counted, its largest horizon is unknown, "
-        f"or the counts of two tools differ; {_BAD_INPUT}, or the instructions of no solver could "
-        "be counted",
+        "0 done; 1 a solver's instructions could not be counted, its largest horizon (--fit) is "
+        f"unknown, or two tools disagree; {_BAD_INPUT}, or no solver's instructions could be "
+        "counted",
         "Compile the C code of solvers and run it on an emulated core over a sequence of QPs. "
         "Report the instructions, memory and error of each step. Requires "
         "pip install 'dpbench[embedded]'.",
@@ -394,9 +391,10 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "doctor": CommandHelp(
         _HELP,
-        "Check that the machine is quiet and measures correctly",
+        "Check that the machine is quiet and timing is correct",
         options.add_doctor_options,
         ("doctor", "doctor --offline"),
+        f"0 done, even if the machine is disturbed; {_BAD_INPUT}",
     ),
     "completion": CommandHelp(
         _HELP,

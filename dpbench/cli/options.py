@@ -72,7 +72,7 @@ def _add_suite_options(run: Command) -> None:
     scenario = "run only this scenario, given by name or TOML file; it need not be in the suite"
     _repeated(choice, "--scenario", "SCENARIO", scenario, dest="scenarios")
     settings = (
-        "run only these settings: default, low, mid, high, a tolerance such as 1e-4, or a name in "
+        "use only these settings: default, low, mid, high, a tolerance such as 1e-4, or a name in "
         "the suite"
     )
     _repeated(choice, "--settings", "NAME", settings)
@@ -146,21 +146,21 @@ def add_report_options(report: Command) -> None:
     """Add the options of `dpbench report` to its parser."""
     folder = "result folder of `dpbench run` or `dpbench gather`"
     report.add_argument("dir", metavar="DIR", help=folder)
-    baseline = "solver with which the report compares the solver that it recommends"
+    baseline = "solver to compare the recommended one with"
     _option(report, "--baseline", "SOLVER", baseline)
     more = report.add_argument_group("further documents")
     formats = "also write the figures as svg, pdf or png"
     _repeated(more, "--figures", "FORMAT", formats, default=[])
     _option(more, "--statement", "FILE", "write a statement for a class society (.pdf or .svg)")
     beside = (
-        "write SOLVER.md in the result folder, as text for a pull request: a comparison of this "
-        "solver (in all its settings) with others, and its worst steps"
+        "write SOLVER.md in the result folder, a comment for a pull request: this solver (in all "
+        "its settings) compared with others, and its worst steps"
     )
     _option(more, "--for", "SOLVER", beside, dest="solver")
     against = "with --for: compare with this solver (default: osqp and daqp)"
     _repeated(more, "--against", "SOLVER", against, default=[])
-    _option(more, "--send", "DIR", "write a folder to submit to results/community")
-    _flag(more, "--tables", "only list the tables of the folder and their contents")
+    _option(more, "--send", "DIR", "write a folder to submit to dpbench's results/community")
+    _flag(more, "--tables", "only list the folder's tables and what each contains")
     _option(more, "--latex", "TABLE", "only print a table as a LaTeX tabular (booktabs)")
     _option(more, "--columns", "A,B,C", "with --latex: only these columns, in this order")
     add_ending_options(report.add_argument_group("output"))
@@ -169,26 +169,27 @@ def add_report_options(report: Command) -> None:
 def add_compare_options(compare: Command) -> None:
     """Add the options of `dpbench compare` to its parser."""
     folders = (
-        "two result folders: that from before a change, then that from after it; with --solver, "
-        "one folder; with --releases, two or more"
+        "two result folders, from before and after a change; with --solver, one folder; with "
+        "--releases, two or more"
     )
     compare.add_argument("folders", metavar="DIR", nargs="+", help=folders)
     chosen = "configuration to compare within one folder, such as osqp or 'osqp[rho=1.6]'"
     _repeated(compare, "--solver", "SOLVER", chosen, default=[], dest="choices")
-    releases = "compare the releases of each solver that the folders contain"
+    releases = "compare each solver's releases across the folders"
     _flag(compare, "--releases", releases)
     reference = (
-        "divide step times by those of this solver; results from two machines are always divided "
+        "divide step times by those of this solver; always done for results from two machines "
         "(default: paper_active_set, or daqp if that was not run)"
     )
     _option(compare, "--reference", "SOLVER", reference)
     _flag(compare, "--any-machine", argparse.SUPPRESS)
     margin = "largest relative difference that counts as equivalent (default: 0.05)"
     _option(compare, "--margin", "SHARE", margin, type=float, default=0.05)
-    alpha = "family-wise error probability (default: 0.05)"
+    alpha = "family-wise error rate (default: 0.05)"
     _option(compare, "--alpha", "SHARE", alpha, type=float, default=0.05)
     disturbed = (
-        "exit code if step times are not judged and there is no significant regression (default: 0)"
+        "exit code if times are not judged (mostly due to other load) and nothing regressed "
+        "(default: 0)"
     )
     codes: dict[str, Any] = {"type": int, "choices": range(256), "default": 0}
     _option(compare, "--disturbed-exit", "CODE", disturbed, **codes)
@@ -257,8 +258,7 @@ def _add_call_options(group: Command, *, has_settings: bool = False) -> None:
     _option(group, "--policy", "POLICY", policies, default="fresh")
     if has_settings:
         levels = (
-            "settings: default (those of the library; used without this option), low, mid, high, "
-            "or a tolerance such as 1e-4"
+            "settings: default (those of the library), low, mid, high, or a tolerance such as 1e-4"
         )
         _option(group, "--settings", "NAME", levels, default="default")
     _add_module_option(group)
@@ -293,7 +293,7 @@ def add_check_options(check: Command) -> None:
         "results/community"
     )
     check.add_argument("file", metavar="FILE", help=file)
-    quick = "do not simulate the vessel or scenario from initial offsets"
+    quick = "skip the simulations from initial offsets"
     _flag(check, "--quick", quick)
 
 
@@ -346,8 +346,8 @@ def add_capability_options(capability: Command) -> None:
     )
     _flag(capability, "--planned", planned)
     solver = (
-        "judge this solver's answers to the allocation QPs at the largest wind, or those of every "
-        "installed solver ('all')"
+        "check this solver's answers to the allocation QPs at the largest wind; 'all' checks every "
+        "installed solver"
     )
     _repeated(capability, "--solver", "SOLVER", solver)
     output = capability.add_argument_group("output")
@@ -371,7 +371,7 @@ def add_codegen_options(codegen: Command) -> None:
     _option(codegen, "--solver", "SOLVER", solver, default="paper_active_set")
     levels = (
         "settings: default (those of the library), low, mid, high, or a tolerance such as 1e-4; "
-        "without this option: default, but for osqp mid with rho = 0.25"
+        "if not given: mid with rho = 0.25 for osqp, else default"
     )
     _option(codegen, "--settings", "NAME", levels)
     steps = "steps of the recorded trajectory (default: 1000)"
@@ -444,10 +444,7 @@ def add_tune_solver_options(tune: Command) -> None:
     repeated(data, "--test", "SEQUENCE", test)
     _option(data, "--steps", "N", "use at most N steps of each (default: all)", type=int, default=0)
     search = tune.add_argument_group("search")
-    ranges = (
-        "search this option from the first value to the second, such as 'rho=[1e-3,10]', and no "
-        "predefined range"
-    )
+    ranges = "range to search in place of all predefined ones, such as 'rho=[1e-3,10]'"
     repeated(search, "--range", "RANGE", ranges, dest="ranges")
     widened = "search this option too, in this range; the others keep their predefined ranges"
     repeated(search, "--widen", "RANGE", widened, dest="widened")
@@ -468,7 +465,7 @@ def add_tune_solver_options(tune: Command) -> None:
 def add_tune_options(tune: Command) -> None:
     """Add the options of `dpbench tune` to its parser."""
     scenarios = (
-        "name of a scenario, or a TOML file; several must have the same vessel and controller"
+        "name of a scenario, or a TOML file; all with one vessel, controller and sample time"
     )
     tune.add_argument("scenarios", nargs="+", metavar="SCENARIO", help=scenarios)
     seas = "DP capability numbers, such as 4,5 (default: the scenario's own weather)"
@@ -476,9 +473,7 @@ def add_tune_options(tune: Command) -> None:
     search = tune.add_argument_group("search")
     trials = "number of controllers to try (default: 48)"
     _option(search, "--trials", "N", trials, type=int, default=48)
-    count = (
-        "number of realisations of each sea in the search, and of others in the test (default: 2)"
-    )
+    count = "realisations of each sea in the search, and as many others in the test (default: 2)"
     _option(search, "--realisations", "N", count, type=int, default=2)
     margin = "largest allowed offset, as a share of the limits of 5 m and 5° (default: 0.7)"
     _option(search, "--margin", "SHARE", margin, type=float, default=0.7)
