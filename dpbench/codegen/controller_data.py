@@ -135,11 +135,10 @@ def _refuse_unsupported_controller(scenario: Scenario, controller: Controller) -
     where = f"scenario {scenario.name}"
     is_force = type(controller) is ForceController
     if not is_force and not isinstance(controller, ThrusterController):
-        found, allowed = (
-            f"a cascade (tuning {controller.tuning_and_horizons_label})",
-            "a controller of three forces with limits per axis, or of thrusters",
-        )
-        raise InputError(where, "controller", found, f"{allowed}, without a cascade")
+        cascade = f"a cascade (tuning {controller.tuning_and_horizons_label})"
+        found = cascade if controller.allocates else 'limits = "attainable"'
+        allowed = "three forces with limits per axis, or thrusters, without a cascade"
+        raise InputError(where, "controller", found, allowed)
     if controller.linearisation is not FIXED_MODEL:
         found, allowed = (
             "matrices that change at each step",

@@ -181,6 +181,12 @@ def test_a_controller_without_c_code_is_refused(
     assert not (tmp_path / "out").exists()
 
 
+def test_limits_of_what_thrusters_attain_together_are_refused_by_name(tmp_path: Path) -> None:
+    scenario = load_scenario("paper@osv").with_keys({"controller.limits": "attainable"})
+    with pytest.raises(InputError, match='found limits = "attainable"; allowed: three forces'):
+        generate_controller(scenario, out=tmp_path)
+
+
 def test_an_unknown_solver_is_refused(tmp_path: Path) -> None:
     """The error names those with C sources."""
     with pytest.raises(InputError, match="paper_active_set"):
