@@ -109,7 +109,7 @@ def _parse_scenario_and_steps(
         raise InputError("suite", "embedded.sequences", repr(text), allowed)
     scenario, (first, steps) = load_scenario(name, beside=beside), map(int, numbers)
     if not 1 <= steps <= scenario.steps - first:
-        allowed = f"1 or more of the steps 0 to {scenario.steps - 1} of scenario {scenario.name}"
+        allowed = f"STEPS of 1 or more, within steps 0 to {scenario.steps - 1} of {scenario.name}"
         raise InputError("suite", "embedded.sequences", repr(text), allowed)
     return scenario.name, scenario.files, first, steps
 

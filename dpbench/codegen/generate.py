@@ -78,7 +78,7 @@ def generate_controller(
     chosen = options or settings
     sources = SOLVERS[name](data.qp, *([chosen] if chosen else []))
     if fmu is not None and not sources.copies:
-        allowed = "`solver` paper_active_set, which uses only memory of its caller"
+        allowed = "`solver` paper_active_set, which uses only the caller's memory"
         raise InputError("`fmu`", "", f"`solver` {name}", allowed)
     tables = list_constant_tables(data)
     sizes = {

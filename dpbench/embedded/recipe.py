@@ -41,7 +41,13 @@ class PackageTable(_Table):
 
     name: _Text
     version: _Text
-    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    sha256: Annotated[
+        str,
+        Field(
+            pattern="^[0-9a-f]{64}$",
+            json_schema_extra={"allowed": "64 hexadecimal digits (0-9, a-f)"},
+        ),
+    ]
 
 
 class RecipeFile(_Table):

@@ -86,7 +86,7 @@ def solve_discrete_riccati_of_model(
     """Return the solution S (n_x, n_x) of the discrete Riccati equation; InputError if none."""
     # In N and N·m the entries of B and R lie up to fourteen decades from those of A and Q.
     A, B, R = model.A, model.B * du_max, R * du_max * du_max[:, np.newaxis]
-    reason = "the regulator leaves a mode that does not decay"
+    reason = "a mode of the closed loop does not decay"
     try:
         S = scipy.linalg.solve_discrete_are(A, B, model.C.T @ Q @ model.C, R)
         K = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)
@@ -95,7 +95,7 @@ def solve_discrete_riccati_of_model(
     except np.linalg.LinAlgError as error:
         stable, reason = False, str(error)
     if not stable:
-        allowed = 'a stabilisable model that its weights make detectable, or "none"'
+        allowed = 'a stabilisable model, detectable through its weights, or "none"'
         raise InputError("ControlProblem", "terminal", f"riccati: {reason}", allowed)
     return np.asarray(S, dtype=np.float64)
 

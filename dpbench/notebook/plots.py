@@ -28,9 +28,9 @@ class SharedData:
     read: Callable[[Scenario], object]
 
 
-SETPOINT = SharedData("one setpoint", lambda scenario: scenario.reference.tolist())
+SETPOINT = SharedData("the same setpoint", lambda scenario: scenario.reference.tolist())
 START = SharedData(
-    "one start and setpoint",
+    "the same start and setpoint",
     lambda scenario: (scenario.start.tolist(), scenario.reference.tolist()),
 )
 FORCE_LIMITS = SharedData(

@@ -15,6 +15,7 @@ from dpbench.errors import (
     InputError,
     SituationError,
     UnknownNameError,
+    format_key_path,
     require_integer_at_least,
     require_name_or_file,
     require_type,
@@ -421,7 +422,8 @@ def build_scenario_from_documents(
     for number, fault in enumerate(spec.faults):
         if fault.at_s >= spec.duration_s:
             allowed = f"a time before the end of the run, {spec.duration_s:g} s (duration_s)"
-            raise InputError(where, f"faults.{number}.at_s", f"{fault.at_s:g}", allowed)
+            key = format_key_path(["faults", number, "at_s"])
+            raise InputError(where, key, f"{fault.at_s:g}", allowed)
     true_ship = replace(vessel, where=f"{where}: plant").copy_with_model_mismatch(
         plant.mass_percent, plant.damping_percent
     )

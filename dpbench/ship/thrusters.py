@@ -126,10 +126,13 @@ class Thruster:
         """Raise InputError for a sector of no azimuth, or of a width that is not allowed."""
         if sector is None:
             return
+        if self.kind != "azimuth":
+            found = f"a thruster of kind {self.kind}"
+            raise InputError(f"thruster {self.name}", key, found, "an azimuth thruster")
         width_deg = float(np.degrees(sector[1] - sector[0]))
-        if self.kind != "azimuth" or not 0.0 < width_deg <= most_deg + _ROUNDING:
-            found = f"a sector of {width_deg:g}° (kind {self.kind})"
-            allowed = f"for an azimuth alone, [a, b] with b − a above 0° and at most {most_deg:g}°"
+        if not 0.0 < width_deg <= most_deg + _ROUNDING:
+            found = f"a sector of {width_deg:g}°"
+            allowed = f"[a, b] with b − a above 0° and at most {most_deg:g}°"
             raise InputError(f"thruster {self.name}", key, found, allowed)
 
     def may_push(self, direction_rad: float) -> bool:

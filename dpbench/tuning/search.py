@@ -168,7 +168,8 @@ def make_space(
             names = list_all_solver_names()
             ranged = [n for n in names if {n, find_solver_record(n).module} & stated.keys()]
             nearest = ", ".join(find_nearest_names(solver, ranged))
-            which, allowed = "no options to tune", f"a solver with ranges, such as {nearest}"
+            which = "no options to tune"
+            allowed = f"a solver with predefined ranges, such as {nearest}"
             if record.extra == "plugin" or any(list_options_by_route(solver).values()):
                 which, allowed = "no predefined range", f"--range 'OPTION=[MIN,MAX]', or {allowed}"
             raise InputError("tune-solver", "", f"{solver}, which has {which}", allowed)

@@ -52,8 +52,8 @@ def test_each_sequence_is_planned_with_each_core_and_solver() -> None:
     [
         ("paper", "SCENARIO:FIRST:STEPS"),
         ("paper:0:-1", "SCENARIO:FIRST:STEPS"),
-        ("paper:0:0", "1 or more of the steps 0 to 999 of scenario paper"),
-        ("paper:990:20", "1 or more of the steps 0 to 999 of scenario paper"),
+        ("paper:0:0", "STEPS of 1 or more, within steps 0 to 999 of paper"),
+        ("paper:990:20", "STEPS of 1 or more, within steps 0 to 999 of paper"),
         ("nowhere:0:1", "nowhere"),
     ],
 )

@@ -22,7 +22,7 @@ TEXT = 'solver = "mine"\nlicence = "MIT"\norigin = "here"\nstart = "none"\ntuned
         (f"{TEXT}other = 1\n", r"recipe.toml: other: found an unknown key; allowed: "),
         (
             f'{TEXT}[package]\nname = "x"\nversion = "1"\nsha256 = "0"\n',
-            r"recipe.toml: package.sha256: found '0'; allowed: text that matches",
+            r"recipe.toml: package.sha256: found '0'; allowed: 64 hexadecimal digits",
         ),
         (TEXT, r"shim.c: no such file"),
     ],

@@ -334,7 +334,7 @@ def test_runs_in_two_weathers_are_drawn_together() -> None:
     assert all(f'"{rough.label} in {label}"' in text for label in labels)
     assert '"labelLimit": 0' in text
     moved = run_closed_loop(weather.with_keys({"reference.north_m": 5.0}), "daqp")
-    with pytest.raises(InputError, match="allowed: closed loops with one setpoint"):
+    with pytest.raises(InputError, match="allowed: closed loops with the same setpoint"):
         calm.plot.errors(moved)
 
 

@@ -113,7 +113,9 @@ BAD_SCENARIOS = [
 
 
 LATE_FAULT = "[controller]", "[[faults]]\nat_s = 300.0\nlimit_share = [0.5, 0.5, 0.5]\n[controller]"
-BAD_SCENARIOS += [(*LATE_FAULT, "faults.0.at_s", "300", "before the end of the run, 300 s")]
+BAD_SCENARIOS += [
+    (*LATE_FAULT, "[[faults]] number 1, key at_s", "300", "before the end of the run, 300 s")
+]
 
 
 BAD_VESSELS = [

@@ -96,6 +96,10 @@ def test_limits_of_a_ship_are_those_of_each_axis_by_itself() -> None:
         (lambda: azimuth(0, 0, sector_rad=(0.0, 6.28)), "above 0° and at most 359°"),
         (lambda: azimuth(0, 0, controller_sector_rad=(0.0, 3.5)), "above 0° and at most 180°"),
         (
+            lambda: Thruster("bow", "tunnel", 30.0, 0.0, 8e4, 8.0, sector_rad=(0.0, 1.0)),
+            "sector_deg: found a thruster of kind tunnel; allowed: an azimuth thruster",
+        ),
+        (
             lambda: azimuth(0, 0, sector_rad=(0.0, 4.0), controller_sector_rad=(1.0, 4.1)),
             "controller_sector_deg: found 57.3° to 234.91°; allowed: part of sector_deg, 0° to 229",
         ),

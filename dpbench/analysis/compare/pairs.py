@@ -115,8 +115,8 @@ def pair_runs_of_folders(a: Records, b: Records, names: tuple[str, str]) -> Pair
         else:
             pairs.append(pair)
     if not pairs and not lost:
-        missing = "no cell on the same problem as a cell of the first folder"
-        raise ResultsError(names[1], "", missing, f"results of the same suite as {names[0]}")
+        missing = f"no cell on the same problem as in {names[0]}"
+        raise ResultsError(names[1], "", missing, "results of the same suite")
     only_a = [_describe_run(run) for key, run in cells_a.items() if key not in partners]
     found = set(partners.values())
     first = map_first_by_key(pairs, lambda pair: pair.measurement_key)

@@ -257,7 +257,7 @@ def lock_result_folder(
             allowed = "another folder; or remove this one"
             raise InputError(where, "", f"{folder} with results of suite {stored!r}", allowed)
     elif folder.is_dir() and any(folder.iterdir()) and not (folder / "cells").is_dir():
-        found = f"{folder}, a folder with files that are not of a run"
+        found = f"{folder}, a folder with files not from a run"
         raise InputError(where, "", found, "a new or an empty folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -369,7 +369,7 @@ def _read_checked_runs(folder: Path) -> pd.DataFrame:
     if others:
         # Before its columns are read: another schema has others.
         found = ", ".join(map(str, others))
-        allowed = f"{SCHEMA_VERSION}; run the suite again"
+        allowed = f"{SCHEMA_VERSION} (this version of dpbench); run the suite again"
         raise ResultsError(str(path), "schema", found, allowed)
     try:
         runs = runs_to_frame(add_missing_run_columns(table)).reset_index(drop=True)

@@ -103,7 +103,7 @@ class QPBuilder:
         return self.emit_allocation(k, demand[k], self._commanded.get_force_before_step(thrust, k))
 
 
-NO_MODEL = "'condensed_box' or 'condensed_stacked', as these QPs have no model with states to keep"
+NO_MODEL = "'condensed_box' or 'condensed_stacked', as these QPs have no model with states"
 
 
 class BoxFormulation:

@@ -26,7 +26,8 @@ from dpbench.files.mat import read_mat_structure_in_child
 from dpbench.files.regular_files import read_json_object
 from dpbench.qp.program import QuadraticProgram, require_or_make_symmetric
 
-ACADOS = "an OCP QP of `AcadosOcpSolver.dump_last_qp_to_json` (.json)"
+ACADOS_WRITER = "`AcadosOcpSolver.dump_last_qp_to_json`"
+ACADOS = f"an OCP QP of {ACADOS_WRITER} (.json)"
 ACADOS_INFINITY, MAT_INFINITY = 0.99e10, 9e19
 """Size from which a limit is none. acados has 1e10, less the state that it linearises at."""
 MOST_VARIABLES = 2000
@@ -78,7 +79,7 @@ def _group_arrays_by_stage(document: dict[str, object], where: str) -> list[Arra
         match = _KEY.fullmatch(key)
         field = match[1] if match else ""
         if match is None or field not in (*_MATRICES, *_VECTORS, *_SOFT):
-            raise InputError(where, key[:80], "an unknown field", ACADOS)
+            raise InputError(where, key[:80], "an unknown field", f"the fields of {ACADOS_WRITER}")
         try:
             array = np.array(value)
         except ValueError as error:

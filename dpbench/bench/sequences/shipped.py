@@ -91,8 +91,8 @@ def load_rules(path: Path | None = None) -> list[RecordingRule]:
     for table in manifest.left_out:
         for name in table.sequences:
             if rules.pop(name, None) is None:
-                allowed = "names SCENARIO-N_p-N_c of a scenario in [steps] and a pair in "
-                allowed += "[[horizons]], each at most once"
+                allowed = "SCENARIO-N_p-N_c with a scenario in [steps] and a pair in [[horizons]], "
+                allowed += "each once"
                 raise InputError(str(place), "left_out.sequences", repr(name), allowed)
     return list(rules.values())
 

@@ -159,7 +159,9 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
                 remarks.append(f"{unused} The scenarios written here do not.")
     else:
         if sea is None:
-            instead = f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or describe the ship again"
+            instead = (
+                f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or the data of the ship with --force"
+            )
             raise SituationError(WHERE, f"{vessel_file} exists; {instead}")
         vessel = load_vessel(vessel_file)
     held = None if vessel.thrusters is None else find_held_sea(vessel)
@@ -330,7 +332,7 @@ def _read_thrust(
     ahead = numbers["thrust"]
     if ahead is None:
         raise InputError(
-            WHERE, "--thrust", "nothing", f"{QUANTITIES['thrust'].allowed}; or --thrusters"
+            WHERE, "--thrust", "nothing", "the largest force ahead [kN]; or --thrusters"
         )
     sway, yaw = (
         None if force is None else 1000.0 * force
