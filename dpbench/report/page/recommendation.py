@@ -232,14 +232,14 @@ def _describe_choice(
     own = is_recommended and record is not None and record.extra == "own"
     both = describe_consequence_solver(data.records, c.solver)
     timed = copy_with_thruster_times(data.records, data.requirements, chosen)
-    feasible = " with a feasible QP" * bool(data.list_runs_with_infeasible_steps(c))
+    every = "with a feasible QP in" if data.list_runs_with_infeasible_steps(c) else "of"
     unranked = (
         " Several settings of this solver pass and are equally fast within the noise; these are "
         "the most usual ones."
     ) * (is_recommended and not is_first)
     return (
         f"{both + ' ' if both else ''}{opening}.{' It is part of dpbench itself.' * own}",
-        f"It was accurate on every step{feasible} of {describe_judged_runs(chosen)}. "
+        f"It was accurate on every step {every} {describe_judged_runs(chosen)}. "
         f"{_open_time_sentence(chosen, timed)} {describe_limiting_time(timed)}.",
         f"The largest error of the first move is {format_error(chosen.error_move)} times the "
         f"maximum increment.{_describe_unverified_steps(data, c)}"

@@ -183,8 +183,8 @@ class EnvironmentTable(FileModel):
     """g(t) grows from 0 to 1 in this time [s]; 0: it is 1 from the start.
 
     It multiplies slow forces, speeds of wind and current, and the wave height that causes drift:
-    forces of wind and drift grow with g², that of the current with g. Squalls, wave motion and
-    noise are not ramped."""
+    forces of wind and drift grow with g², that of the current with g (linear damping) or about g²
+    (cross-flow drag). Squalls, wave motion and noise are not ramped."""
     seed: keys.Count = 0
     """Seed of gusts, waves and noise: the same seed gives the same weather."""
     squalls: list[SquallTable] = []
