@@ -78,7 +78,7 @@ def test_a_lost_ship_is_a_banner_with_when_and_how_far(records: Any) -> None:
         "largest offset 37.0 m at 30.0 s, last offset 36.0 m."
     )
     assert (
-        "in 1 of 2 scenarios (30 s). The largest offset is 1.77 m, at the start of `rough` ("
+        "in 1 of 2 scenarios of 30 s. The largest offset is 1.77 m, at the start of `rough` ("
         in told.text
     )
 
@@ -539,7 +539,7 @@ def test_weather_from_one_direction_is_named_with_it(records: Any) -> None:
         "(5 m, 5°) in weather from 40° in `weather` (36 s). The largest" in _summary(records).text
     )
     records.loop("daqp", "thrusters")
-    assert "(5 m, 5°) in weather from 40° in 2 of 2 scenarios (36 s). " in _summary(records).text
+    assert "(5 m, 5°) in weather from 40° in 2 of 2 scenarios of 36 s. " in _summary(records).text
     records.loop("daqp", "paper")
     assert "weather from" not in _summary(records).text
 
@@ -573,8 +573,8 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     text = _summary(records).text
     assert text.startswith(
         "With exactly solved QPs, the controller holds the ship on station (5 m, 5°) in 2 of 2 "
-        "scenarios (36 s), once it has arrived there. On station, the largest offset is 1.77 m, at "
-        "the start of `paper` (0.0400 m at its end)."
+        "scenarios of 36 s, once it has arrived there. On station, the largest offset is 1.77 m, "
+        "at the start of `paper` (0.0400 m at its end)."
     )
     assert text.endswith(
         "In scenario `turn`, the ship is up to 17.0 m from its setpoint during the approach and on "

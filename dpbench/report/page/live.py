@@ -64,15 +64,16 @@ def _explain_step_times(data: PageData) -> str:
     which = " (column `timed_on` of `tables/ladder.csv`)" * (len(timed_on) > 1)
     untimed = [v for v in list_main_verdicts(data.verdicts) if v.state != "not run"]
     names = _mark_names(v.configuration.solver for v in untimed if not v.timed_on)
-    is_are, them = ("is", "it") if len(names) == 1 else ("are", "them")
+    is_are, its = ("is", "its") if len(names) == 1 else ("are", "their")
     absent = (
-        f" {join_with_and(names)} {is_are} absent: no replay of {them}, except windows, was timed "
+        f" {join_with_and(names)} {is_are} absent: {its} replays outside windows were not timed "
         "completely."
     ) * bool(names)
     left_out = len(list_best_verdict_of_own_settings(data.verdicts)) - MOST_OWN
     more = f" {left_out} more custom settings: `tables/verdicts.csv`." * (left_out > 0)
     return (
-        "Step time of each solver in the replays and windows of hardest steps. The marker shows "
+        "Step time of each solver, in its best configuration, in the replays and windows of "
+        "hardest steps. The marker shows "
         f"the p50 in the replay of {replay}{which}. The bar ends at the limiting p99, the line at "
         "the longest step and the dashed line at the largest single timing, in closed "
         f"loops too. The grey bar shows the call overhead.{absent}{more}"

@@ -445,7 +445,7 @@ def _describe_margin_limit(
     if margin.deadline < margin.p99_limit:
         return f"{longest} the deadline of {requirements.deadline_ms:g} ms"
     if has_p99:
-        return f"the limiting p99 then reaches its limit of {requirements.p99_ms:g} ms"
+        return f"the limiting p99 then reaches the p99 limit of {requirements.p99_ms:g} ms"
     limit = f"the p99 limit of {requirements.p99_ms:g} ms"
     return f"{longest} {limit}, as there are too few steps for a p99"
 
@@ -470,8 +470,9 @@ def _list_limiting_steps(
     longest = f"The longest step is {step}."
     if hardest.run.untimed_iterations_max > 1.0:
         longest = (
-            "After scaling to the largest number of iterations in the closed loop, the step that "
-            f"takes longest is {step}, with {format_time(margin.longest_ns)}."
+            f"Scaled up by {significant(hardest.run.untimed_iterations_max)} to the most "
+            f"iterations in the closed loop, the longest step is {step}: "
+            f"{format_time(margin.longest_ns)}."
         )
     reached = (
         f"It reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
@@ -488,39 +489,31 @@ def _describe_limiting_p99(margin: SpeedMargin, wait: str, measured_ns: float) -
     run = margin.p99.run
     wait *= margin.p99.time_ns == margin.hardest.time_ns
     step = f"{_name_slow_step(margin.p99)} ({_describe_work(margin.p99)})"
-    estimated = (
-        f" The limiting p99 is estimated from a window of {run.steps_planned} of the "
-        f"{plural(run.steps_searched_for_hardest, 'step')} of `{run.scenario}`, without a "
-        "confidence interval."
-    ) * bool(run.steps_searched_for_hardest)
+    estimated = " This estimate has no confidence interval." * bool(run.steps_searched_for_hardest)
+    time = format_time(margin.p99.time_ns)
+    measured = f"The p99 of {name_experiment(run)} is the time of {step}, {time}{wait}."
+    if steps := run.steps_searched_for_hardest:
+        measured = (
+            f"Only {run.steps_planned} of the {format_count(steps)} steps of `{run.scenario}` were "
+            f"replayed. The p99 of all is estimated as the time that {steps // 100} of these "
+            f"exceed: {time}{wait}, in {step}."
+        )
     if not run.untimed_iterations > 1.0:
-        return f"The limiting p99 is the time of {step}{wait}.{estimated}"
+        return f"{measured} It is the limiting p99.{estimated}"
     beyond = (f" It therefore exceeds the longest measured step ({format_time(measured_ns)}).") * (
         margin.limiting_p99_ns > measured_ns * (1.0 + ROUNDING)
     )
-    time = format_time(margin.p99.time_ns)
-    than = "replay"
-    if steps := run.steps_searched_for_hardest:
-        than = "window"
-        measured = (
-            f"The p99 of `{run.scenario}` is {time}{wait}, the time of {step}; "
-            f"{steps // 100} of the {format_count(steps)} steps may take longer."
-        )
-    else:
-        measured = f"The p99 of {name_experiment(run)} is the time of {step}, {time}{wait}."
-    time = format_time(margin.limiting_p99_ns)
-    scaled = f"the limiting p99 is {significant(run.untimed_iterations)} times as long, {time}"
+    scaled = f"by {significant(run.untimed_iterations)}"
     longest_ns = run.algo_max_ns * run.untimed_iterations_max
     if isclose(margin.limiting_p99_ns, run.algo_max_ns, rel_tol=ROUNDING):
-        scaled = f"this p99 is scaled up, at most to the longest step: the limiting p99 is {time}"
+        scaled = "at most to the longest step"
     elif isclose(margin.limiting_p99_ns, longest_ns, rel_tol=ROUNDING):
-        scaled = (
-            "this p99 is scaled up, at most to the longest step, which is scaled too: the limiting "
-            f"p99 is {time}"
-        )
+        scaled = "at most to the longest step, scaled up in the same way"
+    replayed = "window" if run.steps_searched_for_hardest else "replay"
     return (
-        f"{measured} The p99 of the iterations is larger in the closed loop than in the {than}, so "
-        f"{scaled} (formula: page “Method” of the documentation).{beyond}{estimated}"
+        f"{measured} The closed loop has a larger p99 of iterations than the {replayed}, so this "
+        f"time is scaled up, {scaled}: the limiting p99 is {format_time(margin.limiting_p99_ns)} "
+        f"(formula: page “Method” of the documentation).{beyond}{estimated}"
     )
 
 

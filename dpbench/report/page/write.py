@@ -125,7 +125,7 @@ def _describe_margin(data: PageData, c: Configuration, v: Verdict | None) -> dic
     """Return how much slower a computer may be for a configuration, and which time limits it."""
     margin = data.get_speed_margin(c)
     if margin is None:
-        return {"margin": None, "deadline_margin": None, "limited_by": "", "p99_run_id": ""}
+        return {"margin": None, "limited_by": "", "p99_run_id": ""}
     requirements, longest = data.requirements, format_time(margin.hardest.time_ns)
     if margin.deadline < margin.p99_limit:
         longest = format_time(margin.longest_ns)
@@ -136,9 +136,11 @@ def _describe_margin(data: PageData, c: Configuration, v: Verdict | None) -> dic
     else:
         p99 = format_time(margin.limiting_p99_ns)
         limited_by = f"limiting p99 of {p99} (limit {requirements.p99_ms:g} ms)"
-    factors = {"margin": margin.allowed_slowness_factor, "deadline_margin": margin.deadline}
-    known = {name: convert_to_json_number(factor) for name, factor in factors.items()}
-    return known | {"limited_by": limited_by, "p99_run_id": margin.p99.run.run_id}
+    return {
+        "margin": convert_to_json_number(margin.allowed_slowness_factor),
+        "limited_by": limited_by,
+        "p99_run_id": margin.p99.run.run_id,
+    }
 
 
 def _select_at_opening(

@@ -349,9 +349,10 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     farthest = max(kept, key=lambda ship: ship.run.exact_offset_max_m / ship.run.station_radius_m)
     run = farthest.run
     if len(known) == 1:
-        where, at, end = f"in `{farthest.name}`", f" {_format_time_of_offset(run)}", "the end"
+        where = f"in `{farthest.name}` ({_format_durations(kept)})"
+        at, end = f" {_format_time_of_offset(run)}", "the end"
     else:
-        where = f"in {len(kept)} of {len(known)} {_name_kind(known)}"
+        where = f"in {len(kept)} of {len(known)} {_name_kind(known)} of {_format_durations(kept)}"
         at, end = f", {_format_time_of_offset(run)} of {_locate_ship(farthest)}", "its end"
     from_deg = find_weather_direction(ship.run for ship in known)
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
@@ -361,8 +362,8 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         largest = "On station, the largest offset"
     return (
         "With exactly solved QPs, the controller holds the ship on station "
-        f"({_format_station_limits(farthest)}){weather} {where} ({_format_durations(kept)})"
-        f"{moves}. {largest} is {significant(run.exact_offset_max_m)} m{at} "
+        f"({_format_station_limits(farthest)}){weather} {where}{moves}. {largest} is "
+        f"{significant(run.exact_offset_max_m)} m{at} "
         f"({significant(run.exact_offset_end_m)} m at {end})."
     )
 

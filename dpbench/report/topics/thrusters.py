@@ -94,7 +94,7 @@ def _describe_thruster_load(
         "At least one thruster is at its thrust limit in "
         f"{100.0 * hardest.at_limit_thrusters:.0f} % of the {plural(hardest.steps_done, 'step')} "
         f"of `{hardest.scenario}`. "
-        f"{whole} of the {plural(len(configurations), 'different configuration')} run in {names} "
+        f"{whole} of the {plural(len(configurations), 'configuration')} run in {names} "
         f"{'is' if whole == 1 else 'are'} accurate on every step{all_runs}."
     )
 

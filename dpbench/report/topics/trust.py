@@ -91,11 +91,15 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
         f"{WAITS_NS[n] / 1e3:g} µs measured as {significant(p50 / 1e3, 4)} µs"
         for n, p50 in missed.items()
     ]
-    worst = max(abs(compute_excess_over_wait_ns(n, p50)) / WAITS_NS[n] for n, p50 in missed.items())
+    errors = [
+        f"{format_sample_share(abs(compute_excess_over_wait_ns(n, p50)) / WAITS_NS[n])} near "
+        f"{WAITS_NS[n] / 1e3:g} µs"
+        for n, p50 in missed.items()
+    ]
     return (
-        f"Of {plural(len(measured), 'wait')} of known length, {len(missed)} had an error above "
-        f"both 1 µs and 1 %: {join_with_and(waits)}. Absolute times of these lengths "
-        f"may be wrong by up to {format_sample_share(worst)}.{below}"
+        f"{len(missed)} of {plural(len(measured), 'wait')} of known length had an error above "
+        f"both 1 µs and 1 %: {join_with_and(waits)}. Absolute times may be "
+        f"wrong by {join_with_and(errors)}.{below}"
     )
 
 
@@ -112,7 +116,7 @@ def _describe_machine_load(timed: Sequence[RunRecord]) -> str:
         return "Other work did not disturb these closed loops."
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     return (
-        f"The machine does not count as disturbed. Over all replays{windows}, "
+        f"The machine was quiet on average over the run. In all replays{windows}, "
         f"{_describe_disturbed_rounds(disturbance)}."
     )
 
@@ -125,11 +129,10 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
-        "The limits for a quiet machine apply to the whole command. Taken one by one, "
-        f"{format_count(worse)} of {format_count(len(timed))} replays{windows} exceeded the limit "
-        f"of {' or '.join(kinds)}. A ratio with such a run is significant only if its whole "
-        "interval is outside the range from 1/s to s, where s is the time of the slowest round of "
-        "that run divided by that of its fastest round."
+        f"Taken one by one, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
+        f"exceeded the limit of a quiet machine ({' or '.join(kinds)}). A ratio with such a replay "
+        "is significant only if its whole interval is outside the range from 1/s to s, where s is "
+        "the time of the slowest round of the replay divided by that of its fastest round."
     )
 
 

@@ -64,7 +64,7 @@ def test_page_markdown_and_terminal_say_the_same(written: Any) -> None:
         assert format_error(chosen.error_move) in output
         factor = format_rounded_down(margin.allowed_slowness_factor)
         assert f"may be up to {factor} times slower" in output
-        assert margin.p99_limit < margin.deadline and "reaches its limit of 3 ms" in output
+        assert margin.p99_limit < margin.deadline and "reaches the p99 limit of 3 ms" in output
         deadline = format_rounded_down(margin.deadline)
         assert f"reaches the deadline of 300 ms at a slowdown of × {deadline}." in output
         p99, hardest = margin.p99, margin.hardest
@@ -147,7 +147,7 @@ def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int,
     against = "Compared with daqp (qpsolvers fresh): too few common steps for a ratio (15 of 500)."
     assert f"{following}. {against}" in ending["next"]
     estimated = (
-        "The limiting p99 is estimated from a window of 15 of the 450 steps of paper, without a"
+        "Only 15 of the 450 steps of paper were replayed. The p99 of all is estimated as the time "
     )
     assert (estimated in ending["margin"]) is (of == 450)
 
@@ -574,10 +574,13 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     (verdict,) = data.verdicts.all_verdicts
     text = " ".join(list_speed_margin_sentences(data, verdict))
     assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
-    assert "The p99 of `turn` is 20.0 µs, the time of step " in text
     assert (
-        "; 4 of the 450 steps may take longer. The p99 of the iterations is larger in the closed "
-        "loop than in the window, so the limiting p99 is 2.00 times as long, 40.0 µs (formula: page"
+        "Only 30 of the 450 steps of `turn` were replayed. The p99 of all is estimated as the time "
+        "that 4 of these exceed: 20.0 µs, in step "
+    ) in text
+    assert (
+        "The closed loop has a larger p99 of iterations than the window, so this time is scaled "
+        "up, by 2.00: the limiting p99 is 40.0 µs (formula: page"
     ) in text
     assert "It therefore exceeds the longest measured step (20.0 µs)." in text
 
@@ -967,4 +970,4 @@ def test_a_margin_of_too_few_steps_names_no_p99(records: Any, steps: int, named:
     (verdict,) = data.verdicts.all_verdicts
     margin = " ".join(list_speed_margin_sentences(data, verdict))
     assert f"up to 150 times slower than this machine; the {named} then reaches " in margin
-    assert ("The limiting p99 is the time of step " in margin) is (steps == 1000)
+    assert ("The p99 of the replay of `paper` is the time of step " in margin) is (steps == 1000)

@@ -27,8 +27,7 @@ function kept() {
   if (deadline_ms === null) return "Lateness is not judged, as no deadline is known.";
   // The summary above states the margin of the recommended configuration.
   const own = margin === null || (state.c === facts.answer.first && state.slow <= 1) ? "" : `${withSettings(state.c)} ${paceOf(state.c, margin)}. `;
-  const share = (100 * state.slow) / C().deadline_margin[state.c];
-  const slowed = own && state.slow > 1 ? `At × ${figure(state.slow)}, its longest step takes ${figure(share, 2)} % of the deadline. ` : "";
+  const slowed = own && state.slow > 1 ? `At × ${figure(state.slow)}, this time is at ${figure((100 * state.slow) / margin, 2)} % of its limit. ` : "";
   const which = (...verdicts) => rowsDrawn("ladder").values.filter((row) => verdicts.includes(row.verdict));
   const passing = which("pass"), right = passing.length ? passing : which("borderline", "inconclusive");
   if (!right.length) return own + slowed;

@@ -62,7 +62,7 @@ function notKept() {
     + `filters=[("run_id", "==", "${runs.id[i]}")]).`;
 }
 
-// How many steps are inaccurate, failed, or reported as solved but not verified, in any round; ""
+// How many steps are inaccurate, failed, or reported as solved but not optimal, in any round; ""
 // where none is.
 function wrongOf(run) {
   // Of a replay the false claims are those of all rounds.
@@ -70,7 +70,7 @@ function wrongOf(run) {
   const at = (first, count) => ((first ?? -1) < 0 ? "" : ` (${count === 1 ? "" : "first "}at step ${first})`);
   const found = [[run.inaccurate ?? 0, "step", (count) => `${were(count)} inaccurate${at(run.first_inaccurate, count)}`],
     [run.failed, "step", (count) => `failed${at(run.first_failed, count)}`],
-    [run.untrue, once ? "step" : "answer", (count) => `${once ? "" : `of ${grouped(run.answers)} `}${were(count)} reported as solved, but not verified`]]
+    [run.untrue, once ? "step" : "answer", (count) => `${once ? "" : `of ${grouped(run.answers)} `}${were(count)} reported as solved, but failed the referee's test of optimality`]]
     .filter(([count]) => count > 0)
     .map(([count, word, what], i) => `${i && (once || word === "step") ? grouped(count) : many(count, word)} ${what(count)}`);
   return found.length < 2 ? found.join("") : `${found.slice(0, -1).join(", ")} and ${found.at(-1)}`;
@@ -80,7 +80,7 @@ function wrongOf(run) {
 function unverifiedOf(run) {
   const kind = run.answers === run.steps ? "steps" : "answers";
   return run.verdict !== "pass" || !run.untrue || run.inaccurate || run.failed ? ""
-    : `the referee did not verify ${grouped(run.untrue)} of the ${kind} reported as solved; the error of the first move stayed within its limit`;
+    : `${grouped(run.untrue)} of the ${kind} reported as solved failed the referee's test of optimality; the error of the first move stayed within its limit`;
 }
 
 // The largest error of the first move as a sentence.
@@ -101,7 +101,7 @@ function verdictOf(run, name) {
 // The result of the selected configuration in the selected scenario or replay.
 function resultOf(run) {
   const solver = `\`${C().solver[state.c]}\``;
-  const unverified = unverifiedOf(run), all = ", and all are accurate";
+  const unverified = unverifiedOf(run), all = run.infeasible > 0 ? ", and all with a feasible solution are accurate" : ", and all are accurate";
   if (run.outcome === "refused") return `${solver} was not run in \`${facts.experiments[state.p].label}\`, as it does not support this call mode (${run.why}).`;
   return [
     `${verdictOf(run, solver)}${facts.experiments[state.p].study ? `, ${solver}` : ": it"} ran ${grouped(run.steps)} of ${grouped(run.planned)} steps${
@@ -266,7 +266,8 @@ function drawStep(run) {
   $("step-said").textContent = `Step ${k}: ${time(exact ? exact[1] : t[j])}${where}, ${array(run.i)[j] == null ? "iterations not reported" : many(array(run.i)[j], "iteration")}, `
     + `${many(array(run.a)[j], "active limit")}, ${[Infinity, "inf"].includes(error) ? "no solution" : `error of the first move ${figure(error)}${error == null ? "" : " times the maximum increment"}`}. `
     + `The solver ${said(0) ? "reported “solved”" : `did not report “solved”${known ? ` (${known[2].toLowerCase()})` : ""}`}. `
-    + `${said(0) ? "Its solution" : "This answer"} is ${said(1) ? "correct" : "not correct"}. `;
+    + (!said(0) && said(1) && /infeasible/i.test(known?.[2] ?? "") ? "The QP has no feasible solution. "
+      : `Its solution ${said(1) ? "passes" : "fails"} the referee's test of optimality. `);
   $("step-said").append(...flags.flatMap((flag, i) => [i ? ", " : "Flags: ", flag]), flags.length ? ". " : "", moved(run, k));
   const experiment = facts.experiments[run.p];
   // A sea of a study has no file of its own to export from.

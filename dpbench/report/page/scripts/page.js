@@ -4,12 +4,10 @@
 // The line that stays on a wide screen: the selected configuration, its verdict and times.
 function drawChosen() {
   const c = state.c, timed = facts.experiments[C().timed_experiment_index[c]]?.label;
-  const times = [["p50", "p50"], ["p99", "replay_p99"]].filter(([, column]) => C()[column][c] !== null)
-    .map(([name, column]) => `${name} ${time(C()[column][c])}`).join(" and ");
   const about = [
     C().verdict[c] !== "not judged" && `overall verdict ${C().verdict[c]}`,
-    times && `${times}${timed ? ` in \`${timed}\`` : ""}`,
-    C().max[c] !== null && `longest step ${time(C().max[c])}${C().max_wait[c]} in ${C().max_in[c]}`,
+    C().p50[c] !== null && `p50 ${time(C().p50[c])}${timed ? ` in \`${timed}\`` : ""}`,
+    C().limited_by[c] || (C().max[c] !== null && `longest step ${time(C().max[c])}${C().max_wait[c]} in ${C().max_in[c]}`),
   ].filter(Boolean).join(", ");
   $("chosen").replaceChildren(...coded(`${marked(c)}${about && `, ${about}`}`));
 }
