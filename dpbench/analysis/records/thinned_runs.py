@@ -119,16 +119,17 @@ def compute_common_length_limit(lengths: Sequence[int], most: int) -> int:
 def choose_kept_indices_and_hard_flags(run: RunSteps, most: int) -> tuple[Ints, Flags]:
     """Return about `most` step indices to keep, and which are kept only for being hard.
 
-    Of a longer run every n-th stays, and of the rest the hardest by each measure.
+    Of a longer run every n-th stays, and of the rest the hardest by each measure and the first
+    that were not reported as solved.
     """
     count = len(run.k)
     if count <= most:
         return np.arange(count), np.zeros(count, dtype=np.bool_)
     worst = min(WORST, most // 3)
-    each = max(1, worst // len(MEASURES))
+    each = max(1, worst // (len(MEASURES) + 1))
     regular = np.arange(0, count, -(-count // max(1, most - worst)))
     hard = [find_hardest_steps(run, measure, each) for measure in MEASURES]
-    both = np.union1d(regular, np.concatenate(hard))
+    both = np.union1d(regular, np.concatenate([*hard, np.flatnonzero(~run.claimed)[:each]]))
     return both, ~np.isin(both, regular)
 
 

@@ -105,7 +105,6 @@ def _describe_configuration(
         "why": "" if v is None else recommendation.why(v).replace("**", ""),
         "late": "" if v is None else describe_lateness(v),
         **{name: convert_to_json_number(times.get(name)) for name in ("p50", "p99", "max")},
-        "replay_p99": None if v is None else convert_to_json_number(v.replay_p99_ns),
         "p50_in": "" if v is None else f"the replay of `{v.timed_on}`",
         "p99_in": ""
         if v is None or v.p99_run is None

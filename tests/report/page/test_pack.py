@@ -195,11 +195,14 @@ def test_a_million_steps_share_the_room(lengths: list[int]) -> None:
 @pytest.mark.parametrize("most", [90, 600, 5000])
 def test_a_thinned_run_keeps_its_hardest_and_a_regular_part(most: int) -> None:
     run = _long(20_000)
+    failed = [1234, 9877]
+    run.claimed[failed] = False
     chosen, extra = choose_kept_indices_and_hard_flags(run, most)
     assert len(chosen) <= most + 1 and np.all(np.diff(chosen) > 0)
     assert len(set(np.diff(chosen[~extra]))) == 1
     for measure in MEASURES:
         assert {*find_hardest_steps(run, measure, 5).tolist()} <= set(chosen.tolist())
+    assert {*failed} <= set(chosen.tolist())
 
 
 def test_left_out_steps_are_missing_in_the_block() -> None:
