@@ -37,7 +37,7 @@ class Benchmark:
     """One benchmark of a run: minimum [s], its rough standard error, what was noted beside it.
 
     error : of log(minimum), from inside the run.
-    solver : the benchmark's own name where no solver was noted.
+    solver : "" where none was noted.
     is_verified : whether every answer was verified; True where none was checked.
     by_step : exact measures at each step of the sequence, and the steps as `k`; may be empty.
     complaints : what disturbed the machine meanwhile.
@@ -66,7 +66,7 @@ class Benchmark:
             raise ValueError(f"times {times}, reference_ns {reference}")
         name = str(entry["fullname"])
         # Without the route: a change of a solver slows it on each.
-        solver = str(extra.get("solver", name)).partition(" (")[0]
+        solver = str(extra.get("solver", "")).partition(" (")[0]
         return cls(
             name,
             times[0],
@@ -80,6 +80,11 @@ class Benchmark:
             tuple(read_complaints(extra)),
             MachineState.from_stored_state(extra[KEY]) if KEY in extra else None,
         )
+
+    @property
+    def name_in_allowance(self) -> str:
+        """Name of the solver, or the benchmark's own where none was noted."""
+        return self.solver or self.name
 
 
 def read_complaints(extra: Mapping[str, Any]) -> list[str]:

@@ -349,7 +349,8 @@ def _is_measured(allowed: Allowance, pairs: Pairs) -> bool:
 def _is_allowed(measure: str, was: Benchmark, now: Benchmark, allow: Allowed) -> bool:
     """Return whether a measure of a benchmark may grow so far, by its kind or its own name."""
     names = (measure, MEASURES.get(measure, (measure,))[0])
-    limits = [one.largest for one in allow if one.measure in names and one.solver == was.solver]
+    own = was.name_in_allowance
+    limits = [one.largest for one in allow if one.measure in names and one.solver == own]
     # 1.13 times 100 is less than 113 in floating point.
     bounds = [(1.0 + limit) * (1.0 + 1e-9) * was.exact[measure] for limit in limits]
     # Without a limit the bound of a measure of 0 is NaN.
@@ -422,7 +423,7 @@ def _suggest_allowance(measure: str, was: Benchmark, now: Benchmark, option: str
         return ""
     before, after = was.exact[measure], now.exact[measure]
     limit = f"={np.ceil(100.0 * (after - before) / before):.0f}%" if before > 0.0 else ""
-    return f" (to accept: {option} {quote(f'{measure}:{was.solver}{limit}')})"
+    return f" (to accept: {option} {quote(f'{measure}:{was.name_in_allowance}{limit}')})"
 
 
 def find_allowed_changes(was: Benchmark, now: Benchmark, allow: Allowed) -> list[str]:

@@ -338,3 +338,42 @@ def test_a_change_of_the_solver_measured_most_is_not_the_machines(factor: float)
     for row in found.rows:
         assert row.ratio is not None
         assert row.ratio.value == pytest.approx(factor if row.name in own else 1.0)
+
+
+@pytest.mark.parametrize("factor", [1.0 / 3.0, 3.0])
+def test_a_change_of_a_benchmark_without_a_solver_is_not_the_machines(factor: float) -> None:
+    """A replay and a test that notes no solver change together; two other solvers do not."""
+    unchanged = [entry(name, solver=name) for name in ("daqp", "quadprog")]
+    base, head = (
+        run_of(*unchanged, entry("replay", s, solver="slsqp"), entry("calls", s))
+        for s in (1e-3, factor * 1e-3)
+    )
+    ratios = {}
+    for row in compare_runs([(base, head)]).rows:
+        assert row.ratio is not None
+        changed = "slower" if factor > 1.0 else "faster"
+        is_same = row.name in ("daqp", "quadprog")
+        assert row.verdict == ("no difference shown" if is_same else changed)
+        ratios[row.name] = row.ratio.value
+    same = {"daqp": 1.0, "quadprog": 1.0}
+    assert ratios == pytest.approx(same | {"replay": factor, "calls": factor})
+
+
+def test_benchmarks_without_a_solver_do_not_widen_the_intervals_of_others() -> None:
+    """What they have in common may be a change of code."""
+    known = [entry(f"known-{i}", solver=f"s{i}") for i in range(4)]
+    widths = []
+    for factor in (1.0, 3.0):
+        own = [[entry(f"t{i}", s) for i in range(3)] for s in (1e-3, factor * 1e-3)]
+        base, head = (run_of(*known, *one) for one in own)
+        ratios = [row.ratio for row in compare_runs([(base, head)]).rows if "known" in row.name]
+        widths += [one.high / one.low for one in ratios if one is not None]
+    assert widths == pytest.approx([widths[0]] * 8)
+
+
+def test_an_allowance_of_a_benchmark_without_a_solver_has_its_own_name() -> None:
+    """Named as it is suggested; a name with a space and bracket is kept whole."""
+    base, head = (run_of(entry("t[a (b)]", exact={"calls": x})) for x in (10, 11))
+    assert compare_runs([(base, head)]).worse
+    allow = [parse_allowance("calls:t[a (b)]=10%")]
+    assert not compare_runs([(base, head)], allow=allow).worse

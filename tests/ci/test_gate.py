@@ -25,7 +25,10 @@ def described_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def write(tmp_path: Path) -> Write:
-    """Writes a run of ten benchmarks of 1 to 10 ms, some changed, the first `own` of one solver."""
+    """Writes a run of ten benchmarks of 1 to 10 ms, some changed, the first `own` of one solver.
+
+    noted : whether the others have each a solver.
+    """
 
     def run(
         name: str,
@@ -35,6 +38,7 @@ def write(tmp_path: Path) -> Write:
         kernel: bool = True,
         count: int = 10,
         own: int = 0,
+        noted: bool = True,
         **exact: float,
     ) -> Path:
         benchmarks: list[dict[str, Any]] = []
@@ -44,13 +48,14 @@ def write(tmp_path: Path) -> Write:
             smallest = 1e-3 * (i + 1) * (slow or {}).get(i, 1.0) * machine * wobble
             measures = {"iterations": 100, "peak_bytes": 1000, "error_move_max": 1e-9}
             measures |= exact if i == 4 else {}
+            solver = f"mine (native, {i})" if i < own else f"other-{i}" * noted
             benchmarks.append(
                 {
                     "fullname": f"test_x.py::test[{i}]",
                     "stats": {"min": smallest, "q1": 1.01 * smallest, "rounds": 50},
                     "extra_info": {"exact": measures}
                     | ({"reference_ns": 4e4 * machine} if kernel else {})
-                    | ({"solver": f"mine (native, {i})"} if i < own else {}),
+                    | ({"solver": solver} if solver else {}),
                 }
             )
         path = tmp_path / f"{name}.json"
@@ -120,6 +125,36 @@ def test_a_solver_that_became_slower_as_a_whole_fails(
     slow = write("later", count=count, own=4, slow=dict.fromkeys(range(4), 3.0), machine=machine)
     same = write("again", count=count, own=4, machine=machine)
     assert judged(tmp_path, before, slow, same) == [0, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("kernel", "slow", "code", "verdict", "count"),
+    [
+        (False, dict.fromkeys(range(4), 10.0), 0, "no reference kernel", 4),
+        (True, dict.fromkeys(range(4), 3.0), 1, "slower", 4),
+        (True, {1: 10.0}, 1, "slower", 1),
+        (True, {}, 0, "no difference shown", 4),
+    ],
+)
+def test_benchmarks_without_a_solver_do_not_stand_for_the_machine(
+    write: Write,
+    tmp_path: Path,
+    kernel: bool,
+    slow: dict[int, float],
+    code: int,
+    verdict: str,
+    count: int,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Any of them may be of the changed code: the reference kernel does, or nothing."""
+    common: dict[str, Any] = {"count": 4, "noted": False, "kernel": kernel}
+    before, later = write("before", **common), write("later", slow=slow, **common)
+    assert judged(tmp_path, before, later) == [0, code]
+    rows = [line.split("│") for line in capsys.readouterr().out.splitlines() if "│" in line]
+    rest = ["no difference shown"] * (4 - count)
+    assert [row[1].strip() for row in rows] == [verdict] * count + rest
+    for row in rows[:count]:
+        assert float(row[2].split()[0]) == pytest.approx(max(slow.values(), default=1.0), rel=0.03)
 
 
 def test_a_run_without_a_benchmark_of_the_baseline_fails(

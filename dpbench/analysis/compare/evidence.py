@@ -104,21 +104,25 @@ def remove_factor_shared_by_group(
         NaN leaves nothing known of the configuration. None for a machine without such a factor.
     own_share : of the variance from inside the runs, what the scatter of configurations shows.
     subjects : (N,) what a change slows as a whole, such as a solver; each ratio its own if None.
+        Those of an unknown one, "", are one subject, which no other is judged by.
     """
-    labels = np.asarray(groups)
-    subject = np.arange(len(logs)) if subjects is None else np.asarray(subjects)
+    labels = np.asarray(groups, dtype=np.str_)
+    subject = np.asarray([*map(str, range(len(logs)))] if subjects is None else subjects)
+    is_known = subject != ""
+    # What unknown subjects share, a change or the machine, is no scatter around the known ones.
+    apart = np.where(is_known, labels, np.char.add(labels, " of the unknown"))
     centre, error, df = np.zeros(len(logs)), np.empty(len(logs)), np.empty(len(logs))
     for i in range(len(logs)):
         # What a configuration is judged by must not come from its own subject: that one's slowdown
         # would count.
         keep, same = np.arange(len(logs)) != i, subject == subject[i]
         typical2 = float(np.median(own[keep] ** 2)) if keep.any() else 0.0
-        places = np.where(same, np.char.add(labels.astype(str), " of the subject"), labels)
+        places = np.where(same, np.char.add(labels, " of the subject"), apart)
         spread2, df[i] = _estimate_variance_and_freedom(
             logs[keep], places[keep], prior, own_share * typical2
         )
         # One value for each subject: of one that is measured often, a change is not the machine's.
-        rest = ~same & (labels == labels[i])
+        rest = ~same & is_known & (labels == labels[i])
         others = [np.median(logs[rest & (subject == one)]) for one in np.unique(subject[rest])]
         if len(others) >= MIN_OTHERS:
             centre[i] = np.median(others)
