@@ -2,6 +2,7 @@
 
 import argparse
 import re
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 MARGIN = 0.15
@@ -13,6 +14,14 @@ def parse_exit_code(text: str) -> int:
     if not (text.isdecimal() and int(text) <= 255):
         raise argparse.ArgumentTypeError(f"found {text}; allowed: 0 to 255")
     return int(text)
+
+
+def parse_margin(text: str) -> float:
+    """Read a margin of a command line; ArgumentTypeError for none between 0 and 10."""
+    with suppress(ValueError):
+        if 0.0 < float(text) < 10.0:
+            return float(text)
+    raise argparse.ArgumentTypeError(f"found {text}; allowed: a share between 0 and 10")
 
 
 class Allowance(NamedTuple):
@@ -43,11 +52,22 @@ ALLOW: dict[str, Any] = {
     "limit, as iterations:osqp=10%%; repeatable",
 }
 """Option that gate, revisions and pytest have in common."""
+MARGIN_SHARE: dict[str, Any] = {
+    "metavar": "SHARE",
+    "type": parse_margin,
+    "default": MARGIN,
+    "help": f"largest slowdown that does not count as a regression (default: {MARGIN})",
+}
+"""Option that gate, revisions and pytest have in common."""
 DISTURBED_EXIT: dict[str, Any] = {
     "metavar": "CODE",
     "type": parse_exit_code,
     "default": 0,
-    "help": "exit code if times are not judged and no regression is shown, or other load disturbs "
-    "a stored baseline (default: 0)",
+    "help": "exit code if times are not judged and no regression is shown (default: 0)",
 }
-"""Option that gate, revisions and pytest have in common."""
+"""Option of revisions, which stores no baseline."""
+DISTURBED_OR_STORED_EXIT: dict[str, Any] = DISTURBED_EXIT | {
+    "help": "exit code if times are not judged and no regression is shown, or other load disturbs "
+    "a stored baseline (default: 0)"
+}
+"""Option that gate and pytest have in common."""

@@ -1,14 +1,14 @@
 """Compare measurements of pytest-benchmark with the stored ones of the same machine.
 
-    python -m dpbench.ci.gate bench.json BASELINE [--renew] [--retries 3] [--allow-gone]
-        [--disturbed-exit CODE] [--allow MEASURE:SOLVER[=PERCENT]]
+    python -m dpbench.ci.gate bench.json BASELINE [--renew] [--retries 3] [--margin SHARE]
+        [--allow-gone] [--disturbed-exit CODE] [--allow MEASURE:SOLVER[=PERCENT]]
 
 BASELINE is a JSON file, or a folder that keeps one for each machine. What looks worse or was
 disturbed is measured again: noise only ever makes a minimum larger. The baseline is not, and so
 nothing whose baseline was disturbed: `dpbench.ci.revisions` measures both alternately. Exit 0: no
 regression shown, or no baseline yet, which is stored; 1: a regression, or a failed or missing
-benchmark; 2: bad input; CODE (0): times not judged, no regression shown, or a disturbed baseline
-stored.
+benchmark; 2: bad input, or no benchmark in common; CODE (0): times not judged, no regression shown,
+or a disturbed baseline stored.
 """
 
 import argparse
@@ -19,12 +19,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
 
 from dpbench.bench.record.machine import describe_machine
-from dpbench.ci import ALLOW, DISTURBED_EXIT
+from dpbench.ci import ALLOW, DISTURBED_OR_STORED_EXIT, MARGIN, MARGIN_SHARE
 from dpbench.ci.benchmarks import (
     Benchmark,
     BenchmarkRun,
@@ -42,14 +43,14 @@ from dpbench.ci.comparison import (
     find_exact_changes,
 )
 from dpbench.ci.failures import FailedBenchmarks
-from dpbench.errors import InputError
+from dpbench.errors import InputError, SituationError
 from dpbench.report.formats import plural
 
 HELP_EPILOG = """\
 exit codes:
   0     no regression shown, or the baseline was stored
   1     a regression: longer times, more iterations, larger errors, or a failed or missing benchmark
-  2     bad input
+  2     bad input, or no benchmark in common
   CODE  of --disturbed-exit: times not judged, no regression shown, or a disturbed baseline stored
 
 examples:
@@ -63,9 +64,6 @@ class SessionComparison:
 
     def __init__(self, config: pytest.Config, notes: FailedBenchmarks) -> None:
         self._path = Path(config.getoption("dpbench_compare"))
-        self._margin: float = config.getoption("dpbench_margin")
-        if not 0.0 < self._margin < 10.0:
-            raise pytest.UsageError(f"--dpbench-margin: found {self._margin}; allowed: 0 to 10")
         try:
             self._baseline = load_run(self._path)
         except InputError as error:
@@ -83,7 +81,7 @@ class SessionComparison:
         now = replace(now, selection=self._notes.selection)
         found = compare_runs(
             [(self._baseline, now)],
-            margin=self._margin,
+            margin=self._config.getoption("dpbench_margin"),
             allow_gone=self._config.getoption("dpbench_allow_gone"),
             allow=self._config.getoption("dpbench_allow"),
             option="--dpbench-allow",
@@ -114,14 +112,19 @@ class SessionComparison:
 
 
 def measure_suspects_again(
-    was: BenchmarkRun, now: BenchmarkRun, retries: int, console: Console, allow: Allowed = ()
+    was: BenchmarkRun,
+    now: BenchmarkRun,
+    retries: int,
+    console: Console,
+    allow: Allowed = (),
+    margin: float = MARGIN,
 ) -> BenchmarkRun:
     """Repeat benchmarks that look worse or disturbed; return the run with the better times.
 
     No repeat gives a verdict on a time whose baseline was disturbed.
     """
     for _ in range(retries):
-        rows = compare_runs([(was, now)], allow=allow).rows
+        rows = compare_runs([(was, now)], allow=allow, margin=margin).rows
         doubtful = [
             row.name
             for row in rows
@@ -183,8 +186,9 @@ def _build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--retries", type=int, default=3, metavar="N", help=retries)
     gone = "pass even if a benchmark of the baseline is missing"
+    parser.add_argument("--margin", **MARGIN_SHARE)
     parser.add_argument("--allow-gone", action="store_true", help=gone)
-    parser.add_argument("--disturbed-exit", **DISTURBED_EXIT)
+    parser.add_argument("--disturbed-exit", **DISTURBED_OR_STORED_EXIT)
     parser.add_argument("--allow", **ALLOW)
     return parser
 
@@ -196,31 +200,42 @@ def main(argv: list[str] | None = None) -> int:
     baseline: Path = arguments.baseline
     if baseline.suffix != ".json":
         baseline = baseline / f"{describe_machine()['id']}.json"
+    allowed: dict[str, Any] = {"allow": arguments.allow, "margin": arguments.margin}
     try:
         now = load_run(arguments.json)
         if arguments.renew or not baseline.exists():
-            baseline.parent.mkdir(parents=True, exist_ok=True)
-            baseline.write_bytes(arguments.json.read_bytes())
-            why = "renewed" if arguments.renew else "no baseline of this machine yet"
-            console.print(f"{why}: stored {baseline}, nothing compared", soft_wrap=True)
-            code = 0
-            if warning := describe_disturbed_baseline(now.disturbed, len(now.benchmarks)):
-                console.print(warning, soft_wrap=True)
-                code = arguments.disturbed_exit
-            console.print(f"exit code {code} (baseline stored)")
-            return code
+            return _store_baseline(now, arguments, baseline, console)
         was = load_run(baseline)
+        if was.names.isdisjoint(now.names):
+            fault = f"has no benchmark in common with {baseline}, which --renew replaces by it"
+            raise SituationError(str(arguments.json), fault)
         if line := describe_unusable_times(was, baseline):
             console.print(f"{line} (--renew)", soft_wrap=True)
-        now = measure_suspects_again(was, now, arguments.retries, console, arguments.allow)
+        now = measure_suspects_again(was, now, arguments.retries, console, **allowed)
     except InputError as error:
         print(f"gate: {error}", file=sys.stderr)
         return 2
-    found = compare_runs([(was, now)], allow_gone=arguments.allow_gone, allow=arguments.allow)
+    found = compare_runs([(was, now)], allow_gone=arguments.allow_gone, **allowed)
     selected: int = arguments.disturbed_exit
     lines = describe_end(found, str(baseline), str(arguments.json), selected)
     found.print(console, [*lines, found.describe_exit(selected)])
     return found.exit_code(selected)
+
+
+def _store_baseline(
+    run: BenchmarkRun, arguments: argparse.Namespace, baseline: Path, console: Console
+) -> int:
+    """Store the given file, of a run, as the baseline; return the exit code."""
+    baseline.parent.mkdir(parents=True, exist_ok=True)
+    baseline.write_bytes(arguments.json.read_bytes())
+    why = "renewed" if arguments.renew else "no baseline of this machine yet"
+    console.print(f"{why}: stored {baseline}, nothing compared", soft_wrap=True)
+    code = 0
+    if warning := describe_disturbed_baseline(run.disturbed, len(run.benchmarks)):
+        console.print(warning, soft_wrap=True)
+        code = arguments.disturbed_exit
+    console.print(f"exit code {code} (baseline stored)")
+    return code
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from dpbench.ci import ALLOW, DISTURBED_EXIT, MARGIN
+from dpbench.ci import ALLOW, DISTURBED_OR_STORED_EXIT, MARGIN_SHARE
 
 if TYPE_CHECKING:
     from dpbench.ci.replays import BenchmarkFixture, ReplayBenchmark
@@ -27,20 +27,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="FILE",
         help="compare with a file that an earlier --benchmark-json wrote; fail on a regression",
     )
-    group.addoption(
-        "--dpbench-margin",
-        metavar="SHARE",
-        type=float,
-        default=MARGIN,
-        help=f"largest slowdown that does not count as a regression (default: {MARGIN})",
-    )
+    group.addoption("--dpbench-margin", **MARGIN_SHARE)
     group.addoption(
         "--dpbench-allow-gone",
         action="store_true",
         help="pass even if a benchmark of that file is missing",
     )
     group.addoption("--dpbench-allow", **ALLOW)
-    group.addoption("--dpbench-disturbed-exit", **DISTURBED_EXIT)
+    group.addoption("--dpbench-disturbed-exit", **DISTURBED_OR_STORED_EXIT)
 
 
 def pytest_configure(config: pytest.Config) -> None:

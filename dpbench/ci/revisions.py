@@ -30,7 +30,7 @@ from rich.console import Console
 from dpbench.bench.estimate import format_duration
 from dpbench.bench.record.git_commit import run_git
 from dpbench.bench.workers.interrupts import first_signal_only
-from dpbench.ci import ALLOW, DISTURBED_EXIT, MARGIN
+from dpbench.ci import ALLOW, DISTURBED_EXIT, MARGIN_SHARE
 from dpbench.ci.benchmarks import (
     COLLECTED,
     IMPORTED,
@@ -365,13 +365,7 @@ def _build_parser() -> argparse.ArgumentParser:
         metavar="N",
         help="measure up to N pairs, even after two disturbed in a row (default: twice --pairs)",
     )
-    parser.add_argument(
-        "--margin",
-        type=float,
-        default=MARGIN,
-        metavar="SHARE",
-        help=f"largest slowdown that does not count as a regression (default: {MARGIN})",
-    )
+    parser.add_argument("--margin", **MARGIN_SHARE)
     parser.add_argument(
         "--markdown", type=Path, metavar="FILE", help="write the comparison as Markdown"
     )

@@ -162,12 +162,46 @@ def test_a_run_without_a_benchmark_of_the_baseline_fails(
 ) -> None:
     """A benchmark of the baseline that is gone is no pass, unless that is allowed."""
     renamed = write("later")
-    renamed.write_text(renamed.read_text("utf-8").replace("test_x", "test_y"), encoding="utf-8")
+    renamed.write_text(renamed.read_text("utf-8").replace("[4]", "[x]"), encoding="utf-8")
     assert judged(tmp_path, write("before"), renamed) == [0, 1]
     out = capsys.readouterr().out
-    assert "gone (a benchmark of the base is missing or skipped): 10 gone, 10 new" in out
+    counts = "1 gone, 9 no difference shown, 1 new"
+    assert f"gone (a benchmark of the base is missing or skipped): {counts}" in out
     arguments = [str(renamed), str(tmp_path / "baseline"), "--retries", "0", "--allow-gone"]
     assert gate.main(arguments) == 0
+
+
+@pytest.mark.parametrize("options", [(), ("--allow-gone",)])
+def test_files_without_a_benchmark_in_common_are_not_compared(
+    write: Write, tmp_path: Path, options: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two files of other tests, of which neither session has run the other's."""
+    base, other = write("base"), write("other")
+    stored = json.loads(other.read_text("utf-8").replace("test_x", "test_y"))
+    stored[SELECTION] = {"given": ["test_y.py"], "deselected": []}
+    other.write_text(json.dumps(stored), encoding="utf-8")
+    assert gate.main([str(other), str(base), *options]) == 2
+    out, err = capsys.readouterr()
+    (line,) = err.splitlines()
+    assert not out
+    assert line.startswith(f"gate: {other}: has no benchmark in common with {base}, which --renew ")
+    assert gate.main([str(other), str(tmp_path / "none.json"), *options]) == 0
+
+
+def test_the_margin_is_that_of_the_option(
+    write: Write, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A slowdown within it is neither a regression nor measured again."""
+    before, later = write("before"), write("later", slow={4: 2.0})
+    repeated: list[list[str]] = []
+    monkeypatch.setattr(gate, "_run_benchmarks", lambda names: repeated.append(names) or {})
+    arguments = [str(later), str(before), "--retries", "1"]
+    assert gate.main([*arguments, "--margin", "2"]) == 0 and not repeated
+    assert gate.main(arguments) == 1 and len(repeated) == 1
+    for margin in ("0", "nan", "15%"):
+        with pytest.raises(SystemExit):
+            gate.main([*arguments, "--margin", margin])
+        assert f"--margin: found {margin}; allowed: " in capsys.readouterr().err
 
 
 def test_a_baseline_of_a_disturbed_machine_has_a_warning(

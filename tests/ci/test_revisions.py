@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpbench.ci import plugin, revisions
+from dpbench.ci import gate, plugin, revisions
 from dpbench.ci.benchmarks import BenchmarkRun, list_imported_files
 from dpbench.ci.revisions import (
     ADVICE,
@@ -161,6 +161,18 @@ def test_exit_codes_and_first_lines(
         word = text if code or text == "no baseline" else "no regression"
         assert found.out.splitlines()[-1] == f"exit code {code} ({word})"
         assert markdown.read_text(encoding="utf-8").startswith(f"**dpbench: {text}")
+
+
+def test_the_help_of_an_exit_code_is_of_what_the_command_does(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Only the gate stores a baseline."""
+    for command, stores in ((main, False), (gate.main, True)):
+        with pytest.raises(SystemExit):
+            command(["--help"])
+        words = " ".join(capsys.readouterr().out.split())
+        assert ("load disturbs a stored baseline (default: 0)" in words) is stores
+        assert "times are not judged and no regression is shown" in words
 
 
 def test_a_missing_tree_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
