@@ -228,7 +228,7 @@ class RunComparison:
         return f"exit code {self.exit_code(disturbed)} ({self.outcome})"
 
     def describe_unjudged(self, disturbed: int, option: str = "--disturbed-exit") -> list[str]:
-        """Return lines on unused allowances, the largest disturbed ratio, and the exit code.
+        """Return lines on unused allowances, the largest disturbed slowdown, and the exit code.
 
         option : the one that selects the exit code.
         """
@@ -236,10 +236,12 @@ class RunComparison:
         unjudged = [row for row in self.rows if np.isfinite(row.disturbed_ratio)]
         if unjudged:
             worst = max(unjudged, key=lambda row: row.disturbed_ratio)
-            ratio = significant(worst.disturbed_ratio)
             why = f"; not treated as a gross slowdown (above × {GROSS}): {worst.not_gross}"
             why *= worst.disturbed_ratio > GROSS
-            lines += [f"largest ratio not judged: × {ratio} ({worst.name}){why}", EXACT_JUDGED]
+            if worst.disturbed_ratio > 1.0:
+                ratio = significant(worst.disturbed_ratio)
+                lines.append(f"largest ratio not judged: × {ratio} ({worst.name}){why}")
+            lines.append(EXACT_JUDGED)
         if self.verdict in NOT_JUDGED and not self.exit_code(disturbed):
             lines.append(f"times not judged give exit code 0; {option} CODE changes it")
         return lines

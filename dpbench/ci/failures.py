@@ -22,13 +22,17 @@ from dpbench.ci.benchmarks import (
 
 
 class FailedBenchmarks:
-    """Plug-in that notes why benchmarks failed: `reasons`, the first line of each by name."""
+    """Plug-in that notes why benchmarks failed: `reasons`, the first line of each by name.
+
+    last_line : outcome and exit code, printed below pytest's last line; "" for none.
+    """
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
         self._deselected: set[str] = set()
         self._collected = 0
         self._warning = ""
+        self.last_line = ""
         self.reasons: dict[str, str] = {}
 
     def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
@@ -84,7 +88,8 @@ class FailedBenchmarks:
         """
         is_stored_only = not self._config.getoption("dpbench_compare")
         if self._warning and is_stored_only and session.exitstatus == pytest.ExitCode.OK:
-            session.exitstatus = self._config.getoption("dpbench_disturbed_exit")
+            code = session.exitstatus = self._config.getoption("dpbench_disturbed_exit")
+            self.last_line = f"dpbench: disturbed baseline stored (exit code {code})"
         target = self._config.getoption("benchmark_json", None)
         # No public hook has the benchmarks of a session.
         measured = self._config._benchmarksession.benchmarks  # type: ignore[attr-defined] # a private attribute
@@ -95,6 +100,12 @@ class FailedBenchmarks:
         path = Path(getattr(target, "name", "")) if hasattr(target, "write") else Path(target)
         content = json.dumps({"benchmarks": []} | self._make_notes())
         path.write_text(content, encoding="utf-8")
+
+    def pytest_unconfigure(self, config: pytest.Config) -> None:
+        """Print the outcome and the exit code below pytest's last line."""
+        reporter = config.pluginmanager.getplugin("terminalreporter")
+        if reporter is not None and self.last_line:
+            reporter.write_line(self.last_line)
 
     def _make_notes(self) -> dict[str, Any]:
         """Return failed benchmarks, imported files and selected tests for the JSON file."""

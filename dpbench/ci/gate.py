@@ -69,7 +69,6 @@ class SessionComparison:
         except InputError as error:
             raise pytest.UsageError(f"--dpbench-compare: {error}") from error
         self._config, self._notes, self._text = config, notes, StringIO()
-        self._last_line = ""
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
@@ -97,18 +96,13 @@ class SessionComparison:
         if passed:
             session.exitstatus = found.exit_code(selected)
         why = "" if passed or found.worse else ": pytest did not pass"
-        self._last_line = f"dpbench: {found.outcome} (exit code {int(session.exitstatus)}{why})"
+        code = int(session.exitstatus)
+        self._notes.last_line = f"dpbench: {found.outcome} (exit code {code}{why})"
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Print the comparison with the stored run below pytest's table of benchmarks."""
         terminalreporter.section("dpbench comparison")
         terminalreporter.write_line(self._text.getvalue().rstrip())
-
-    def pytest_unconfigure(self, config: pytest.Config) -> None:
-        """Print the outcome and the exit code below pytest's last line."""
-        reporter = config.pluginmanager.getplugin("terminalreporter")
-        if reporter is not None and self._last_line:
-            reporter.write_line(self._last_line)
 
 
 def measure_suspects_again(

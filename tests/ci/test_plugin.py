@@ -116,7 +116,9 @@ def test_a_disturbed_baseline_has_an_exit_code_and_a_line(
     monkeypatch.setattr(machine_state.MachineState, "complaints", lambda _: ["load"])
     pytester.makepyfile(test_it=TEST)
     arguments = ("--benchmark-json=now.json", "--dpbench-disturbed-exit=75")
-    assert run(pytester, *arguments).ret == 75
+    stored = run(pytester, *arguments)
+    assert stored.ret == 75
+    assert stored.outlines[-1] == "dpbench: disturbed baseline stored (exit code 75)"
     result = run(pytester, "--dpbench-compare=now.json", "--dpbench-disturbed-exit=75")
     assert result.ret == 75
     lines = [line for line in result.outlines if line]
