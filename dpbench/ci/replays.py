@@ -1,9 +1,11 @@
 """One benchmark of pytest-benchmark: a pass over a sequence of QPs, its answers checked."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from functools import partial
 from importlib.metadata import version
+from inspect import signature
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -18,7 +20,7 @@ from dpbench.bench.sequences.sequence_file import as_sequence
 from dpbench.bench.sequences.source import thin_sequence
 from dpbench.ci.benchmarks import BY_STEP, WRONG_ANSWERS
 from dpbench.ci.machine_state import HasInfo, watch_machine
-from dpbench.errors import InputError, SituationError
+from dpbench.errors import InputError, SituationError, format_allowed_names, require_type
 from dpbench.notebook.runs import Run, replay
 from dpbench.qp.program import ARRAYS, QPSequence, QPStep, QuadraticProgram
 from dpbench.report.formats import format_error, plural
@@ -28,6 +30,17 @@ from dpbench.solvers.open import open_workspace
 from dpbench.solvers.table import load_plugin_solver_from_file
 
 Given = TypeVar("Given")
+WHERE = "dpbench_replay"
+ARGUMENTS: dict[str, tuple[Any, str]] = {
+    "sequence": (QPSequence | str | Path, "a QPSequence, a name or a .npz file"),
+    "solver": (Workspace | str | Path, "a name, the .py file of a plug-in or a workspace"),
+    "steps": (Integral | None, "a whole number"),
+    "error_move": (Real, "a number, such as 0.01 for 1 % of the maximum increment"),
+    "failed_steps": (Integral, "a whole number"),
+}
+"""Types of the arguments of `dpbench_replay`, and these in words."""
+OPTIONS = tuple(signature(open_workspace).parameters)[1:]
+"""Its further arguments, which open the solver."""
 
 
 class BenchmarkFixture(HasInfo, Protocol):
@@ -70,9 +83,16 @@ class ReplayBenchmark:
         ------
         pytest.fail.Exception : an answer is beyond these requirements, or answers are remembered.
         InputError : for an unknown name or option, or a file that cannot be read.
+        TypeError : for an unknown argument, or one of another type.
         """
-        qps = thin_sequence(as_sequence(self._find_given_file(sequence, ".npz")), steps)
-        workspace = _open_solver(self._find_given_file(solver, ".py"), options)
+        __tracebackhide__ = True
+        _require_arguments((sequence, solver, steps, error_move, failed_steps), options)
+        try:
+            qps = thin_sequence(as_sequence(self._find_given_file(sequence, ".npz")), steps)
+            workspace = _open_solver(self._find_given_file(solver, ".py"), options)
+        except InputError as error:
+            # The mistake is in the test, whose line pytest shows.
+            raise error.with_traceback(None) from error.__cause__
         run = replay(qps, workspace, repeats=2)
         self._store_facts(run)
         requirements = Requirements(error_move=error_move, failed_steps=failed_steps)
@@ -117,28 +137,31 @@ class ReplayBenchmark:
             by_step["error_move_max"] = first["error_move"].tolist()
 
 
+def _require_arguments(given: Iterable[object], options: Collection[str]) -> None:
+    """Raise TypeError for a given argument of another type, or for the name of an unknown one."""
+    __tracebackhide__ = True
+    for name in options:
+        if name not in OPTIONS:
+            allowed = format_allowed_names(name, [*ARGUMENTS, *OPTIONS])
+            raise TypeError(f"{WHERE}: found argument {name}; allowed: {allowed}")
+    try:
+        for value, (name, (kind, allowed)) in zip(given, ARGUMENTS.items(), strict=True):
+            require_type(f"{WHERE}: {name}", value, kind, allowed)
+    except TypeError as error:
+        raise error.with_traceback(None) from None
+
+
 def _open_solver(solver: Workspace | str | Path, options: dict[str, Any]) -> Workspace:
     """Open a solver by name or file; a workspace is returned as it is."""
     if isinstance(solver, Workspace):
         if options:
             raise SituationError(
-                "dpbench_replay",
+                WHERE,
                 "found options with an open workspace; give them to open_workspace",
             )
         return solver
     if isinstance(solver, Path) or solver.endswith(".py"):
-        try:
-            solver = load_plugin_solver_from_file(solver).name
-        except InputError as error:
-            if isinstance(error.__cause__, ModuleNotFoundError) and error.__cause__.name:
-                package = error.__cause__.name.partition(".")[0]
-                remedy = (
-                    f"it imports {package}, which is not installed: run `pip install {package}`"
-                    "; for a package in src, run `pip install .` in the project folder or set "
-                    '`pythonpath = ["src"]` in the configuration of pytest'
-                )
-                raise SituationError(f"solver module {solver}", remedy) from error
-            raise
+        solver = load_plugin_solver_from_file(solver).name
     return open_workspace(solver, **options)
 
 

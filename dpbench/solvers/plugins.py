@@ -48,6 +48,10 @@ from dpbench.solvers.contract import (
 
 GROUP = "dpbench.solvers"
 _IMPORTABLE = "a file that can be imported"
+_INSTALL = (
+    "install its package (in its repository: `pip install .`) or set PYTHONPATH to the folder that "
+    "contains it"
+)
 _PLUGIN_FILE = "a Python file that defines RECORD and open()"
 TRIAL_S = 60.0  # Time limit of a plug-in's file in `try_plugin_file_in_child`
 # The last line that the process of `try_plugin_file_in_child` prints.
@@ -182,7 +186,11 @@ def _import_plugin_file(where: str, file: Path) -> ModuleType:
         if isinstance(error, OSError) and error.filename == str(file):
             fault = error.strerror or "an unreadable file"
             raise InputError(where, "", fault, _PLUGIN_FILE) from error
-        raise InputError(where, "", _describe_exception_on_one_line(error), _IMPORTABLE) from error
+        fault = _describe_exception_on_one_line(error)
+        if isinstance(error, ModuleNotFoundError):
+            # A name on PyPI may be of a stranger's package.
+            raise SituationError(where, f"{fault}; {_INSTALL}") from error
+        raise InputError(where, "", fault, _IMPORTABLE) from error
     return module
 
 

@@ -1,5 +1,6 @@
 """The benchmark of a replay: facts it stores, answers it refuses."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import pytest
 from dpbench import QPSequence, QPStep, load_scenario, open_workspace, record_sequence
 from dpbench.ci.replays import ReplayBenchmark
 from dpbench.errors import InputError
+from dpbench.solvers.table import load_plugin_solver_from_file
 
 LAZY = """
 import numpy as np
@@ -112,10 +114,44 @@ def test_files_are_found_beside_the_test_and_cut(tmp_path: Path) -> None:
 
 
 def test_a_missing_package_of_a_plug_in_is_named(few: QPSequence, tmp_path: Path) -> None:
-    """The message has the package and what installs it."""
+    """The message is that of `dpbench run`, which names no package to download."""
     file = tmp_path / "needs.py"
     file.write_text("import nowhere_at_all.part\n", encoding="utf-8")
-    with pytest.raises(
-        InputError, match=r"nowhere_at_all, which is not installed: .* in src, run `pip install"
-    ):
+    with pytest.raises(InputError) as found:
         ReplayBenchmark(CallsTwice())(few, file)
+    with pytest.raises(InputError) as same:
+        load_plugin_solver_from_file(file)
+    remedy = (
+        "install its package (in its repository: `pip install .`) or set PYTHONPATH to the folder "
+        "that contains it"
+    )
+    fault = f"{file}: ModuleNotFoundError: No module named 'nowhere_at_all'; {remedy}"
+    assert [str(one.value) for one in (found, same)] == [f"solver module {fault}"] * 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"step": 20}, "found argument step; allowed: one of steps, "),
+        ({"error_move": "1%"}, "error_move: found '1%'; allowed: a number, such as 0.01"),
+        ({"steps": "20"}, "steps: found '20'; allowed: a whole number"),
+        ({"failed_steps": 0.5}, "failed_steps: found 0.5; allowed: a whole number"),
+        ({"solver": None}, "solver: found None; allowed: a name, the .py file of a plug-in or "),
+        ({"sequence": 3}, "sequence: found 3; allowed: a QPSequence, a name or a .npz file"),
+    ],
+)
+def test_a_mistake_in_an_argument_is_named(arguments: dict[str, Any], text: str) -> None:
+    """Before a sequence is loaded; the frames in dpbench are hidden from pytest's traceback."""
+    given: dict[str, Any] = {"sequence": "paper-30-5", "solver": "daqp"} | arguments
+    with pytest.raises(TypeError, match=f"^dpbench_replay: {re.escape(text)}") as found:
+        ReplayBenchmark(CallsTwice())(**given)
+    (shown,) = found.traceback.filter(found)
+    assert shown.path == Path(__file__)
+
+
+def test_an_unknown_name_has_a_short_traceback() -> None:
+    """Of the test alone, as the mistake is there."""
+    with pytest.raises(InputError, match="dapq") as found:
+        ReplayBenchmark(CallsTwice())("paper-30-5", "dapq")
+    (shown,) = found.traceback.filter(found)
+    assert shown.path == Path(__file__)
