@@ -174,4 +174,5 @@ def describe_revisions(suite: SuiteDescription) -> str:
 def describe_version(suite: SuiteDescription) -> str:
     """Return the dpbench version and commits in `suite.json` as text."""
     version = f"dpbench {suite.get('harness_version', '')}"
-    return f"{version}, {describe_revisions(suite) or 'commit not known'}"
+    # In brackets, or it is taken for the commit of the solver.
+    return f"{version} ({describe_revisions(suite) or 'commit not known'})"

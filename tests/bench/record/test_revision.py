@@ -69,7 +69,7 @@ def test_a_folder_that_was_taken_up_again_names_all_commits() -> None:
     assert both == [old, new] and append_revision([], None) == []
     assert describe_revisions({"revisions": both}) == f"commit {'a' * 12}, {'b' * 12} with changes"
     assert describe_revisions({}) == ""
-    assert describe_version({"harness_version": "1.2"}) == "dpbench 1.2, commit not known"
+    assert describe_version({"harness_version": "1.2"}) == "dpbench 1.2 (commit not known)"
 
 
 def test_a_wheel_keeps_the_commit_it_was_built_from(tmp_path: Path) -> None:

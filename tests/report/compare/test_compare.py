@@ -563,7 +563,7 @@ def test_versions_and_commits_of_both_folders_are_named(
         folders.append(folder)
     lines = compare(*folders).lines
     (line,) = (line for line in lines if line.startswith("B: "))
-    assert f"dpbench {b[0]}, commit {b[1] * 12}{'' if b[2] else ' with changes'}, " in line
+    assert f", dpbench {b[0]} (commit {b[1] * 12}{'' if b[2] else ' with changes'}), " in line
     assert [line for line in lines if line.startswith("made by")] == (
         [line for line in lines if made in line and "may come from dpbench" in line] if made else []
     )
