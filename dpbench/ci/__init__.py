@@ -17,7 +17,7 @@ def parse_exit_code(text: str) -> int:
 
 
 def parse_margin(text: str) -> float:
-    """Read a margin of a command line; ArgumentTypeError for none between 0 and 10."""
+    """Read a margin of a command line; ArgumentTypeError unless between 0 and 10."""
     with suppress(ValueError):
         if 0.0 < float(text) < 10.0:
             return float(text)

@@ -362,7 +362,7 @@ def test_a_change_of_a_benchmark_without_a_solver_is_not_the_machines(factor: fl
 
 
 def test_benchmarks_without_a_solver_do_not_widen_the_intervals_of_others() -> None:
-    """What they have in common may be a change of code."""
+    """Their common change may be one of code."""
     known = [entry(f"known-{i}", solver=f"s{i}") for i in range(4)]
     widths = []
     for factor in (1.0, 3.0):

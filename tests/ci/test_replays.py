@@ -150,7 +150,7 @@ def test_a_mistake_in_an_argument_is_named(arguments: dict[str, Any], text: str)
 
 
 def test_an_unknown_name_has_a_short_traceback() -> None:
-    """Of the test alone, as the mistake is there."""
+    """The test alone is shown, as the mistake is there."""
     with pytest.raises(InputError, match="dapq") as found:
         ReplayBenchmark(CallsTwice())("paper-30-5", "dapq")
     (shown,) = found.traceback.filter(found)

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from dpbench.ci import gate
 from dpbench.ci.revisions import _build_parser
 from tests.docs.markdown_blocks import DOCS, blocks_of
 
@@ -76,5 +77,14 @@ def test_every_option_of_revisions_is_an_input_and_the_guide_lists_all(
     assert options <= action["inputs"].keys()
     defaults = {name: yaml.safe_load(action["inputs"][name]["default"]) for name in options}
     assert defaults == {name: own[name] for name in options}
-    rows = re.findall(r"^\| `([a-z-]+)` \|", (DOCS / "guide" / "ci.md").read_text("utf-8"), re.M)
+    guide = (DOCS / "guide" / "ci.md").read_text("utf-8")
+    rows = re.findall(r"^\| `([a-z][a-z-]*)` \|", guide, re.M)
     assert sorted(rows) == sorted(action["inputs"])
+    # pytest would not find the fixtures without the extra.
+    assert "dpbench[ci]" in action["inputs"]["dpbench"]["description"]
+
+
+def test_the_guide_lists_every_option_of_the_gate() -> None:
+    guide = (DOCS / "guide" / "ci.md").read_text("utf-8")
+    known = {name for one in gate._build_parser()._actions for name in one.option_strings}
+    assert {*re.findall(r"^\| `(--[a-z-]+)[^`]*` \|", guide, re.M)} == known - {"-h", "--help"}
