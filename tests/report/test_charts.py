@@ -9,12 +9,13 @@ import sys
 from pathlib import Path
 from typing import Any, get_args
 
+import altair as alt
 import pandas as pd
 import pytest
 
 import dpbench
 from dpbench.report.charts.capability import COLUMNS, draw_capability_rose
-from dpbench.report.charts.render import encode_figure, save_figure
+from dpbench.report.charts.render import encode_figure, render_svg, save_figure
 from dpbench.report.charts.style import FAMILY_COLOURS
 from dpbench.solvers.contract import Family
 from dpbench.solvers.table import TABLE
@@ -126,3 +127,10 @@ def test_every_family_of_a_record_has_a_colour_of_its_own() -> None:
     assert set(get_args(Family)) <= set(FAMILY_COLOURS)
     assert len(set(FAMILY_COLOURS.values())) == len(FAMILY_COLOURS)
     assert "not stated" not in {row.family for row in TABLE.values()}
+
+
+def test_a_chart_with_not_a_number_beside_texts_is_drawn() -> None:
+    """Altair leaves NaN in a column that also has texts, which its compiler refuses."""
+    table = pd.DataFrame({"x": [1.0, 2.0], "error": ["inf", float("nan")]})
+    chart = alt.Chart(table).mark_point().encode(x="x:Q", tooltip="error:N")
+    assert "<svg" in render_svg(chart)

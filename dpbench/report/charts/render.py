@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import re
 import resource
 import subprocess
@@ -80,12 +81,28 @@ def _compile_chart(chart: _ChartKey) -> str:
     # The tests validate every figure against the grammar, which takes longer than drawing it.
     with alt.data_transformers.enable("default", max_rows=None):
         plain = chart.chart.to_dict(validate=False)
-    simple = _NOT_IN_XML.sub(r"\1 ", json.dumps(plain))
+    try:
+        text = json.dumps(plain, allow_nan=False)
+    except ValueError:
+        text = json.dumps(_replace_not_finite_by_none(plain))
+    simple = _NOT_IN_XML.sub(r"\1 ", text)
     specification: dict[str, Any] = vlc.vegalite_to_vega(simple, vl_version=_newest_grammar())
     marks = specification["marks"]
     if any(mark.get("name") == f"{NAMES}_marks" for mark in marks):
         marks.append(_label_mark())
     return json.dumps(specification)
+
+
+def _replace_not_finite_by_none(value: Any) -> Any:
+    """Return a chart's JSON value with None for NaN and infinity, which JSON does not have.
+
+    Altair does so in columns of numbers, but not where a column also has texts, such as "inf".
+    """
+    if isinstance(value, dict):
+        return {name: _replace_not_finite_by_none(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_replace_not_finite_by_none(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _label_mark() -> dict[str, Any]:
