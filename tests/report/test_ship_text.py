@@ -68,6 +68,28 @@ def _summary(records: Any) -> ShipSummary:
     return summarise_ships(find_ship_results(records.view()))
 
 
+def test_a_ship_whose_load_exceeds_its_thrust_is_not_held(
+    records: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that ends early shows it on station; no solver is recommended without the warning."""
+    records.loop("daqp", "rough", steps=100)
+    records.replay("daqp", "rough")
+    over = {"rough": 1.09}
+    monkeypatch.setattr(
+        "dpbench.analysis.verdict.ship_results.find_overload",
+        lambda files: over.get(files["name"], math.nan),
+    )
+    told = _summary(records)
+    assert told.warning == (
+        "The controller does not hold this ship, whatever the solver, in `rough`: the mean load "
+        "needs 109 % of the thrust. The run (30 s) ended before the ship left its station."
+    )
+    assert "on station" not in told.state
+    assert " As a solver of these QPs alone, daqp" in records.ending()["answer"]
+    records.loop("daqp", "extreme", steps=200, **LOST)
+    assert " Nor does it hold it in `rough`: the mean load " in _summary(records).warning
+
+
 def test_a_lost_ship_is_a_banner_with_when_and_how_far(records: Any) -> None:
     records.loop("daqp", "rough", steps=100)
     records.loop("daqp", "extreme", steps=200, **LOST)
@@ -461,10 +483,13 @@ def test_a_ship_on_station_has_no_banner_anywhere(tmp_path: Path, capsys: Any) -
 
 
 @pytest.mark.slow
-def test_every_surface_says_that_the_margin_is_small(tmp_path: Path, capsys: Any) -> None:
+def test_every_surface_warns_of_a_force_beyond_the_thrust(tmp_path: Path, capsys: Any) -> None:
     """In a force that the thrusters do not hold the run ends before the ship has left."""
     near = Written(tmp_path, 700.0, capsys)
-    assert (near.code, near.code_without) == (0, 0) and "warning" not in near.json
+    assert (near.code, near.code_without) == (1, 0)
+    lost = (
+        "The controller does not hold this ship, whatever the solver, in ship: the mean load needs"
+    )
     moving = "The ship is still moving away when the run ends in ship: only a longer run shows"
     small = "The margin is small: the ship reaches 83.0 % (offset 4.15 m) of the limits of its "
     statement = tmp_path / "a.svg"
@@ -474,7 +499,10 @@ def test_every_surface_says_that_the_margin_is_small(tmp_path: Path, capsys: Any
     for surface in (near.terminal, near.page, markdown, near.json["caution"], drawn):
         assert moving in surface and small in surface
     run = run_closed_loop(load_scenario(tmp_path / "ship.toml"), open_workspace("paper_active_set"))
-    assert moving in run._repr_html_().replace("`", "")
+    notebook = run._repr_html_().replace("`", "")
+    assert moving in notebook
+    for surface in (near.terminal, near.page, markdown, near.json["warning"], drawn, notebook):
+        assert lost in surface
 
 
 def test_a_ship_moving_away_in_a_study_has_its_point(records: Any) -> None:

@@ -15,6 +15,7 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, ThrusterUse, group_by_key
 from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.bench.capability.mean_load import find_overload
 from dpbench.bench.run.exact_loop import HEADING_DEG, RADIUS_M
 from dpbench.scenario.stability import find_unstable_radius
 
@@ -69,6 +70,21 @@ class ShipResult:
         """Largest |λ| of a loop that is unstable without limits (paper eq. 35), else NaN."""
         files = self.run.scenario_documents
         return math.nan if files is None else find_unstable_radius(files)
+
+    @property
+    def overload(self) -> float:
+        """Share of its thrust that the mean load takes of a ship that leaves in time, else NaN.
+
+        A run that ends early shows such a ship on station. NaN for the seas of a study.
+        """
+        files = self.run.scenario_documents
+        is_known = files is not None and not self.run.study and self.state != "not run"
+        return find_overload(files) if files is not None and is_known else math.nan
+
+    @property
+    def is_held(self) -> bool:
+        """True if the ship is on station and its thrust balances the mean load."""
+        return self.state == "on station" and math.isnan(self.overload)
 
     @property
     def used_share_of_station_limits(self) -> float:

@@ -574,8 +574,9 @@ def explain_deployment_blocker(solver: str) -> str:
 def list_best_verdict_of_each_solver(verdicts: Verdicts) -> list[Verdict]:
     """Return each solver's best verdict, solvers sorted from pass to fail, then by time.
 
-    Of its best state that of `rank_solvers`, else its reference, else the fastest. Where some were
-    run in both modes, those without a loop or a replay do not count.
+    Of its best state that of `rank_solvers`, else the fastest of those timed on most QP sequences,
+    the most usual settings of equally fast ones. Where some were run in both modes, those without a
+    loop or a replay do not count.
     """
     fastest = {verdict.configuration.solver: verdict for verdict in rank_solvers(verdicts)}
     chosen = []
@@ -583,8 +584,11 @@ def list_best_verdict_of_each_solver(verdicts: Verdicts) -> list[Verdict]:
         whole = [verdict for verdict in own if verdict.loops and verdict.replays] or own
         best = min(whole, key=lambda v: STATES.index(v.state)).state
         alike = [verdict for verdict in whole if verdict.state == best]
-        first = [v for v in (fastest.get(solver), own[0]) if v in alike]
-        chosen.append((first or sort_fastest_first(alike))[0])
+        if (first := fastest.get(solver)) not in alike:
+            widest = max(verdict.replays for verdict in alike)
+            wide = [verdict for verdict in alike if verdict.replays == widest]
+            first = _choose_most_usual_of_fastest(sort_fastest_first(wide))
+        chosen.append(first)
     return sort_best_first(chosen)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dpbench.arrays import Vector
+from dpbench.bench.capability.mean_load import compute_share_of_thrust
 from dpbench.bench.capability.utilisation import ThrusterReach
 from dpbench.bench.design import (
     OFFSETS_M,
@@ -220,12 +221,9 @@ def _describe_weather_load(scenario: Scenario) -> str:
     against = np.where(load < 0.0, vessel.tau_max, -vessel.tau_min)
     by_axis = zip(AXIS_NAMES, np.abs(load) / against, strict=True)
     shares = ", ".join(f"{axis} {100 * share:.0f} %" for axis, share in by_axis)
-    most = float((np.abs(load) / against).max())
-    together = ""
+    most, together = compute_share_of_thrust(vessel, load), ""
     if vessel.thrusters is not None:
-        share = ThrusterReach(vessel.thrusters).find_least_thrust_share(-load)
-        together = f", {100 * share:.0f} % of the thrust"
-        most = max(most, share)
+        together = f", {100 * most:.0f} % of the thrust"
     over = "; the ship cannot hold it" if most > 1.0 else ""
     after = _describe_shares_after_losses(scenario, {"simulated": load})
     return f"mean force: {shares} of the limits{together}{over}{'.' if after else ''}{after}"

@@ -39,7 +39,8 @@ class ShipSummary:
     """First lines of a report: a warning where the controller does not hold a ship, and results.
 
     warning : begins with `BANNER`, or with `LOST` where some ships are held or all lost ones start
-    off their station or have loops that are unstable without limits; "" where no ship is lost.
+    off their station, have loops that are unstable without limits or a mean load beyond their
+    thrust; "" where no ship is lost.
     state : where the ship is on station, has not settled or has no result; "" without any ship.
     limits : the share of steps with active limits.
     details : approaches to a setpoint, losses, offsets that still grow.
@@ -105,7 +106,10 @@ def summarise_ships(ships: Sequence[ShipResult]) -> ShipSummary:
 
 
 def _warn_of_lost(lost: Sequence[ShipResult], known: Sequence[ShipResult]) -> Iterator[str]:
-    """Yield sentences on ships driven off by weather, off at the start, and of unstable loops."""
+    """Yield sentences on ships driven off by weather, off at the start, and of unstable loops.
+
+    Last on those whose mean load exceeds the thrust, though the run ends before they leave.
+    """
     unstable = [ship for ship in lost if not math.isnan(ship.unstable_radius)]
     away = [ship for ship in lost if ship not in unstable and ship.is_lost_at_start]
     driven = [ship for ship in lost if ship not in unstable and not ship.is_lost_at_start]
@@ -125,11 +129,26 @@ def _warn_of_lost(lost: Sequence[ShipResult], known: Sequence[ShipResult]) -> It
         loop = describe_unstable_loop(_join_first(map(str, horizons)), radius)
         opening = "Elsewhere its loop is" if driven or away else f"{LOST}: its loop is"
         yield f"{opening} {loop}, whatever weather and solver: {_describe_lost(unstable)}."
+    if overloaded := [ship for ship in known if ship.state == "on station" and not ship.is_held]:
+        most = max(ship.overload for ship in overloaded)
+        opening = "Nor does it hold it" if lost else f"{LOST}, whatever the solver,"
+        yield (
+            f"{opening} in {_name_ships(overloaded)}: the mean load needs "
+            f"{_format_overload(most)}. The run ({_format_durations(overloaded)}) ended before the "
+            "ship left its station."
+        )
+
+
+def _format_overload(share: float) -> str:
+    """Return the share of its thrust that a ship's mean load takes as text."""
+    if math.isinf(share):
+        return "a force that no thrust makes"
+    return f"{100.0 * share:.0f} % of the thrust"
 
 
 def _count_held(driven: Sequence[ShipResult], known: Sequence[ShipResult]) -> str:
     """Return `LOST` with how many ships the weather drives off and how many stay; "" if none do."""
-    if not (held := sum(ship.state == "on station" for ship in known)):
+    if not (held := sum(ship.is_held for ship in known)):
         return ""
     counts = f"{len(driven)} of {len(known)} {_name_kind(known)} (it holds it in {held})"
     return f"{LOST} in the weather of {counts}"
@@ -257,7 +276,9 @@ def describe_ship(ship: ShipResult) -> str:
     if ship.state == "not run":
         return f"`{ship.name}`: not run"
     left = f" (at {significant(run.exact_left_s)} s)" if ship.has_left_station else ""
-    result, since = f"{ship.state}{left}", ""
+    needs = f", the mean load needs {_format_overload(ship.overload)}"
+    over = needs * (ship.overload > 1.0)
+    result, since = f"{ship.state}{left}{over}", ""
     if ship.has_transfer and not ship.has_left_station:
         result, since = _describe_arrival([ship]), " after it"
     return (
@@ -343,7 +364,7 @@ def _format_station_limits(ship: ShipResult) -> str:
 
 def _describe_kept(known: Sequence[ShipResult]) -> str:
     """Return a sentence on where the ship stays on station, and how far off; "" for nowhere."""
-    kept = [ship for ship in known if ship.state == "on station"]
+    kept = [ship for ship in known if ship.is_held]
     if not kept:
         return ""
     farthest = max(kept, key=lambda ship: ship.run.exact_offset_max_m / ship.run.station_radius_m)

@@ -136,7 +136,8 @@ def build_conclusion_topic(records: Records, verdicts: Verdicts) -> Topic | None
         return None
     margins = compute_speed_margins(records, requirements, of_thrusters=True)
     margin = None if chosen is None else margins.get(chosen.configuration)
-    is_lost = any(ship.has_left_station for ship in find_ship_results(records))
+    ships = find_ship_results(records)
+    is_lost = any(ship.has_left_station or ship.overload > 1.0 for ship in ships)
     is_alone = sum(state != "not run" for state in commanded.with_thrusters.values()) == 1
     first = [
         _describe_solver_to_use(records, chosen, margin, is_alone=is_alone, is_lost=is_lost),
@@ -160,7 +161,8 @@ def _describe_solver_to_use(
 ) -> str:
     """Return a text on the solver to use if MPC commands thrusters, and its deadline share.
 
-    is_alone : whether no other solver was run. is_lost : whether a ship leaves its station.
+    is_alone : whether no other solver was run. is_lost : whether a ship leaves its
+    station, or cannot hold it for long.
     """
     if chosen is None:
         return "No solver can be recommended for a controller that commands thrusters."
