@@ -80,6 +80,7 @@ def describe_how_results_were_made(
         + f" and {len(names) - MOST_PARTS} more" * (len(names) > MOST_PARTS)
         for kind, names in (
             ("Scenarios", [*dict.fromkeys(run.scenario for run in runs if run.scenario)]),
+            ("Call modes", [*dict.fromkeys(f"{run.route} {run.policy}" for run in runs)]),
             ("Settings", [*dict.fromkeys(run.settings for run in runs)]),
         )
         if names
@@ -97,8 +98,26 @@ def describe_how_results_were_made(
         f"The suite `{suite.get('name', '')}` was run with {describe_version(suite)}, {ran}. "
         f"It has {plural(len(runs), 'run')} with {plural(steps, 'step')}{note}. "
         f"{'. '.join(parts)}. Solvers: {solvers}. {f'{BASELINE}: {laws}. ' if laws else ''}"
-        f"Machine: {computer}; {software}."
+        f"{_describe_design(records)}Machine: {computer}; {software}."
     )
+
+
+def _describe_design(records: Records) -> str:
+    """Return sentences on the sizes of studies, and on rounds and load of timed replays."""
+    by_study = group_by_key(records.study, lambda run: run.study)
+    texts = [
+        f"Study `{name}`: {plural(len({run.study_point for run in own}), 'point')} in "
+        f"{plural(len({run.replicate for run in own}), 'realisation')}. "
+        for name, own in by_study.items()
+    ]
+    if timed := select_timed_replays(records):
+        counts = sorted({int(run.rounds) for run in timed})
+        rounds = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
+        texts.append(
+            f"Rounds of each replay: {rounds}; each step counts with its fastest round. The "
+            f"machine was {describe_machine_states(timed)}. "
+        )
+    return "".join(texts)
 
 
 def _describe_counted_runs(runs: Sequence[RunRecord], records: Records) -> str:

@@ -32,6 +32,8 @@ def test_the_report_ends_with_how_it_was_made(records: Any, tmp_path: Path) -> N
     for solver in ("daqp", "osqp"):
         assert f"`{solver}` {versions[solver]}" in made
     assert str(MACHINE["python"]) in made and str(MACHINE["cpu_model"]) in made
+    assert "Call modes: `qpsolvers fresh`. " in made
+    assert "Study `seas`: 1 point in 2 realisations. " in made and "Rounds" not in made
     folder = records.write(tmp_path / "out")
     page = write_report(folder).read_text("utf-8")
     shown = (
@@ -68,7 +70,8 @@ def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> N
     frame = records.results().runs
     assert len(frame) == 5
     made = _paragraph(make_report_markdown(Report.from_results(records.results())))
-    assert "3 runs with" in made
+    assert "3 runs with" in made and "`native warm`" in made
+    assert "Rounds of each replay: 3; each step counts with its fastest round. The machine" in made
     assert (
         "Both numbers count 1 run twice, because two names of settings stand for the same "
         "options. Both numbers exclude 1 run on simulated slower computers and 1 run of "
