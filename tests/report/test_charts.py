@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import pytest
 import dpbench
 from dpbench.report.charts.capability import COLUMNS, draw_capability_rose
 from dpbench.report.charts.render import encode_figure, render_svg, save_figure
+from dpbench.report.charts.study import draw_within_maps
 from dpbench.report.charts.style import FAMILY_COLOURS
 from dpbench.solvers.contract import Family
 from dpbench.solvers.table import TABLE
@@ -134,3 +136,14 @@ def test_a_chart_with_not_a_number_beside_texts_is_drawn() -> None:
     table = pd.DataFrame({"x": [1.0, 2.0], "error": ["inf", float("nan")]})
     chart = alt.Chart(table).mark_point().encode(x="x:Q", tooltip="error:N")
     assert "<svg" in render_svg(chart)
+
+
+def test_maps_of_a_study_share_the_names_of_their_axes() -> None:
+    """Three maps of 2 × 2 tiles are narrower than the name of a key."""
+    names = ["daqp", "piqp", "osqp"]
+    rows = [(name, x, y, 1.0, 8) for name in names for x in (30, 60) for y in (1.0, 3.5)]
+    table = pd.DataFrame(rows, columns=["configuration", "x", "y", "within", "runs"])
+    chart = draw_within_maps(table, "Within 1 m", "horizon", "waves.hs_m", drawn=False)
+    texts = re.findall(r">([^<>]+)</t", render_svg(chart))
+    assert [text for text in texts if "horizon" in text] == ["horizontal: horizon"]
+    assert [text for text in texts if "hs_m" in text] == ["vertical: waves.hs_m"]

@@ -29,15 +29,15 @@ def draw_within_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: 
     """
     names = list(dict.fromkeys(table["configuration"]))
     apart = alt.Scale(zero=False)
-    across = alt.X("x:O", title=x, axis=alt.Axis(labelAngle=0))
-    up = alt.Y("y:O", title=y, sort="descending")
+    across = alt.X("x:O", title=None, axis=alt.Axis(labelAngle=0))
+    up = alt.Y("y:O", title=None, sort="descending")
     if drawn:
-        across, up = alt.X("x:Q", title=x, scale=apart), alt.Y("y:Q", title=y, scale=apart)
+        across, up = alt.X("x:Q", title=None, scale=apart), alt.Y("y:Q", title=None, scale=apart)
     shade = alt.Color(
         "within:Q",
         title=_WITHIN,
         scale=alt.Scale(domain=[0.0, 0.5, 1.0], range=[style.FAIL, style.FILLS[1], style.PASS]),
-        legend=style.legend_below(format=".0%", gradientLength=160),
+        legend=style.legend_below(format=".0%", gradientLength=160, titleLimit=0),
     )
     within = alt.Tooltip("within:Q", title="within", format=".0%")
     tips = style.tooltips(
@@ -46,10 +46,14 @@ def draw_within_maps(table: pd.DataFrame, title: str, x: str, y: str, *, drawn: 
     base = alt.Chart(table).encode(x=across, y=up, color=shade, tooltip=tips)
     marks = base.mark_point(filled=True, size=60, opacity=1) if drawn else base.mark_rect()
     size: Any = _SIDE if drawn else alt.Step(24)
-    each = alt.Facet("configuration:N", title=None, sort=names)
-    return style.set_style(
-        marks.properties(width=size, height=size).facet(each, columns=3), title, title
-    )
+    # A small map has no room for the name of a key: all share one title.
+    axes = [f"horizontal: {x}", f"vertical: {y}"]
+    looks: dict[str, Any] = {"titleColor": style.SOFT, "titleFontSize": 12, "titleFontWeight": 400}
+    place: dict[str, Any] = {"titleOrient": "bottom", "titleAnchor": "start", "titleAlign": "left"}
+    shared = alt.Header(**looks, **place)
+    each = alt.Facet("configuration:N", title=axes, sort=names, header=shared)
+    maps = marks.properties(width=size, height=size).facet(each, columns=3)
+    return style.set_style(maps, title, title)
 
 
 def draw_within_lines(table: pd.DataFrame, title: str, x: str) -> Any:
