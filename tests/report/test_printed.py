@@ -132,6 +132,7 @@ def test_accuracy_has_hollow_points_for_what_does_not_pass() -> None:
     assert [text.get_text() for text in axes.texts] == ["osqp", "daqp"]
     assert axes.texts[0].xy == (60.0, 1e-5)
     assert _legend(figure) == ["active set", "first order"]
+    assert axes.get_xlabel() == "p50 of the step time [µs]"
 
 
 def test_labels_of_a_short_logarithmic_axis_stand_apart() -> None:

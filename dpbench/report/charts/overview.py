@@ -175,7 +175,7 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
         )
         .transform_filter("isValid(datum.time)")
         .encode(
-            x=alt.X("time:Q", title="step time [µs], log scale", scale=apart),
+            x=alt.X("time:Q", title="p50 of the step time [µs], log scale", scale=apart),
             y=alt.Y(
                 "shown:Q",
                 title=["largest error of the first move in the replays", "[maximum increments]"],

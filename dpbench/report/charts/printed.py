@@ -156,7 +156,7 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Figure:
         axes.plot([], [], "o", color=style.FAMILY_COLOURS[family], label=family)
     axes.axhline(error_limit, **_LIMIT)
     ylabel = "largest error of the first move in the replays"
-    axes.set(xscale="log", yscale="log", xlabel="p50 [µs]", ylabel=ylabel)
+    axes.set(xscale="log", yscale="log", xlabel="p50 of the step time [µs]", ylabel=ylabel)
     for axis in (axes.xaxis, axes.yaxis):
         _label_log_axis(axis)
     return _add_legend(figure, axes)

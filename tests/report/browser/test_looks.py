@@ -70,6 +70,14 @@ def test_axe_has_nothing_to_say(opened: Any, size: tuple[int, int]) -> None:
     check_accessible(opened(CHOSEN, size=size), size[0])
 
 
+def test_the_axis_of_accuracy_names_the_chosen_percentile(opened: Any) -> None:
+    page = opened(CHOSEN)
+    for percentile in ("p50", "p99"):
+        page.select_option("#percentile", percentile)
+        titled = f"{percentile} of the step time [µs], log scale"
+        page.locator("#figure-accuracy text").filter(has_text=titled).wait_for()
+
+
 def test_who_has_no_name_among_the_points_is_named_below_when_chosen(opened: Any) -> None:
     page = opened(CHOSEN, size=PHONE)
     assert "the selected configuration, osqp (" in page.inner_text("#accuracy figcaption")
