@@ -7,7 +7,7 @@ import pandas as pd
 
 from dpbench.analysis.records.machine import GROSS
 from dpbench.analysis.statistics import MARKED_WIDENING
-from dpbench.analysis.suites.study import NOTHING, Study
+from dpbench.analysis.suites.study import Study
 from dpbench.analysis.suites.study_effects import (
     MEASURES,
     STEP_TIME,
@@ -29,7 +29,7 @@ _Compute = Callable[[Study], Sequence[Effect]]
 _INTERVALS = (
     "Intervals hold at 95 % for each cell alone and not for all at once: without any effect, 1 in "
     "20 excludes zero. They are over realisations, or over points if each has one realisation; in "
-    "10 of 10: the effect has the same sign in all of them. Skewed, widened: the differences are "
+    "n of n: the effect has the same sign in all n of them. Skewed, widened: the differences are "
     f"so skewed that the interval is at least {MARKED_WIDENING:g} times as wide as Student's; more "
     "realisations narrow it. "
 )
@@ -153,16 +153,13 @@ def make_head_of_measure(measure: Measure, study: Study) -> str:
 def convert_effect_and_interval(effect: Effect) -> tuple[float, float, float]:
     """Return an effect and the ends of its interval in the unit of its measure; NaN for none.
 
-    An effect that is the same in every realisation has no interval: its width would be that of
-    `NOTHING`.
+    An effect that is the same in every realisation has no interval.
     """
-    mean, convert = effect.mean_difference.mean_interval, effect.measure.convert
-    if effect.mean_difference.is_constant:
-        value = 0.0 if abs(mean.value) <= NOTHING else mean.value
+    convert = effect.measure.convert
+    value, low, high = effect.mean_difference.stated_numbers
+    if not np.isfinite(low):
         return convert(value), np.nan, np.nan
-    if not np.isfinite(mean.low):
-        return convert(mean.value), np.nan, np.nan
-    return convert(mean.value), convert(mean.low), convert(mean.high)
+    return convert(value), convert(low), convert(high)
 
 
 def _list_numbers(effect: Effect) -> tuple[float | str, ...]:

@@ -66,7 +66,8 @@ class PairedDifference:
     estimate : the mean difference with its error; the error is NaN where none is supported.
     pairs : realisations that both finished; points : at how many points.
     spread : standard deviation of the mean of one realisation of every point.
-    is_constant : whether it is the same in all pairs of a point, within `NOTHING`.
+    is_constant : whether it is the same in all pairs of a point, or at all points where each has
+        one pair, within `NOTHING`.
     """
 
     estimate: MeanEstimate
@@ -80,8 +81,23 @@ class PairedDifference:
         """Mean difference with its 95 % interval; infinitely wide if unsupported."""
         return self.estimate.confidence_interval
 
+    @property
+    def stated_numbers(self) -> tuple[float, float, float]:
+        """Mean and interval ends as tables state them; NaN or infinite ends of no interval.
+
+        A constant difference has no interval, whose width would be that of `NOTHING`, and is 0 if
+        not above that.
+        """
+        mean = self.mean_interval
+        if self.is_constant:
+            return (0.0 if abs(mean.value) <= NOTHING else mean.value), math.nan, math.nan
+        return mean.value, mean.low, mean.high
+
     def count_seas_needed_for(self, difference: float) -> int | None:
-        """Return how many seas per point make a difference significant; None if not known."""
+        """Return how many seas per point make half the interval no wider than a difference.
+
+        The interval is Student's; None if its width is not known.
+        """
         if math.isnan(self.spread):
             return None
         # The quantile falls with the count, so the first count that satisfies its own is it.
@@ -103,7 +119,10 @@ def compute_paired_difference(one: pd.Series, other: pd.Series) -> PairedDiffere
     columns = [both.iloc[:, i].unstack().to_numpy(dtype=np.float64) for i in (0, 1)]
     difference = columns[0] - columns[1]
     estimate = estimate_mean_over_points(difference)
-    extent = np.nanmax(difference, axis=1) - np.nanmin(difference, axis=1)
+    known = np.isfinite(difference)
+    are_single = (known.sum(axis=1) == 1).all()
+    samples = difference[known][None, :] if are_single else difference
+    extent = np.nanmax(samples, axis=1) - np.nanmin(samples, axis=1)
     return PairedDifference(
         estimate,
         len(both),

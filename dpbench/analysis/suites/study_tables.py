@@ -67,11 +67,8 @@ def _make_percent_interval_columns(
     name: str, difference: PairedDifference | None
 ) -> dict[str, float]:
     """Return 100 times a mean difference and the ends of its interval; NaN for none."""
-    ends = [np.nan] * 3
-    if difference is not None:
-        mean = difference.mean_interval
-        ends = [100.0 * value for value in (mean.value, mean.low, mean.high)]
-    known = [value if np.isfinite(value) else np.nan for value in ends]
+    ends = (np.nan,) * 3 if difference is None else difference.stated_numbers
+    known = [100.0 * value if np.isfinite(value) else np.nan for value in ends]
     return dict(zip((name, f"{name}_low", f"{name}_high"), known, strict=True))
 
 

@@ -53,6 +53,10 @@ CHEAPER_THAN_EXACT = (
     "predicted cost of its step, not the cost summed over the run, which inaccurate moves may "
     "lower by chance."
 )
+OF_CONSTANT = (
+    "In every realisation: all differences of a point are equal to within "
+    f"{100.0 * NOTHING:.4f} cm or %; a mean not above that is 0."
+)
 MOST_DRAWN = 6
 """The reference and the first of the others are drawn."""
 MOST_NAMED = 3
@@ -314,6 +318,9 @@ def _make_study_tables(study: Study) -> Iterator[Table]:
     )
     if any(c.cost < -NOTHING for c in study.results_by_cost):
         note += f" {CHEAPER_THAN_EXACT}"
+    differences = [(c.error_excess_m, c.log_cost_excess) for c in study.results_by_cost]
+    if any(one is not None and one.is_constant for pair in differences for one in pair):
+        note += f" {OF_CONSTANT}"
     if study.aliases:
         same = [f"{alias} with {own}" for alias, own in study.aliases.items()]
         note += f" Settings without an effect share a row: {join_with_and(same)}."
@@ -359,8 +366,7 @@ def _format_difference(difference: PairedDifference, scale: float) -> str:
     if not np.isfinite(mean.low):
         return f"{significant(scale * mean.value, 2)} (no interval)"
     if difference.is_constant:
-        value = 0.0 if abs(mean.value) <= NOTHING else scale * mean.value
-        return f"{significant(value, 2)} in all {difference.pairs}"
+        return f"{significant(scale * difference.stated_numbers[0], 2)} in every realisation"
     scaled = (scale * number for number in (mean.value, mean.low, mean.high))
     middle, low, high = format_estimate_with_bounds(*scaled)
     widened = WIDENED if difference.estimate.is_clearly_widened else ""

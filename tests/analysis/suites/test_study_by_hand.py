@@ -327,3 +327,17 @@ def test_the_studies_of_a_folder(records: Any) -> None:
         records.loop("daqp", study=name, study_point=0, replicate=1)
     found = [(s.name, len(s.runs), s.radius_m) for s in find_studies(records.view())]
     assert found == [("seas", 2, 3.0), ("calm", 1, 4.0), ("plain", 1, 1.0), ("other", 1, 1.0)]
+
+
+@pytest.mark.parametrize(("step", "is_constant"), [(1.0, False), (1e-8, True)])
+def test_points_that_are_run_once_are_compared_with_each_other(
+    step: float, is_constant: bool
+) -> None:
+    """Ten points of one realisation differ by 0 to 9 steps: only rounding is the same in all."""
+    at = pd.MultiIndex.from_product([range(10), [1]])
+    found = compute_paired_difference(
+        pd.Series(step * np.arange(10.0), at), pd.Series(np.zeros(10), at)
+    )
+    assert found.is_constant == is_constant
+    assert (found.stated_numbers[0] == 0.0) == is_constant
+    assert math.isfinite(found.stated_numbers[1]) != is_constant

@@ -464,3 +464,21 @@ def test_a_solver_that_ran_alone_is_compared_with_none(records: Any) -> None:
         "`seas`: 8 runs at 1 point in 4 realisations; only `daqp` was run, so no other solver is "
         "compared."
     )
+
+
+def test_page_and_table_agree_on_a_difference_within_rounding(records: Any) -> None:
+    """At most 1e-7 m of error in each of six realisations; the cost differs by 1 to 6 %."""
+    for sea in range(1, 7):
+        for solver, more in (("daqp", 0.0), ("piqp", 1e-8 * sea)):
+            cost = 100.0 + 1e6 * 100.0 * more
+            records.sea(solver, 0, sea, {EAST: 1.0}, r_95_m=0.5 + more, closed_loop_cost=cost)
+    (study,) = studies = find_studies(records.view())
+    row = tabulate_differences_from_reference(studies).set_index("configuration").loc["piqp"]
+    assert row["excess_error_cm"] == 0.0
+    assert row[["excess_error_cm_low", "excess_error_cm_high"]].isna().all()
+    assert row["excess_cost_percent_low"] < row["excess_cost_percent_high"]
+    found = topic.build_study_topic([study])
+    assert found is not None
+    cells = dict(zip(found.tables[0].heads, found.tables[0].rows[1], strict=True))
+    assert cells["excess error [cm]"] == "0 in every realisation"
+    assert "equal to within 0.0001 cm or %; a mean not above that is 0." in found.tables[0].note
