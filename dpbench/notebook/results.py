@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.study import Study, find_studies
+from dpbench.analysis.suites.study import NOTHING, Study, find_studies
 from dpbench.analysis.times.chosen_pairs import compare_chosen
 from dpbench.analysis.times.paired_times import RATIO_COLUMNS
 from dpbench.analysis.verdict.ship_results import find_ship_results
@@ -63,8 +63,24 @@ NO_RATIO_NOTE = (
 EXCESS_NOTE = (
     "Excess error: 95 % radial error less that of the reference in the same realisation, mean over "
     "points. Excess cost: 100 times the logarithm of the ratio of closed-loop costs. Low and high: "
-    "95 % interval of the mean; empty without one."
+    "95 % interval of the mean, for each row alone; empty with too few pairs, or if differences "
+    f"of each point are equal to within {100.0 * NOTHING:.4f} cm or %; a mean not above that is 0."
 )
+EFFECTS_NOTE = (
+    "Low and high: 95 % interval of the effect, over realisations (over points if each has one), "
+    "for each row alone. No effect: other load can explain that on the step time (disturbed). An "
+    "effect without low and high: the same in every realisation, to within "
+    f"{100.0 * NOTHING:.4f} of its unit, or of too few pairs. The column `interval` tells them "
+    "apart."
+)
+
+
+def _describe_realisations(study: Study, points: int) -> str:
+    """Return a sentence on the number of realisations at so many points of a study."""
+    return (
+        f"Study `{study.name}`: {plural(points, 'point')}, "
+        f"at most {plural(study.seas_per_point, 'realisation')} each."
+    )
 
 
 def _describe_studies(studies: Sequence[Study]) -> list[str]:
@@ -73,8 +89,7 @@ def _describe_studies(studies: Sequence[Study]) -> list[str]:
     from dpbench.report.topics.study import yield_excluded_points_sentences
 
     compared = [
-        f"Study `{study.name}`: {plural(len(study.points) - len(study.points_left_out), 'point')}, "
-        f"at most {plural(study.seas_per_point, 'realisation')} each."
+        _describe_realisations(study, len(study.points) - len(study.points_left_out))
         for study in studies
     ]
     return [*compared, *yield_excluded_points_sentences(studies)]
@@ -278,9 +293,10 @@ class Results(result_folder.Results):
         """
         require_lists_of_names({}, columns=columns, solvers=solvers)
         if isinstance(table, str):
-            _refuse_unknown_name(
-                "table", table, self.tables, "results.tables` or `dpbench report DIR --tables"
-            )
+            if table not in self.tables:
+                with_rows = [name for name, rows in self.tables.items() if len(rows)]
+                listing = "results.tables` or `dpbench report DIR --tables"
+                _refuse_unknown_name("table", table, with_rows, listing)
             frame, source = self.tables[table], table
         else:
             frame, source = table, str(table.attrs.get(_NAME, ""))
@@ -328,6 +344,9 @@ class Results(result_folder.Results):
         if name == "study_excess":
             studies = find_studies(Records(self))
             caption = " ".join([caption, EXCESS_NOTE, *_describe_studies(studies)])
+        if name in ("study_effects", "study_interactions"):
+            counts = (_describe_realisations(s, len(s.points)) for s in find_studies(Records(self)))
+            caption = " ".join([caption, EFFECTS_NOTE, *counts])
         is_timed = any(column.endswith(_TIME_ENDINGS) for column in self.tables[name].columns)
         runs = self.runs[(self.runs["mode"] == "replay") & (self.runs["rounds"] > 0)]
         if not (is_timed and len(runs)):

@@ -149,7 +149,11 @@ def test_the_command_names_every_table_and_prints_one_in_latex(
     assert main(["report", str(tmp_path), "--columns", "solver"]) == 2
     assert "--latex" in capsys.readouterr().err
     assert main(["report", str(tmp_path), "--latex", "verdict"]) == 2
-    assert "found 'verdict'" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    allowed = error.partition("allowed: ")[2].partition(":")[0].partition("…")[0]
+    assert "found 'verdict'" in error and "verdicts" in allowed
+    with_rows = {name for name, table in tables.items() if len(table)}
+    assert set(re.findall(r"\w{3,}", allowed)) - {"one"} <= with_rows
 
 
 def test_the_legend_of_ships_sends_a_point_to_the_table_that_has_its_values(written: Any) -> None:
@@ -188,8 +192,25 @@ def test_the_caption_of_a_study_defines_it(records: Any, tmp_path: Path) -> None
     write_results(tmp_path, records.results())
     caption = dpbench.load_results(tmp_path).to_latex("study_excess").splitlines()[-1]
     assert "less that of the reference in the same realisation" in caption
-    assert "95 \\% interval of the mean" in caption
+    assert "95 \\% interval of the mean, for each row alone; empty with too few pairs" in caption
     assert caption.endswith(
         "Study seas: 1 point, at most 3 realisations each. seas: 1 point excluded from every "
         "difference to daqp, as the reference loop leaves its station there: 1."
     )
+
+
+@pytest.mark.parametrize("table", ["study_effects", "study_interactions"])
+def test_the_caption_of_effects_defines_the_interval_and_empty_cells(
+    records: Any, tmp_path: Path, table: str
+) -> None:
+    """Three realisations, so too few pairs for an interval."""
+    for replicate in (1, 2, 3):
+        for point, x in enumerate(({"a": 0, "b": 0}, {"a": 1, "b": 0}, {"a": 0, "b": 1})):
+            records.sea("daqp", point, replicate, x)
+        records.sea("daqp", 3, replicate, {"a": 1, "b": 1})
+    write_results(tmp_path, records.results())
+    caption = dpbench.load_results(tmp_path).to_latex(table).splitlines()[-1]
+    assert "Low and high: 95 \\% interval of the effect, over realisations" in caption
+    assert "No effect: other load can explain that on the step time (disturbed)." in caption
+    assert "the same in every realisation, to within 0.0001 of its unit" in caption
+    assert caption.endswith("Study seas: 4 points, at most 3 realisations each.")
