@@ -116,13 +116,34 @@ def pair_runs_of_folders(a: Records, b: Records, names: tuple[str, str]) -> Pair
             pairs.append(pair)
     if not pairs and not lost:
         missing = f"no cell on the same problem as in {names[0]}"
-        raise ResultsError(names[1], "", missing, "results of the same suite")
+        allowed = "results of the same suite"
+        if renamed := _find_renamed_settings(cells_a, cells_b):
+            missing += f" with the same name of its settings, such as {' and '.join(renamed)}"
+            allowed += ", with the same names of settings"
+        raise ResultsError(names[1], "", missing, allowed)
     only_a = [_describe_run(run) for key, run in cells_a.items() if key not in partners]
     found = set(partners.values())
     first = map_first_by_key(pairs, lambda pair: pair.measurement_key)
     repeated = [pair for pair in pairs if first[pair.measurement_key] is not pair]
     only_b = [_describe_run(run) for key, run in cells_b.items() if key not in found]
     return Pairs(list(first.values()), refused, repeated, only_a, only_b, changed, lost)
+
+
+def _find_renamed_settings(
+    cells_a: Mapping[Key, RunRecord], cells_b: Mapping[Key, RunRecord]
+) -> tuple[str, str] | None:
+    """Return the settings of the first cells that differ in these alone; None without such."""
+    unnamed = {"settings": "", "options": ""}
+    first: dict[tuple[object, ...], RunRecord] = {}
+    for run in cells_a.values():
+        columns = pick_identifying_columns(run) | unnamed
+        first.setdefault((*columns.values(), _identify_study_point(run)), run)
+    for run in cells_b.values():
+        columns = pick_identifying_columns(run) | unnamed
+        partner = first.get((*columns.values(), _identify_study_point(run)))
+        if partner is not None and make_problem_key(partner) == make_problem_key(run):
+            return partner.settings, run.settings
+    return None
 
 
 def _pair_keys_of_changed_options(

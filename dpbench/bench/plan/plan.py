@@ -138,12 +138,15 @@ def _load_horizon_variants(
 
 
 def _unify_own_settings(cells: Sequence[PlannedCell]) -> list[PlannedCell]:
-    """Return cells in which equal custom options of a solver have the first of their names.
+    """Return cells in which equal custom options in one call mode have the first of their names.
 
-    The other names are noted at the first of these cells.
+    The other names are noted at these cells.
     """
-    keyed = [(p.cell.solver, normalise_options(p.cell.options)) for p in cells]
-    names: dict[tuple[str, str], dict[str, str]] = {}
+    keyed = [
+        (p.cell.solver, p.cell.route, p.cell.policy, normalise_options(p.cell.options))
+        for p in cells
+    ]
+    names: dict[tuple[str, ...], dict[str, str]] = {}
     for key, planned in zip(keyed, cells, strict=True):
         if planned.cell.options:
             names.setdefault(key, {}).setdefault(planned.cell.settings, planned.cell.options)

@@ -324,12 +324,7 @@ def _list_remarks(
         text for one in choices if "[" in one for text in expand_choice_over_option_grid(one)
     )
     remarks = [f"{text} is given {n} times and is run once" for text, n in texts.items() if n > 1]
-    remarks += dict.fromkeys(
-        f"{p.cell.solver}: settings {', '.join(p.merged_settings)} have the same options as "
-        f"{p.cell.settings} and share its row"
-        for p in planned
-        if p.merged_settings
-    )
+    remarks += _list_merged_settings(planned)
     timed = [p.cell for p in planned if p.cell.is_timed and is_timed]
     longest = max((cell.steps for cell in timed), default=0)
     if timed and not has_enough_samples_for_percentile(longest, 99):
@@ -341,6 +336,29 @@ def _list_remarks(
         )
         most = f"{longest} step{'s' * (longest != 1)}"
         remarks.append(f"the replays have at most {most}, {NO_P99}; {judged}")
+    return remarks
+
+
+def _list_merged_settings(planned: Sequence[PlannedCell]) -> list[str]:
+    """Return remarks on custom settings that share the row of others, with the same options.
+
+    The call modes are named where the settings also have rows of their own, in other modes.
+    """
+    own = {(p.cell.solver, p.cell.settings) for p in planned}
+    modes: dict[tuple[str, str, tuple[str, ...]], dict[str, None]] = {}
+    for p in planned:
+        if p.merged_settings:
+            key = p.cell.solver, p.cell.settings, p.merged_settings
+            modes.setdefault(key, {})[f"{p.cell.route} {p.cell.policy}"] = None
+    remarks = []
+    for (solver, first, merged), shared in modes.items():
+        where = ""
+        if any((solver, name) in own for name in merged):
+            where = f" in the call mode{'s' * (len(shared) > 1)} {', '.join(shared)}"
+        remarks.append(
+            f"{solver}: settings {', '.join(merged)} have the same options as {first} and share "
+            f"its row{where}"
+        )
     return remarks
 
 

@@ -137,6 +137,46 @@ def test_settings_with_the_same_options_are_one_cell(suite: str) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("modes", "ran", "remark"),
+    [
+        ("", [("qpsolvers", "fresh", "mine"), ("native", "warm", "twin")], ""),
+        (
+            'routes = ["native"]\npolicies = ["warm"]\n',
+            [("native", "warm", "mine")],
+            "osqp: settings twin have the same options as mine and share its row",
+        ),
+    ],
+)
+def test_equal_options_in_another_call_mode_are_settings_of_their_own(
+    suite: str, modes: str, ran: list[tuple[str, str, str]], remark: str
+) -> None:
+    """A mode that the settings fix parts them, unless the others have it too."""
+    text = Path(suite).read_text().replace('["default", "mine"]', '["mine", "twin"]')
+    twin = f'[settings.twin]\nroute = "native"\npolicy = "warm"\n{OSQP}\n'
+    Path(suite).write_text(f"{text}{modes}\n{twin}")
+    plan = RunRequest(suite, solvers=["osqp"]).make_plan()
+    assert [(p.cell.route, p.cell.policy, p.cell.settings) for p in plan.cells] == ran
+    assert [text for text in plan.remarks if "same options" in text] == [remark] * bool(remark)
+
+
+def test_a_line_names_the_call_modes_in_which_settings_share_a_row(suite: str) -> None:
+    """`twin` has a row of its own in the mode that `mine` has not."""
+    text = Path(suite).read_text().replace('["default", "mine"]', '["mine"]')
+    again = '[[replay]]\nscenario = "paper"\nsteps = 5\nsettings = ["twin"]\n'
+    again += 'policies = ["fresh", "warm"]\n'
+    Path(suite).write_text(f"{text}\n{again}\n[settings.twin]\n{OSQP}\n")
+    plan = RunRequest(suite, solvers=["osqp"]).make_plan()
+    assert [(p.cell.policy, p.cell.settings) for p in plan.cells] == [
+        ("fresh", "mine"),
+        ("warm", "twin"),
+    ]
+    assert plan.remarks[0] == (
+        "osqp: settings twin have the same options as mine and share its row in the call mode "
+        "qpsolvers fresh"
+    )
+
+
 def test_a_whole_number_equals_a_decimal_one(suite: str) -> None:
     solvers = ["osqp[rho=1]", "osqp[rho=1.0]", "osqp[rho=2]", "osqp[rho=2]"]
     plan = RunRequest(suite, solvers=solvers).make_plan()

@@ -604,6 +604,9 @@ def test_folders_without_a_common_cell(make: Make, tmp_path: Path) -> None:
         compare(a, b)
     with pytest.raises(InputError, match="no such folder"):
         compare(a, tmp_path / "none")
+    c = make("c", seed=1, configurations=("daqp",), settings="mine")
+    with pytest.raises(InputError, match=r"such as default and mine; .* same names of settings"):
+        compare(a, c)
 
 
 @pytest.mark.slow
