@@ -34,7 +34,7 @@ from dpbench.analysis.verdict.requirements import (
     is_right_on_every_step,
     is_right_to_the_end,
 )
-from dpbench.analysis.verdict.verdict import Verdicts
+from dpbench.analysis.verdict.verdict import Verdict, Verdicts
 from dpbench.bench.judge.rules import median_of_known
 from dpbench.bench.record.cell import sort_key_of_settings
 from dpbench.report.formats import (
@@ -202,8 +202,11 @@ def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     found = [*against, *found]
     ordered = sorted([*named, *against], key=lambda one: ranks.get(one.second, len(ranks)))
     pairs = group_by_key(ordered if named else found, lambda one: (one.second, one.first))
+    judged = {one.configuration.label: one for one in verdicts.all_verdicts}
     texts = [
-        f"{second} against {first}: {describe_paired_times(sizes)}."
+        f"{second} against {first}{_describe_call_modes(judged.get(second), judged.get(first))}: "
+        f"{describe_paired_times(sizes)}."
+        f"{_describe_failed(judged.get(second), judged.get(first))}"
         for (second, first), sizes in [*pairs.items()][:MOST_PAIRS]
     ]
     more = len(pairs) - len(texts)
@@ -233,6 +236,18 @@ def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
         (*make_grid_tables(verdicts), table),
         short="Settings",
     )
+
+
+def _describe_call_modes(one: Verdict | None, other: Verdict | None) -> str:
+    """Return that two configurations are called in different modes; "" otherwise."""
+    modes = {(v.configuration.route, v.configuration.policy) for v in (one, other) if v}
+    return ", in another call mode" if len(modes) > 1 else ""
+
+
+def _describe_failed(*compared: Verdict | None) -> str:
+    """Return a sentence that names those of two compared configurations that fail; "" for none."""
+    failed = [v.configuration.label for v in compared if v is not None and v.state == "fail"]
+    return f" {join_with_and(failed)} {'fails' if len(failed) == 1 else 'fail'}." if failed else ""
 
 
 def build_race_topic(records: Records, requirements: Requirements) -> Topic | None:

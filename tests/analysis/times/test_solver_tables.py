@@ -229,6 +229,21 @@ def test_settings_of_a_solver_are_compared_with_its_first_in_one_call_mode(recor
     assert {mine.second, high.second} <= {*report.tables["paired_ratios"]["second"]}
 
 
+def test_settings_that_fail_or_are_called_otherwise_are_named(records: Any) -> None:
+    """Wrong settings in a warm call beside a right solver in a fresh one."""
+    records.loop("daqp")
+    records.replay("daqp", median_us=10.0, **EXACT)
+    own = {"settings": "mine", "options": '{"rho": 1.6}', "policy": "warm"}
+    records.loop("osqp", **own)
+    records.replay("osqp", median_us=20.0, error=0.5, spread=0.1, **own)
+    records.replay("osqp", median_us=30.0, policy="warm", **EXACT)
+    said = dict(Report.from_results(records.results()).summary_rows())["settings"]
+    mine = "osqp (qpsolvers warm, mine)"
+    assert f"{mine} against daqp (qpsolvers fresh), in another call mode: " in said
+    assert f"{mine} against osqp (qpsolvers warm): " in said
+    assert said.count(f". {mine} fails.") == 2
+
+
 def test_a_larger_tail_of_the_faster_settings_is_named(records: Any) -> None:
     """Most steps take half as long and 20 of them 50 times: which is faster depends."""
     records.replay("osqp", median_us=40.0, spread=0.1)
