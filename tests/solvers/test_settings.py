@@ -157,6 +157,21 @@ def test_the_call_of_the_library_gives_the_answer_of_the_workspace(policy, setti
     assert result.x.tolist() == answer.z.tolist()
     assert ("# New P or A: also update(Px=" in code) is (policy != "fresh")
     assert "scaled QP" in code and "adaptive_rho_interval=50" in code
+    assert "# P and A: sparse matrices" in code
+    assert ("q, l and u: contiguous arrays" in code) is (policy != "fresh")
+
+
+def test_osqp_reads_wrong_numbers_of_an_array_that_is_not_contiguous(sequence):
+    """As the comment of the code states: why it asks for contiguous arrays."""
+    qp = sequence.base
+    names = _name_arguments_of_osqp(qp)
+    exec(compile(format_library_call("osqp", "native", "warm", "high"), "call", "exec"), names)
+    rows = np.asfortranarray([qp.q, np.zeros(qp.n)])
+    answers = []
+    for q in (np.ascontiguousarray(rows[0]), rows[0]):
+        names["m"].update(q=q)
+        answers.append(names["m"].solve(raise_error=False).x)
+    assert not np.allclose(*answers, atol=1e-3)
 
 
 def test_zeros_at_the_end_of_a_shift_reproduce_a_warm_step(sequence):

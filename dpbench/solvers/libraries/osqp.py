@@ -151,7 +151,15 @@ def format_osqp_call(policy: Policy, options: Options) -> str:
             "\n# New P or A: also update(Px=..., Ax=...) with the same nonzeros, or a new setup."
         )
     cost = "q" if policy == "fresh" else "0 * q"
-    return f"import osqp\nm = osqp.OSQP()\nm.setup(P, {cost}, A, l, u, {arguments})\n{step}"
+    arrays = "# P and A: sparse matrices (scipy.sparse.csc_matrix)."
+    if policy != "fresh":
+        arrays += (
+            " q, l and u: contiguous arrays\n"
+            "# (numpy.ascontiguousarray). Rows of arrays from scipy.io.loadmat are not: update\n"
+            "# reads wrong numbers of them without a message."
+        )
+    setup = f"m = osqp.OSQP()\nm.setup(P, {cost}, A, l, u, {arguments})"
+    return f"{arrays}\nimport osqp\n{setup}\n{step}"
 
 
 # Without raise_error, osqp 1.1 raises a warning at every solve.
