@@ -5,6 +5,7 @@ timed anew side by side, on these and on the test sequences.
 """
 
 import hashlib
+import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -96,7 +97,7 @@ class TunedRole:
         others = {name: runs for name, runs in self.runs.items() if name != BEST}
         ratios = {n: score_runs(best, runs, requirements).ratio for n, runs in others.items()}
         faults = {n: self._describe_faults(runs, requirements) for n, runs in others.items()}
-        fastest = next(iter(self.rank_presets(requirements)), "")
+        fastest = next((n for n in self.rank_others(requirements) if n != YOURS), "")
         for name in (name for name in others if name in {DEFAULT, fastest, YOURS}):
             known = f", which is {faults[name]}" if faults[name] else ""
             known += ", the fastest preset that is accurate on them" * (name == fastest)
@@ -104,17 +105,17 @@ class TunedRole:
             parts.append(f"{significant(ratios[name])} times the step time of {name}{known}")
         return "; ".join(parts)
 
-    def rank_presets(self, requirements: Requirements) -> dict[str, float]:
-        """Return the step time of the best settings over that of each preset, the fastest first.
+    def rank_others(self, requirements: Requirements) -> list[str]:
+        """Return the presets and the user's own settings by step time, the fastest first.
 
-        Of presets that are accurate and in time on all sequences.
+        Of those that are accurate and in time on all sequences.
         """
-        ratios = {
-            name: score_runs(self.runs[BEST], runs, requirements).ratio
+        logs = {
+            name: sum(math.log(next(iter(name_step_times_ns(run).values()))) for run in runs)
             for name, runs in self.runs.items()
-            if name not in (BEST, YOURS) and not self._describe_faults(runs, requirements)
+            if name != BEST and not self._describe_faults(runs, requirements)
         }
-        return dict(sorted(ratios.items(), key=lambda item: -item[1]))
+        return sorted(logs, key=lambda name: logs[name])
 
     def _describe_faults(self, runs: Sequence[RunRecord], requirements: Requirements) -> str:
         """Return in words on how many sequences settings are inaccurate or late; "" for none."""
@@ -250,20 +251,39 @@ class Tuning:
         )
         with_code = " (with the library's own call in Python)" if code else ""
         lines += [*self._machine, f"settings: {self.path}{with_code}{runs}"]
-        return [*lines, *self._warning]
+        return [*lines, *self._conclusion]
 
     @property
-    def _warning(self) -> list[str]:
-        """Line on the sequences on which the best settings fail, or on settings to use instead."""
+    def _conclusion(self) -> list[str]:
+        """Line on which settings to use; none before the measurement on test sequences.
+
+        These are the fastest preset, or the user's own settings if these are faster, of those that
+        are accurate and in time on all sequences; the best ones if they pass and are faster.
+        """
+        if not self.roles:
+            return []
+        limits, test = self.solver.requirements, self.roles[-1]
+        passing = [set(role.rank_others(limits)) for role in self.roles]
+        ranked = [name for name in test.rank_others(limits) if all(name in own for own in passing)]
+        fastest = next(iter(ranked), "")
+        use = "keep your settings" if fastest == YOURS else f"use the preset {fastest}"
         if failed := join_with_and([role.title for role in self._failed_roles]):
-            return [f"the best settings fail on the {failed} sequences: do not use them"]
-        ranked = [role.rank_presets(self.solver.requirements) for role in self.roles]
-        for name, ratio in (ranked[-1] if ranked else {}).items():
-            if ratio > 1.0 - ALIKE and all(name in presets for presets in ranked):
-                gain = f"not more than {100.0 * ALIKE:g} % faster on the test sequences"
-                return [f"use the preset {name}: the best settings are {gain}"]
-        is_own = bool(self.roles) and self.best.options == self.request.start
-        return ["keep your settings: the search found none faster"] * is_own
+            advice = f"; {use}" if fastest else ""
+            return [f"the best settings fail on the {failed} sequences: do not use them{advice}"]
+        if fastest in ("", YOURS) and self.best.options == self.request.start:
+            return ["keep your settings: the search found none faster"]
+        on_all = "accurate and in time on all sequences"
+        if not fastest:
+            return [f"use the best settings: no others that were measured are {on_all}"]
+        ratio = score_runs(test.runs[BEST], test.runs[fastest], limits).ratio
+        if ratio > 1.0 - ALIKE:
+            gain = f"not more than {100.0 * ALIKE:g} % faster on the test sequences"
+            return [f"{use}: the best settings are {gain} (ratio {significant(ratio)})"]
+        name = "your settings" if fastest == YOURS else f"the preset {fastest}"
+        return [
+            f"use the best settings: on the test sequences, they take {significant(ratio)} times "
+            f"the step time of {name}, the fastest of the others that are {on_all}"
+        ]
 
     @property
     def is_successful(self) -> bool:
@@ -366,7 +386,7 @@ class Tuning:
         """The table `[settings.NAME]` of a suite, with what was measured in its comments."""
         solver, name = self.solver, self.request.name
         comments = [
-            *self._warning,
+            *self._conclusion,
             f"Settings of {solver.name} in the call mode of their search; found by "
             "`dpbench tune-solver`.",
             *self.request.searched,
@@ -393,21 +413,25 @@ def _format_step_time(run: RunRecord) -> str:
 
 
 class _SearchProgress:
-    """The progress of all campaigns of a search as that of one, with the batch before each text."""
+    """The progress of all campaigns of a search as that of one, with its part before each text."""
 
     def __init__(self, progress: Progress, request: SearchRequest) -> None:
         self._progress, self._batch, self._planned = progress, 0, 0
-        self._batches = len(split_into_batches(request.trials)) + 1
+        self._part = ""
+        self._batches = len(split_into_batches(request.trials))
         self._training = count_steps_of_settings(request.solver, request.training)
         self._all = self._training + count_steps_of_settings(request.solver, request.test)
         in_end = len(request.presets) + len(request.name_settings({}))
-        started = request.trials + len(request.first_trials) + self._batches - 1
+        started = request.trials + len(request.first_trials) + self._batches
         self._remarks: set[str] = set()
         progress.start(started * self._training + in_end * self._all)
 
     def plan(self, settings: int, *, with_test: bool = False) -> None:
         """Store the work of a search's next campaign, of so many settings with the presets."""
         self._batch += 1
+        self._part = f"batch {self._batch}/{self._batches}"
+        if with_test:
+            self._part = "measurement of the best"
         self._planned = settings * (self._all if with_test else self._training)
 
     def start(self, work: int) -> None:
@@ -417,7 +441,7 @@ class _SearchProgress:
 
     def advance(self, work: int, what: str) -> None:
         """Add finished work [steps] of this campaign."""
-        self._progress.advance(work, f"batch {self._batch}/{self._batches}: {what}")
+        self._progress.advance(work, f"{self._part}: {what}")
 
     def remark(self, text: str) -> None:
         """Show a remark of the campaigns once, even if several make it."""

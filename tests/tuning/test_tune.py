@@ -216,9 +216,53 @@ def test_a_preset_as_fast_as_the_best_is_recommended(
     text = "use the preset high: the best settings are not more than 3 % faster on the test sequenc"
     alike = replace(found, roles=(training, equal))
     assert alike.lines[-1].startswith(text) and alike.toml.startswith(f"# {text}")
+    assert alike.lines[-1].endswith(" (ratio 1.00)")
     wrong = [replace(run, error_move_max=0.5) for run in training.runs["high"]]
     inaccurate = replace(training, runs={**training.runs, "high": wrong})
     assert "use the preset" not in replace(found, roles=(inaccurate, equal)).toml
+
+
+def test_a_search_ends_with_the_settings_to_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each setting is faster than those before it; only one that passes everywhere counts."""
+    monkeypatch.setattr(tune, "measure_settings", _Campaigns(interrupted_at=0))
+    monkeypatch.setattr(tune, "find_step_of_largest_error", lambda *_: 0)
+    found = tune_solver(
+        "osqp[rho=1.6]", training=["calm"], test=["move"], steps=75, trials=8, out=tmp_path
+    )
+    training, test = found.roles
+    best, times = test.runs["best"], {n: runs[0].algo_p50_ns for n, runs in test.runs.items()}
+
+    def conclude(*wrong: str, **changed: Any) -> str:
+        spoilt = {
+            name: [replace(run, error_move_max=0.5) for run in training.runs[name]]
+            for name in wrong
+        }
+        roles = (
+            replace(training, runs={**training.runs, **spoilt}),
+            replace(test, runs={**test.runs, **changed}),
+        )
+        return replace(found, roles=roles).lines[-1]
+
+    gain = "use the best settings: on the test sequences, they take {} times the step time of {}, "
+    for wrong, other, name in (
+        ((), "yours", "your settings"),
+        (("yours",), "high", "the preset high"),
+        (("yours", "high"), "mid", "the preset mid"),
+    ):
+        ratio = f"{times['best'] / times[other]:.3f}"
+        assert conclude(*wrong).startswith(gain.format(ratio, name))
+    none = "use the best settings: no others that were measured are accurate and in time on all seq"
+    assert conclude("yours", *LEVELS).startswith(none)
+    fail = "the best settings fail on the training sequences: do not use them"
+    assert conclude("best", "yours") == f"{fail}; use the preset high"
+    assert conclude("best") == f"{fail}; keep your settings"
+    assert conclude("best", "yours", *LEVELS) == fail
+    kept = (
+        "keep your settings: the best settings are not more than 3 % faster on the test sequences"
+    )
+    assert conclude(yours=best) == f"{kept} (ratio 1.00)"
 
 
 def test_own_settings_that_are_the_best_are_to_be_kept(
@@ -330,12 +374,14 @@ class _CountingProgress(Silent):
 
     def __init__(self) -> None:
         self.planned = self.finished = 0
+        self.parts = list[str]()
 
     def start(self, work: int) -> None:
         self.planned += work
 
     def advance(self, work: int, what: str) -> None:
         self.finished += work
+        self.parts.append(what.partition(":")[0])
 
 
 def test_the_presets_are_in_the_first_batch_and_the_call_mode_is_in_the_file(
@@ -378,6 +424,7 @@ def test_finished_batches_are_progress(
     words = {"training": ["calm-30-5"], "test": ["move-30-5"], "trials": 11}
     tune_solver(solver, out=tmp_path, progress=bar, **words)  # type: ignore[arg-type] # mixed values
     assert bar.finished == bar.planned > 0
+    assert bar.parts == ["batch 1/2", "batch 2/2", "measurement of the best"]
 
 
 @pytest.mark.parametrize(
