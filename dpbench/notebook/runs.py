@@ -350,7 +350,7 @@ def run_closed_loop(
         none, a slowdown, deadline or number of steps that cannot be, or weather that would push a
         custom plant.
     PlantError : for a plant that fails, or whose state or measurement has another shape or NaN.
-    TypeError : for a scenario, workspace or number of steps of another type.
+    TypeError : for a scenario, workspace, number of steps, slowdown or deadline of another type.
 
     Examples
     --------

@@ -34,6 +34,14 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "values": (lambda: load_scenario("paper").with_keys(5), "values: found 5; allowed: a mapping"),
     "policy": (lambda: dpbench.open_workspace("daqp", policy=["warm"]), "policy: found ['warm']"),
     "option": (lambda: dpbench.open_workspace("daqp", settings={5: 1}), "settings: found 5; all"),
+    "slowdown": (
+        lambda: dpbench.run_closed_loop("paper", "daqp", steps=2, slowdown="10"),
+        "closed loop: slowdown: found '10'; allowed: 0 (off), or 1 to 1e+09",
+    ),
+    "deadline": (
+        lambda: dpbench.run_closed_loop("paper", "daqp", steps=2, deadline_s="1"),
+        "closed loop: deadline_s: found '1'; allowed: above 0 and at most the sample time of 0.3",
+    ),
     "a reference": (
         lambda: condense("paper").emit(np.zeros(9), [0.0, 0.0, 0.0], np.zeros(3)),
         "emit: y_ref: found [0.0, 0.0, 0.0]; allowed: an array",

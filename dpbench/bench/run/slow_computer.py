@@ -17,6 +17,7 @@ import resource
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from numbers import Real
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from dpbench.bench.record.raw_log import sum_phases_of_step_ns
 from dpbench.bench.run.backup import WARM_UP_SOLVES, Backup, FallbackPolicy
 from dpbench.bench.run.formulation import QPBuilder
 from dpbench.bench.run.timed_solver import TimedSolver, is_usable
-from dpbench.errors import InputError
+from dpbench.errors import InputError, require_type
 from dpbench.qp.program import QPStep
 from dpbench.qp.solution import Solution, Status
 
@@ -73,13 +74,20 @@ def return_zero_usage() -> tuple[int, int]:
 
 
 def make_delay_of_cell(cell: Cell, sample_s: float) -> ComputationalDelay:
-    """Return a closed-loop run's computer slowdown and deadline; InputError if impossible."""
+    """Return a closed-loop run's computer slowdown and deadline; InputError if impossible.
+
+    Raises TypeError for one that is no number.
+    """
     slowdown, deadline_s = cell.slowdown, cell.deadline_s
+    allowed = f"0 (off), or 1 to {SLOWEST:g}"
+    require_type("closed loop: slowdown", slowdown, Real, allowed)
     if not (slowdown == 0.0 or 1.0 <= slowdown <= SLOWEST):
-        raise InputError("closed loop", "slowdown", slowdown, f"0 (off), or 1 to {SLOWEST:g}")
+        raise InputError("closed loop", "slowdown", slowdown, allowed)
+    most = f"the sample time of {sample_s:g} s; or 0 for the sample time itself"
+    allowed = f"above 0 and at most {most}"
+    require_type("closed loop: deadline_s", deadline_s, Real, allowed)
     if not 0.0 <= deadline_s <= sample_s:
-        most = f"the sample time of {sample_s:g} s; or 0 for the sample time itself"
-        raise InputError("closed loop", "deadline_s", deadline_s, f"above 0 and at most {most}")
+        raise InputError("closed loop", "deadline_s", deadline_s, allowed)
     return ComputationalDelay(
         slowdown, round((deadline_s or sample_s) * 1e9), round(sample_s * 1e9)
     )
