@@ -23,6 +23,8 @@ SELECTION = "dpbench_selection"
 """Key of a JSON file: which tests the session was given."""
 COLLECTED = "dpbench_collected"
 """Key of a JSON file: the number of benchmarks among the tests."""
+PATHS = "dpbench_paths"
+"""Key of a JSON file: the arguments of the session that are files, folders or node ids."""
 BY_STEP = "exact_by_step"
 """Key of `extra_info`: the exact measures at each step, and the steps as `k`."""
 WRONG_ANSWERS = "wrong answers"
@@ -160,6 +162,7 @@ class BenchmarkRun:
 
     imported : files of the modules that `list_imported_files` found.
     collected : number of benchmarks among the tests; None if unknown.
+    paths : arguments of the session that are files, folders or node ids.
     """
 
     benchmarks: dict[str, Benchmark] = field(default_factory=dict)
@@ -167,6 +170,7 @@ class BenchmarkRun:
     imported: tuple[str, ...] = ()
     selection: Selection = Selection()
     collected: int | None = None
+    paths: tuple[str, ...] = ()
 
     @classmethod
     def from_json_entries(

@@ -12,6 +12,7 @@ from dpbench.ci.benchmarks import (
     COLLECTED,
     FAILED,
     IMPORTED,
+    PATHS,
     SELECTION,
     Selection,
     describe_disturbed_baseline,
@@ -113,7 +114,13 @@ class FailedBenchmarks:
         if self._config.option.collectonly:
             files += find_source_files(self._config.rootpath / "src")
         notes = {FAILED: self.reasons, IMPORTED: files, COLLECTED: self._collected}
-        return notes | {SELECTION: self.selection.json_entry}
+        return notes | {SELECTION: self.selection.json_entry, PATHS: self._find_given_paths()}
+
+    def _find_given_paths(self) -> list[str]:
+        """Return the paths of the command line, as they were given, whether they exist or not."""
+        given = self._config.invocation_params.args
+        is_of_packages = self._config.option.pyargs
+        return [one for one in self._config.args if one in given and not is_of_packages]
 
 
 def _is_benchmark(item: pytest.Item) -> bool:

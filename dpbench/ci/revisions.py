@@ -14,12 +14,13 @@ interrupted, the complete pairs are compared.
 
 import argparse
 import json
+import os
 import re
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,6 +35,7 @@ from dpbench.ci import ALLOW, DISTURBED_EXIT, MARGIN_SHARE
 from dpbench.ci.benchmarks import (
     COLLECTED,
     IMPORTED,
+    PATHS,
     WRONG_ANSWERS,
     BenchmarkRun,
     is_in_site_packages,
@@ -68,16 +70,22 @@ examples:
   python -m dpbench.ci.revisions ../base . --markdown compare.md -- test_slsqp.py
   python -m dpbench.ci.revisions ../base . --pairs 3 --disturbed-exit 75 -- -k transfer
 """
+CODES_WITHOUT_ERROR = (0, 1, 5)
+"""Exit codes of a pytest that ran all its tests, or found none."""
 SHOWN_LINES, LEFT_OUT = 5, "PytestBenchmarkWarning"
 """Last lines of a pytest run that has no benchmarks, without the warning that it has none."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """One run of a tree's benchmarks; the reason where pytest did not come to its end."""
+    """One run of a tree's benchmarks; the reason where pytest did not come to its end.
+
+    is_broken : whether pytest ended with an error, so that the tree may have benchmarks.
+    """
 
     run: BenchmarkRun
     reason: str = ""
+    is_broken: bool = False
 
     @property
     def is_quiet(self) -> bool:
@@ -113,8 +121,8 @@ def collect_imports(tree: Path, arguments: Sequence[str]) -> BenchmarkRun:
         stored = json.loads((path.read_bytes() if path.exists() else b"") or "{}")
     if not stored:
         _require_dpbench(tree)
-    imported = tuple(stored.get(IMPORTED, ()))
-    return BenchmarkRun(imported=imported, collected=stored.get(COLLECTED))
+    imported, paths = tuple(stored.get(IMPORTED, ())), tuple(stored.get(PATHS, ()))
+    return BenchmarkRun(imported=imported, collected=stored.get(COLLECTED), paths=paths)
 
 
 def _require_dpbench(tree: Path) -> None:
@@ -143,7 +151,7 @@ def measure_tree(tree: Path, arguments: Sequence[str]) -> Measured:
         with suppress(InputError):  # `reason` is reported in place of an unreadable file
             if code <= 1:
                 return Measured(load_run(path))
-    return Measured(BenchmarkRun(), reason)
+    return Measured(BenchmarkRun(), reason, code not in CODES_WITHOUT_ERROR)
 
 
 def _find_remedy(tree: Path, output: str) -> str:
@@ -184,6 +192,78 @@ def _has_source(name: str, *folders: Path) -> bool:
     return any((folder / file).exists() for folder in folders for file in files)
 
 
+@dataclass(frozen=True)
+class Arguments:
+    """Arguments of pytest in one tree, without the paths that only the other tree contains.
+
+    absent : these paths; where the tree contains none of the given paths, all remain in `given`.
+    """
+
+    given: list[str]
+    absent: tuple[str, ...] = ()
+
+    @property
+    def has_no_path(self) -> bool:
+        """True if paths are given and the tree contains none of them."""
+        return any(path in self.given for path in self.absent)
+
+    def measure(self, tree: Path) -> Measured:
+        """Measure the tree; a benchmark of a path that it does not contain is not left out."""
+        found = measure_tree(tree, self.given)
+        selection = found.run.selection
+        selection = replace(
+            selection, given=(*selection.given, *map(os.path.normpath, self.absent))
+        )
+        return replace(found, run=replace(found.run, selection=selection))
+
+
+def _select_arguments(
+    trees: tuple[Path, Path], arguments: Sequence[str], paths: Collection[str]
+) -> list[Arguments]:
+    """Return the arguments of each tree; InputError for a path that neither tree contains."""
+    absent = [
+        [path for path in paths if not (tree / path.partition("::")[0]).exists()] for tree in trees
+    ]
+    for path in absent[0]:
+        if path in absent[1]:
+            fault = "no such file or folder in either tree"
+            raise InputError(path, "", fault, "a file or folder of a working tree")
+    selected = []
+    for missing in absent:
+        left_out = missing if len(missing) < len(paths) else []
+        given = [one for one in arguments if one not in left_out]
+        selected.append(Arguments(given, tuple(missing)))
+    return selected
+
+
+def _collect_trees(
+    trees: tuple[Path, Path], arguments: Sequence[str]
+) -> tuple[Arguments, Arguments]:
+    """Collect the tests of both trees; return the arguments of pytest in each.
+
+    InputError where neither has a benchmark or contains a given path; SituationError where their
+    tests import files of the other tree.
+    """
+    collected = [collect_imports(tree, arguments) for tree in trees]
+    paths = dict.fromkeys(path for run in collected for path in run.paths)
+    base, head = _select_arguments(trees, arguments, paths)
+    for side, one in enumerate((base, head)):
+        if one.given != [*arguments]:
+            collected[side] = collect_imports(trees[side], one.given)
+    if not any(run.collected is None or run.collected for run in collected):
+        found = "no test with dpbench_replay or another benchmark in either tree"
+        raise InputError(" and ".join(map(str, trees)), "", found, "a working tree with benchmarks")
+    require_imports_of_own_files(trees, (collected[0], collected[1]))
+    return base, head
+
+
+def _require_baseline(tree: Path, given: Arguments, base: Measured) -> None:
+    """Raise SituationError where an error of pytest in the base hides its benchmarks."""
+    if base.is_broken and not given.has_no_path:
+        required = "a base in which pytest ends without an error, or only files that it can collect"
+        raise SituationError(str(tree), f"{base.reason}; required: {required}")
+
+
 def measure_by_turns(
     trees: tuple[Path, Path], count: int, arguments: Sequence[str], attempts: int | None = None
 ) -> Iterator[tuple[Measured, Measured]]:
@@ -194,13 +274,9 @@ def measure_by_turns(
 
     One pair is enough where the base has no benchmark or the head has one that fails.
     SituationError where a tree is not measured with its own files, before the first run where the
-    files that its tests import show that.
+    files that its tests import show that; or where pytest ends with an error in the base.
     """
-    collected = [collect_imports(tree, arguments) for tree in trees]
-    if not any(run.collected is None or run.collected for run in collected):
-        found = "no test with dpbench_replay or another benchmark in either tree"
-        raise InputError(" and ".join(map(str, trees)), "", found, "a working tree with benchmarks")
-    require_imports_of_own_files(trees, (collected[0], collected[1]))
+    given = _collect_trees(trees, arguments)
     pairs: list[tuple[Measured, Measured]] = []
     spent_s: list[float] = []
     limit = max(count, attempts or 2 * count)
@@ -212,8 +288,10 @@ def measure_by_turns(
         measured: dict[int, Measured] = {}
         for turn in turns:
             start_s = time.monotonic()
-            measured[turn] = measure_tree(trees[turn], arguments)
+            measured[turn] = given[turn].measure(trees[turn])
             spent_s.append(time.monotonic() - start_s)
+            if not pairs:
+                _require_baseline(trees[0], given[0], measured[0])
             if len(measured) == len(trees):
                 pairs.append((measured[0], measured[1]))
                 end = describe_early_end(pairs, count, attempts)

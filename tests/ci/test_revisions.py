@@ -212,6 +212,70 @@ def test_a_tree_is_measured_by_its_own_tests(
     assert "exit code 5" in revisions.measure_tree(trees[0], quick).reason
 
 
+TIMED = "def test_it(benchmark):\n    benchmark.extra_info['exact'] = {'calls': %d}\n"
+TIMED += "    benchmark(lambda: 1)\n"
+LOADED = ["-p", "no:xdist", "-p", "no:dpbench", "-p", plugin.__name__]
+LOADED += ["--benchmark-min-rounds=2", "--benchmark-max-time=0.01"]
+
+
+def compare_files(trees: tuple[Path, Path], *arguments: str) -> int:
+    """Exit code of one pair of runs with the arguments of pytest."""
+    return main([*map(str, trees), "--pairs", "1", "--", *LOADED, *arguments])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("only_in", [0, 1])
+def test_a_file_of_one_tree_does_not_hide_the_common_benchmarks(
+    trees: tuple[Path, Path],
+    only_in: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A new one is new, one that is missing is gone; what both have is compared."""
+    monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
+    for count, tree in enumerate(trees, 1):
+        (tree / "test_counts.py").write_text(TIMED % count, encoding="utf-8")
+    (trees[only_in] / "test_other.py").write_text(TIMED % 1, encoding="utf-8")
+    assert compare_files(trees, "test_counts.py", "test_other.py::test_it", "-k", "test_it") == 1
+    found = capsys.readouterr().out
+    assert found.startswith("worse (an exact measure grew): 1 worse, 1 " + ("gone", "new")[only_in])
+    assert "calls 1 → 2" in found
+    code, text = ((1, "failed, not timed"), (0, "no baseline"))[only_in]
+    assert compare_files(trees, "test_other.py") == code
+    assert capsys.readouterr().out.startswith(text)
+
+
+@pytest.mark.slow
+def test_a_file_of_neither_tree_is_bad_input(
+    trees: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line names it; a value of an option that looks like a file is none."""
+    monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
+    for tree in trees:
+        (tree / "test_it.py").write_text(TIMED % 1, encoding="utf-8")
+    assert compare_files(trees, "test_it.py", "test_typo.py", "--deselect", "none.py") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    required = "required: a file or folder of a working tree"
+    assert line == f"revisions: test_typo.py: no such file or folder in either tree; {required}"
+    assert compare_files(trees, "test_it.py", "--deselect", "none.py") == 0
+
+
+@pytest.mark.slow
+def test_an_error_of_pytest_in_the_base_is_no_missing_baseline(
+    trees: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file that cannot be imported hides the benchmarks of the others."""
+    monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
+    for tree in trees:
+        (tree / "test_it.py").write_text(TIMED % 1, encoding="utf-8")
+    (trees[0] / "test_broken.py").write_text("import missing_module", encoding="utf-8")
+    assert compare_files(trees) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"revisions: {trees[0]}: pytest ended with exit code 2: ")
+    assert "ERROR test_broken.py" in line and "; required: a base in which pytest ends" in line
+    assert compare_files(trees, "test_it.py") == 0
+
+
 def test_a_file_is_of_the_innermost_tree(trees: tuple[Path, Path]) -> None:
     """A worktree of the base may lie in the head; one tree may be compared with itself."""
     head, base = trees[1], trees[1] / "old"
