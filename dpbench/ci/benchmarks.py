@@ -6,13 +6,14 @@ import sysconfig
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dpbench.ci.machine_state import KEY, MachineState
-from dpbench.errors import InputError, SituationError
+from dpbench.errors import InputError, SituationError, shorten_found
 from dpbench.report.formats import plural
 
 FAILED = "dpbench_failed"
@@ -60,7 +61,10 @@ class Benchmark:
 
     @classmethod
     def from_json_entry(cls, entry: Mapping[str, Any]) -> "Benchmark":
-        """Return the benchmark in a JSON entry; KeyError, TypeError or ValueError if it is none."""
+        """Return the benchmark in a JSON entry; KeyError, TypeError or ValueError if it is none.
+
+        InputError for an exact measure that is no number.
+        """
         stats, extra = entry["stats"], entry.get("extra_info", {})
         reference = extra.get("reference_ns")
         times = float(stats["min"]), float(stats["q1"])
@@ -74,7 +78,7 @@ class Benchmark:
             times[0],
             _estimate_error(*times, int(stats["rounds"]), stats.get("data", [])),
             reference,
-            dict(extra.get("exact", {})),
+            read_exact_measures(name, extra),
             solver,
             extra.get("true_share", 1.0) == 1.0,
             str(extra.get("sequence", "")),
@@ -87,6 +91,18 @@ class Benchmark:
     def name_in_allowance(self) -> str:
         """Name of the solver, or the benchmark's own where none was noted."""
         return self.solver or self.name
+
+
+def read_exact_measures(name: str, extra: Mapping[str, Any]) -> dict[str, float]:
+    """Return the exact measures of a named benchmark; InputError for one that is no number."""
+    stored = extra.get("exact", {})
+    if not isinstance(stored, Mapping):
+        raise InputError(name, 'extra_info["exact"]', shorten_found(stored), "numbers by name")
+    for measure, value in stored.items():
+        if not isinstance(value, Real) or value != value:  # NaN is larger than nothing
+            key = f'extra_info["exact"]["{measure}"]'
+            raise InputError(name, key, shorten_found(value), "a number")
+    return dict(stored)
 
 
 def read_complaints(extra: Mapping[str, Any]) -> list[str]:
@@ -177,8 +193,9 @@ class BenchmarkRun:
         cls, entries: Iterable[Mapping[str, Any]], failed: Mapping[str, str]
     ) -> "BenchmarkRun":
         """Return the run of the entries of a JSON file; one that failed has no time."""
-        found = {one.name: one for one in map(Benchmark.from_json_entry, entries)}
-        return cls({name: found[name] for name in found if name not in failed}, dict(failed))
+        timed = (entry for entry in entries if entry["fullname"] not in failed)
+        found = {one.name: one for one in map(Benchmark.from_json_entry, timed)}
+        return cls(found, dict(failed))
 
     @property
     def disturbed(self) -> int:
@@ -233,6 +250,9 @@ def load_run(path: Path) -> BenchmarkRun:
             run = replace(run, selection=Selection.from_json_entry(stored[SELECTION]))
     except OSError as error:
         raise InputError(str(path), "", error.strerror or "an unreadable file", ALLOWED) from error
+    except InputError as error:
+        key = f"{error.where}: {error.key}"
+        raise InputError(str(path), key, error.found, error.allowed) from error
     except (ValueError, TypeError, AttributeError) as error:
         raise SituationError(str(path), f"cannot be read ({error}); required: {ALLOWED}") from error
     except KeyError as error:

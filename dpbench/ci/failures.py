@@ -19,7 +19,9 @@ from dpbench.ci.benchmarks import (
     find_source_files,
     list_imported_files,
     read_complaints,
+    read_exact_measures,
 )
+from dpbench.errors import InputError
 
 
 class FailedBenchmarks:
@@ -59,8 +61,18 @@ class FailedBenchmarks:
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Store why a benchmark fails or cannot be set up; return pytest's report unchanged."""
+        """Store why a benchmark fails or cannot be set up; return pytest's report.
+
+        A benchmark with an exact measure that is no number fails.
+        """
         report = yield
+        if report.passed and call.when != "setup" and item.nodeid not in self.reasons:
+            benchmark = getattr(item, "funcargs", {}).get("benchmark")
+            try:
+                read_exact_measures(item.nodeid, getattr(benchmark, "extra_info", {}))
+            except InputError as error:
+                report.outcome, report.longrepr = "failed", str(error)
+                self.reasons[item.nodeid] = str(error).removeprefix(f"{item.nodeid}: ")
         if report.failed and _is_benchmark(item) and call.excinfo is not None:
             lines = str(call.excinfo.value).splitlines() or [call.excinfo.typename]
             self.reasons.setdefault(item.nodeid, lines[0])

@@ -42,7 +42,7 @@ from dpbench.ci.benchmarks import (
     load_run,
 )
 from dpbench.ci.comparison import NO_BASELINE, NOT_TIMED, Allowed, Row, RunComparison, compare_runs
-from dpbench.errors import InputError, SituationError
+from dpbench.errors import InputError, SituationError, require_integer_at_least
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe
 from dpbench.report.formats import plural
 
@@ -468,7 +468,7 @@ def main(argv: list[str] | None = None) -> int:
                 raise InputError(str(tree), "", "no such folder", "a working tree")
         found, lines = compare_trees(
             trees,
-            max(1, arguments.pairs),
+            require_integer_at_least("--pairs", arguments.pairs, 1),
             given[end + 1 :],
             arguments.margin,
             allow_gone=arguments.allow_gone,

@@ -350,3 +350,15 @@ def test_a_baseline_may_be_one_file(write: Write, tmp_path: Path) -> None:
     before, slow = write("before"), write("later", slow={4: 2.0})
     arguments = [str(slow), str(before), "--retries", "0"]
     assert gate.main(arguments) == 1
+
+
+@pytest.mark.parametrize("value", ["7", None, [1]])
+def test_a_measure_that_is_no_number_is_bad_input(
+    write: Write, value: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line names file, benchmark, measure, what was found and what is allowed."""
+    base, now = write("base"), write("now", x=value)
+    assert gate.main([str(now), str(base)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    place = f'{now}: test_x.py::test[4]: extra_info["exact"]["x"]'
+    assert line == f"gate: {place}: found {value!r}; allowed: a number"

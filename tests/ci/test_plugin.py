@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from dpbench import load_scenario, open_workspace, record_sequence, replay
-from dpbench.ci import failures, gate, machine_state, plugin, replays
+from dpbench.ci import benchmarks, failures, gate, machine_state, plugin, replays
 
 pytest.importorskip("pytest_benchmark", reason="is of the extra ci")
 pytest_plugins = ["pytester"]
@@ -106,6 +106,23 @@ def test_a_session_names_its_own_option_of_an_allowance(pytester: pytest.Pyteste
     assert "(to accept: --dpbench-allow x:test_it.py::test_x=100%)" in " ".join(
         word for word in result.stdout.str().split() if word != "│"
     )
+
+
+@pytest.mark.parametrize("value", ["'7'", "None", "[1]", "float('nan')"])
+def test_a_measure_that_is_no_number_fails_its_test(pytester: pytest.Pytester, value: str) -> None:
+    """One line names test and measure; the stored file has it as a benchmark that failed."""
+    info = f"benchmark.extra_info['exact'] = {{'x': {value}}}"
+    pytester.makepyfile(test_it=f"def test_x(benchmark):\n    benchmark(int)\n    {info}")
+    base = write_baseline(pytester.path, "test_it.py::test_x", 1e3, x=1)
+    result = run(pytester, f"--dpbench-compare={base}", "--benchmark-json=now.json")
+    result.assert_outcomes(failed=1)
+    assert result.outlines[-1] == "dpbench: failed, not timed (exit code 1)"
+    found = value.replace("float('nan')", "nan")
+    reason = f'extra_info["exact"]["x"]: found {found}; allowed: a number'
+    assert f"test_it.py::test_x: {reason}" in result.outlines
+    assert "Traceback" not in result.stdout.str() + result.stderr.str()
+    run_again = benchmarks.load_run(pytester.path / "now.json")
+    assert run_again.failed == {"test_it.py::test_x": reason}
 
 
 @pytest.mark.slow

@@ -176,6 +176,13 @@ def test_a_missing_tree_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "none: no such folder" in capsys.readouterr().err
 
 
+def test_no_pair_is_bad_input(trees: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    """It is not measured as one pair."""
+    assert main([*map(str, trees), "--pairs", "0"]) == 2
+    line = "revisions: --pairs: found 0; allowed: a whole number, 1 or more\n"
+    assert capsys.readouterr().err == line
+
+
 @pytest.mark.slow
 def test_a_tree_without_dpbench_or_benchmarks_is_refused_before_the_first_run(
     trees: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
