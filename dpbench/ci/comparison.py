@@ -159,6 +159,7 @@ class RunComparison:
     timed : number of benchmarks whose times were compared.
     counts : number of benchmarks of base and head, those that failed included.
     unused : measures that were allowed to grow, as `iterations:osqp`, and that no benchmark has.
+    machine : line on a factor beyond the margin that the other solvers share; "" for none.
     """
 
     rows: list[Row]
@@ -166,6 +167,7 @@ class RunComparison:
     counts: tuple[int, int]
     allow_gone: bool = False
     unused: tuple[str, ...] = ()
+    machine: str = ""
 
     @property
     def verdict(self) -> str:
@@ -228,11 +230,12 @@ class RunComparison:
         return f"exit code {self.exit_code(disturbed)} ({self.outcome})"
 
     def describe_unjudged(self, disturbed: int, option: str = "--disturbed-exit") -> list[str]:
-        """Return lines on unused allowances, the largest disturbed slowdown, and the exit code.
+        """Return lines on the machine factor, unused allowances, disturbed times, the exit code.
 
         option : the one that selects the exit code.
         """
-        lines = [f"allowed, but measured in no benchmark: {one}" for one in self.unused]
+        lines = [self.machine] if self.machine else []
+        lines += [f"allowed, but measured in no benchmark: {one}" for one in self.unused]
         unjudged = [row for row in self.rows if np.isfinite(row.disturbed_ratio)]
         if unjudged:
             worst = max(unjudged, key=lambda row: row.disturbed_ratio)
@@ -339,7 +342,26 @@ def compare_runs(
             )
     rows.sort(key=lambda row: ORDER.index(row.verdict))
     unused = tuple(":".join(one[:2]) for one in allow if not _is_measured(one, pairs))
-    return RunComparison(rows, len(times), (len(was), len(now)), allow_gone, unused)
+    machine = _describe_machine_factor(times, pairs, margin)
+    return RunComparison(rows, len(times), (len(was), len(now)), allow_gone, unused, machine)
+
+
+def _describe_machine_factor(
+    times: dict[str, tuple[Assessment, list[str]]], pairs: Pairs, margin: float
+) -> str:
+    """Return a line on the factor that other solvers share, beyond the kernel's; "" within it."""
+    judged = {name: one.machine for name, (one, complaints) in times.items() if not complaints}
+    if not judged:
+        return ""
+    name = max(judged, key=lambda one: abs(np.log(judged[one])))
+    if abs(np.log(judged[name])) <= np.log1p(margin):
+        return ""
+    factor = f"× {significant(judged[name])}, shared by the benchmarks of all other solvers"
+    both = [run.benchmarks[name] for pair in pairs for run in pair if name in run.benchmarks]
+    if all(one.reference_ns is not None for one in both):
+        return f"factor beyond that of the reference kernel: {factor}: shared code may have changed"
+    unknown = "a reference kernel would show whether the machine or shared code has changed"
+    return f"machine factor {factor}: {unknown}"
 
 
 def _is_measured(allowed: Allowance, pairs: Pairs) -> bool:

@@ -379,3 +379,22 @@ def test_an_allowance_of_a_benchmark_without_a_solver_has_its_own_name() -> None
     assert compare_runs([(base, head)]).worse
     allow = [parse_allowance("calls:t[a (b)]=10%")]
     assert not compare_runs([(base, head)], allow=allow).worse
+
+
+@pytest.mark.parametrize(
+    ("kernel_ns", "text"),
+    [
+        ((None, None), "machine factor × 2.00, shared by "),
+        ((4e4, 4e4), "factor beyond that of the reference kernel: × 2.00, shared by "),
+        ((4e4, 8e4), ""),
+    ],
+)
+def test_a_factor_that_all_solvers_share_is_named(kernel_ns: Any, text: str) -> None:
+    """It may be of shared code; where the reference kernel has it too, it is the machine's."""
+    base, head = (
+        run_of(*(entry(x, s, solver=x, reference_ns=kernel) for x in ("a", "b", "c", "d")))
+        for s, kernel in zip((1e-3, 2e-3), kernel_ns, strict=True)
+    )
+    found = compare_runs([(base, head)])
+    assert found.verdict == "no difference shown"
+    assert [line[: len(text)] for line in describe_end(found, "b", "h")[2:]] == [text] * bool(text)
