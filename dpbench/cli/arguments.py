@@ -351,7 +351,7 @@ COMMANDS: dict[str, CommandHelp] = {
         f"not keep the ship within --margin in the search or in the test; {_BAD_INPUT}",
         "Search for controller weights and horizons that keep the ship on station with a margin "
         "and with little thruster wear. Test them in other realisations of the sea and write a "
-        "scenario with them. Each controller is judged by its largest offset over all scenarios. "
+        "scenario with them. The largest offset in any of the scenarios counts. "
         "To continue after an interruption, run the same command again.",
     ),
     "capability": CommandHelp(

@@ -188,7 +188,7 @@ def add_compare_options(compare: Command) -> None:
     alpha = "family-wise error rate (default: 0.05)"
     _option(compare, "--alpha", "SHARE", alpha, type=float, default=0.05)
     disturbed = (
-        "exit code if times are not judged (mostly due to other load) and nothing regressed "
+        "exit code if times are not judged (usually due to other load) and nothing regressed "
         "(default: 0)"
     )
     codes: dict[str, Any] = {"type": int, "choices": range(256), "default": 0}
@@ -475,7 +475,7 @@ def add_tune_options(tune: Command) -> None:
     _option(search, "--trials", "N", trials, type=int, default=48)
     count = "realisations of each sea in the search, and as many others in the test (default: 2)"
     _option(search, "--realisations", "N", count, type=int, default=2)
-    margin = "largest allowed offset, as a share of the limits of 5 m and 5° (default: 0.7)"
+    margin = "largest offset allowed, as a share of the limits of 5 m and 5° (default: 0.7)"
     _option(search, "--margin", "SHARE", margin, type=float, default=0.7)
     _option(search, "--steps", "N", "run at most N steps (default: all)", type=int, default=0)
     _option(search, "--seed", "N", "seed of the search (default: 1)", type=int, default=1)

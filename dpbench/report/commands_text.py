@@ -114,8 +114,8 @@ def _describe_design(records: Records) -> str:
         counts = sorted({int(run.rounds) for run in timed})
         rounds = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
         texts.append(
-            f"Rounds of each replay: {rounds}; each step counts with its fastest round. The "
-            f"machine was {describe_machine_states(timed)}. "
+            f"Rounds of each replay: {rounds}; each step counts with its fastest round. Over "
+            f"all of them, the machine was {describe_machine_states(timed)}. "
         )
     return "".join(texts)
 

@@ -232,7 +232,7 @@ def _explain_accuracy(data: PageData) -> str:
         for names in others
     ]
     replays = len(data.records.sequences)
-    where = f" in {'both' if replays == 2 else f'all {replays}'} replays" if replays > 1 else ""
+    where = f" over all {replays} replays" if replays > 1 else ""
     return (
         f"Largest error of each solver{where} against its step time, in the call mode of the "
         f"first figure. The step time is {_name_timed_replays(usual)}.{''.join(exceptions)} The "

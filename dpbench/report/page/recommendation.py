@@ -470,9 +470,9 @@ def _list_limiting_steps(
     longest = f"The longest step is {step}."
     if hardest.run.untimed_iterations_max > 1.0:
         longest = (
-            f"Scaled up by {significant(hardest.run.untimed_iterations_max)} to the most "
-            f"iterations in the closed loop, the longest step is {step}: "
-            f"{format_time(margin.longest_ns)}."
+            f"After scaling to the most iterations in the closed loop, the longest step is {step}. "
+            f"It takes {format_time(margin.longest_ns)} after scaling by a factor of "
+            f"{significant(hardest.run.untimed_iterations_max)}."
         )
     reached = (
         f"It reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
@@ -495,21 +495,21 @@ def _describe_limiting_p99(margin: SpeedMargin, wait: str, measured_ns: float) -
     if steps := run.steps_searched_for_hardest:
         measured = (
             f"Only {run.steps_planned} of the {format_count(steps)} steps of `{run.scenario}` were "
-            f"replayed. The p99 of all is estimated as the time that {steps // 100} of these "
-            f"exceed: {time}{wait}, in {step}."
+            f"replayed. The p99 of the {format_count(steps)} steps is estimated as the time that "
+            f"{steps // 100} of the replayed ones exceed: {time}{wait}, in {step}."
         )
     if not run.untimed_iterations > 1.0:
         return f"{measured} It is the limiting p99.{estimated}"
-    beyond = (f" It therefore exceeds the longest measured step ({format_time(measured_ns)}).") * (
-        margin.limiting_p99_ns > measured_ns * (1.0 + ROUNDING)
-    )
+    beyond = (
+        f" It therefore exceeds the longest step as measured ({format_time(measured_ns)})."
+    ) * (margin.limiting_p99_ns > measured_ns * (1.0 + ROUNDING))
+    replayed = "window" if run.steps_searched_for_hardest else "replay"
     scaled = f"by {significant(run.untimed_iterations)}"
     longest_ns = run.algo_max_ns * run.untimed_iterations_max
     if isclose(margin.limiting_p99_ns, run.algo_max_ns, rel_tol=ROUNDING):
-        scaled = "at most to the longest step"
+        scaled = f"but not beyond the longest step of the {replayed}"
     elif isclose(margin.limiting_p99_ns, longest_ns, rel_tol=ROUNDING):
-        scaled = "at most to the longest step, scaled up in the same way"
-    replayed = "window" if run.steps_searched_for_hardest else "replay"
+        scaled = f"but not beyond the scaled longest step of the {replayed}"
     return (
         f"{measured} The closed loop has a larger p99 of iterations than the {replayed}, so this "
         f"time is scaled up, {scaled}: the limiting p99 is {format_time(margin.limiting_p99_ns)} "

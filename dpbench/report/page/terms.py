@@ -9,7 +9,7 @@ from markupsafe import Markup, escape
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.run_matrix import Experiment
-from dpbench.report.formats import bind_units, format_share, plural
+from dpbench.report.formats import bind_units, format_share
 from dpbench.report.page.data import PageData
 from dpbench.report.ship.ship_text import list_losses
 from dpbench.report.words import term_meanings, topics
@@ -162,7 +162,7 @@ def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -
     if scenario.true_ship.drag is not None:
         parts.append(DRAG_MISMATCH)
     if experiment.mode == "replay":
-        parts.append(_describe_replay(data, run, scenario.steps))
+        parts.append(_describe_replay(data, run))
     if experiment.units == "si":
         parts.append(
             "Here in SI units (N, N·m), unscaled; these runs do not count towards the overall "
@@ -175,7 +175,7 @@ def _describe_scenario(data: PageData, experiment: Experiment, run: RunRecord) -
     return " ".join(parts).replace("`", "")
 
 
-def _describe_replay(data: PageData, run: RunRecord, loop_steps: int) -> str:
+def _describe_replay(data: PageData, run: RunRecord) -> str:
     """Return as text which steps of a loop are replayed, and the share with active limits."""
     first, window, loop = run.first_step, "", "reference loop"
     loops = [one for one in data.records.runs if one.mode == "closed_loop"]
@@ -183,10 +183,7 @@ def _describe_replay(data: PageData, run: RunRecord, loop_steps: int) -> str:
     if "[" in run.sequence:
         window = f"steps {first} to {first + run.steps_planned - 1} of "
     if 0 < controlled <= first:
-        loop = (
-            f"reference loop of {plural(loop_steps, 'step')} (the solvers' closed loops end at "
-            f"step {controlled - 1})"
-        )
+        loop = f"reference loop (the solvers' closed loops end at step {controlled - 1})"
     kept = data.thinned_runs.get(run.run_id)
     if kept is None or not kept.is_whole:  # the steps kept of a long run are its hardest
         return f"Replay of {window}its {loop}."

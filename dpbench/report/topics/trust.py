@@ -130,7 +130,7 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
         f"Taken one by one, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
-        f"exceeded the limit of a quiet machine ({' or '.join(kinds)}). A ratio with such a replay "
+        f"exceeded a limit of a quiet machine ({' or '.join(kinds)}). A ratio with such a replay "
         "is significant only if its whole interval is outside the range from 1/s to s, where s is "
         "the time of the slowest round of the replay divided by that of its fastest round."
     )

@@ -71,7 +71,7 @@ def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> N
     assert len(frame) == 5
     made = _paragraph(make_report_markdown(Report.from_results(records.results())))
     assert "3 runs with" in made and "`native warm`" in made
-    assert "Rounds of each replay: 3; each step counts with its fastest round. The machine" in made
+    assert "Rounds of each replay: 3; each step counts with its fastest round. Over all" in made
     assert (
         "Both numbers count 1 run twice, because two names of settings stand for the same "
         "options. Both numbers exclude 1 run on simulated slower computers and 1 run of "

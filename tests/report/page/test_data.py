@@ -145,8 +145,8 @@ def test_a_experiment_is_said_in_the_words_of_its_scenario(records: Any) -> None
         "these runs do not count towards the overall verdict."
     )
     window = (
-        "Replay of steps 900 to 1399 of its reference loop of 2\u202f000 steps (the solvers' "
-        "closed loops end at step 119). At least one limit is active in 0 %"
+        "Replay of steps 900 to 1399 of its reference loop (the solvers' closed loops end at step "
+        "119). At least one limit is active in 0 %"
     )
     assert window in output["rough[900:1400] (replay)"]
     assert list(output) == [p.label for p in facts.experiments if p.name != "robot"]

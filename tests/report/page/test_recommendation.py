@@ -147,7 +147,7 @@ def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int,
     against = "Compared with daqp (qpsolvers fresh): too few common steps for a ratio (15 of 500)."
     assert f"{following}. {against}" in ending["next"]
     estimated = (
-        "Only 15 of the 450 steps of paper were replayed. The p99 of all is estimated as the time "
+        "Only 15 of the 450 steps of paper were replayed. The p99 of the 450 steps is estimated "
     )
     assert (estimated in ending["margin"]) is (of == 450)
 
@@ -575,14 +575,14 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     text = " ".join(list_speed_margin_sentences(data, verdict))
     assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
     assert (
-        "Only 30 of the 450 steps of `turn` were replayed. The p99 of all is estimated as the time "
-        "that 4 of these exceed: 20.0 µs, in step "
+        "Only 30 of the 450 steps of `turn` were replayed. The p99 of the 450 steps is estimated "
+        "as the time that 4 of the replayed ones exceed: 20.0 µs, in step "
     ) in text
     assert (
         "The closed loop has a larger p99 of iterations than the window, so this time is scaled "
         "up, by 2.00: the limiting p99 is 40.0 µs (formula: page"
     ) in text
-    assert "It therefore exceeds the longest measured step (20.0 µs)." in text
+    assert "It therefore exceeds the longest step as measured (20.0 µs)." in text
 
 
 def test_the_table_has_the_times_that_give_each_speed_margin(records: Any) -> None:
