@@ -148,7 +148,8 @@ class _WeatherLoss:
                 continue
             relative_deg = wind["from_deg"] - math.degrees(float(scenario.reference[2]))
             from_deg = min(held_mps, key=lambda at: abs((at - relative_deg + 180.0) % 360 - 180.0))
-            if held_mps[from_deg] < wind["speed_mps"]:
+            # Polygons lie within the circles of level 1: their wind is too small by at most this.
+            if held_mps[from_deg] / math.cos(math.pi / plot.sides) < wind["speed_mps"]:
                 most = format_wind_held(held_mps[from_deg])
                 least = "no wind" if held_mps[from_deg] == 0.0 else f"at most {most}"
                 yield (
