@@ -3,7 +3,6 @@
 import json
 import multiprocessing
 import multiprocessing.forkserver
-import multiprocessing.resource_tracker
 import os
 import signal
 import sys
@@ -24,7 +23,11 @@ from dpbench.bench.record.raw_log import RawLog, is_log_full_size_and_writable
 from dpbench.bench.run.footprint import process_peak_bytes
 from dpbench.bench.run.timed_solver import read_process_wait_s
 from dpbench.bench.workers import shared_status
-from dpbench.bench.workers.interrupts import block_sigint, delay_signals
+from dpbench.bench.workers.interrupts import (
+    block_sigint,
+    delay_signals,
+    start_resource_tracker,
+)
 from dpbench.bench.workers.orphans import END_S, end_orphans, kill_forkserver, signal_process
 from dpbench.bench.workers.shared_status import CUT, Phase, SharedStatus
 from dpbench.errors import DpbenchError
@@ -87,9 +90,7 @@ def _running_forkserver() -> Iterator[None]:
         before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
         limit_libraries_to_one_thread()
         try:
-            # This lets Ctrl-C through when it starts its own process, and does nothing the second
-            # time.
-            multiprocessing.resource_tracker.ensure_running()
+            start_resource_tracker()
             place_sockets_in_process_folder()
             # Until it has loaded, Ctrl-C would end the template with a traceback of its own.
             with block_sigint():

@@ -99,7 +99,19 @@ def delay_signals() -> Iterator[None]:
 @contextmanager
 def block_terminal_signals() -> Iterator[None]:
     """Block Ctrl-C and SIGHUP in what is started in the block: one process handles them for all."""
-    # It would let them through again while it starts its own process, and does nothing later.
-    multiprocessing.resource_tracker.ensure_running()
+    start_resource_tracker()
     with block_sigint(signal.SIGHUP):
         yield
+
+
+def start_resource_tracker() -> None:
+    """Start Python's process that removes shared memory, out of reach of SIGHUP; once.
+
+    It ignores other ending signals. Killed, it would be started again with a warning. As it lets
+    Ctrl-C through while it starts, it must not first be started where that is blocked.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+    try:
+        multiprocessing.resource_tracker.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -156,3 +156,20 @@ def test_a_signal_while_a_process_starts_leaves_no_traceback() -> None:
     command = [sys.executable, "-c", STARTED_HALF_WAY]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     assert (done.stdout, done.stderr) == ("interrupted\n", "")
+
+
+HUNG_UP = """
+import os, signal, time
+from multiprocessing import resource_tracker
+from dpbench.bench.workers.interrupts import start_resource_tracker
+start_resource_tracker()
+os.kill(resource_tracker._resource_tracker._pid, signal.SIGHUP)
+time.sleep(0.3)
+print(resource_tracker._resource_tracker._check_alive())
+"""
+
+
+def test_a_closed_terminal_does_not_end_the_resource_tracker() -> None:
+    command = [sys.executable, "-c", HUNG_UP]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("True\n", "")
