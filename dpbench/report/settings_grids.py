@@ -52,7 +52,7 @@ def _describe_point(verdict: Verdict) -> str:
     if verdict.state not in ACCURATE:
         return f"{verdict.state}, {format_error(verdict.error_move)}"
     has_p99 = not math.isnan(verdict.p99_ns)
-    time_ns = verdict.p99_ns if has_p99 else verdict.algo_max_ns
+    time_ns = verdict.p99_ns if has_p99 else verdict.longest_ns
     return f"{verdict.state}, {format_time(time_ns)}"
 
 

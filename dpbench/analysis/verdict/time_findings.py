@@ -180,7 +180,7 @@ def judge_replay_times(
     worst = max(known or whole, key=by_time, default=None)
     limiting = max(figures, key=lambda one: np.nan_to_num(one.bound_ns))
     is_measured = limiting.bound_ns == limiting.algo.p99_ns
-    hardest = max(figures, key=lambda one: one.algo.max_ns)
+    longest = max(figures, key=lambda one: one.longest_ns)
     return findings, {
         **(worst.of_sequence if worst else {}),
         "p99_ns": limiting.bound_ns,
@@ -189,8 +189,8 @@ def judge_replay_times(
         else UNKNOWN,
         "p99_run": limiting.run,
         "disturbed_spread": max(one.disturbed_spread for one in figures),
-        "algo_max_ns": hardest.algo.max_ns,
-        "max_run": hardest.run,
+        "longest_ns": longest.longest_ns,
+        "longest_run": longest.run,
         "raw_max_ns": max(one.raw_max_ns for one in figures),
         "of_sequences": {one.run.sequence: one.of_sequence for one in whole},
     }
@@ -294,6 +294,11 @@ class _ReplayTimes:
         )
 
     @property
+    def longest_ns(self) -> float:
+        """Time of the longest step [ns], scaled up to the closed loop's iterations."""
+        return self.algo.max_ns * self.run.untimed_iterations_max
+
+    @property
     def of_sequence(self) -> dict[str, Any]:
         """Fields of a verdict that is `timed_on` this replay."""
         return {
@@ -348,7 +353,7 @@ def _compare_with_deadline(figures: _ReplayTimes, limit_ns: float, factor: float
         return figures.doubt("deadline waits", "few deadline timings", longest_ns, net_ns)
     if longest_ns < limit_ns / factor:
         # Nothing passes with a speed margin below 1.
-        bound_ns = longest_ns * figures.run.untimed_iterations_max
+        bound_ns = figures.longest_ns
         if bound_ns > limit_ns:
             return Finding("longest step untimed", (figures.run,), bound_ns, machine=longest_ns)
         return None

@@ -70,8 +70,9 @@ class Verdict:
     iterations : there, median and largest of a step; NaN if the solver does not count them.
     disturbed_spread : largest `compute_round_spread` of its replays; 1 if the machine was quiet.
     of_sequences : these times by sequence, of all that can be `timed_on`.
-    algo_max_ns, raw_max_ns : largest step time, in the replay or window `max_run`, and largest
-        single timing of all sequences.
+    longest_ns : longest step of all replays and windows, each scaled as for `p99_ns`; that of
+        `longest_run`.
+    raw_max_ns : largest single timing of all sequences.
     """
 
     configuration: Configuration
@@ -99,8 +100,8 @@ class Verdict:
     disturbed_spread: float = 1.0
     replay_p99_ns: float = math.nan
     raw_p99_ns: float = math.nan
-    algo_max_ns: float = math.nan
-    max_run: RunRecord | None = None
+    longest_ns: float = math.nan
+    longest_run: RunRecord | None = None
     raw_max_ns: float = math.nan
     of_sequences: Mapping[str, Mapping[str, Any]] = field(
         default_factory=dict, repr=False, compare=False
@@ -401,7 +402,7 @@ def sort_fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
     return sorted(
         verdicts,
         key=lambda v: (
-            *np.nan_to_num((v.p99_ns, v.p50_ns, v.algo_max_ns), nan=math.inf).tolist(),
+            *np.nan_to_num((v.p99_ns, v.p50_ns, v.longest_ns), nan=math.inf).tolist(),
             v.configuration.solver,
         ),
     )

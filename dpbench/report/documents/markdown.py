@@ -225,18 +225,20 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
     if not margins:
         return ""
     requirements = data.requirements
-    is_scaled = any(margin.p99.run.untimed_iterations > 1.0 for margin in margins)
+    is_scaled = any(
+        max(m.p99.run.untimed_iterations, m.hardest.run.untimed_iterations_max) > 1.0
+        for m in margins
+    )
     scaled = (
-        ", each scaled up if the closed loop of its scenario takes more iterations than the replay "
-        "or window. It may exceed the longest step, which the table gives as measured, not scaled"
+        " Both are scaled up if the closed loop of the scenario takes more iterations than the "
+        "replay or window."
     ) * is_scaled
-    step = "scaled " * any(m.hardest.run.untimed_iterations_max > 1 for m in margins)
     return (
-        f"The limiting p99 is the largest p99 of all replays and windows{scaled}. For a replay or "
-        "window without a p99, the longest step is used instead. The speed margin is the factor by "
-        "which the computer may be slower, rounded down. It is the smaller of two ratios: "
-        f"{requirements.p99_ms:g} ms / limiting p99 and {requirements.deadline_ms:g} ms / "
-        f"{step}longest step."
+        "The limiting p99 and the longest step are the largest of all replays and windows."
+        f"{scaled} For a replay or window without a p99, its longest step is used instead. The "
+        "speed margin is the factor by which the computer may be slower, rounded down. It is the "
+        f"smaller of two ratios: {requirements.p99_ms:g} ms / limiting p99 and "
+        f"{requirements.deadline_ms:g} ms / longest step."
     )
 
 
@@ -286,11 +288,11 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
         for v in timed
     }
     # A solver may have been timed in windows alone.
-    placed = [v for v in verdicts if v.timed_on or _is_window(v.max_run)]
+    placed = [v for v in verdicts if v.timed_on or _is_window(v.longest_run)]
     worst = {
         v.configuration.marked_label: _where(v.p99_run) for v in placed if not math.isnan(v.p99_ns)
     }
-    hardest = {v.configuration.marked_label: _where(v.max_run) for v in placed}
+    hardest = {v.configuration.marked_label: _where(v.longest_run) for v in placed}
     if len({*usual.values()}) > 1 or any(verdict.replays > 1 for verdict in timed):
         yield f"The p50 is {_most_and_others(usual, 'from')}."
     if any(_is_window(v.p99_run) for v in placed):
@@ -363,7 +365,8 @@ def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[
             verdict.state,
             format_time(verdict.p50_ns),
             format_time(verdict.p99_ns) + format_p99_interval(verdict.p99_interval),
-            format_time(verdict.algo_max_ns) + describe_hardest_wait(data.records, verdict.max_run),
+            format_time(verdict.longest_ns)
+            + describe_hardest_wait(data.records, verdict.longest_run),
             MISSING
             if margin is None
             else f"× {format_rounded_down(margin.allowed_slowness_factor)}",

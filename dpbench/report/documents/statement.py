@@ -267,7 +267,7 @@ def _fill_statement(
         c=c,
         v=chosen,
         timed=timed,
-        wait=describe_hardest_wait(records, timed.max_run),
+        wait=describe_hardest_wait(records, timed.longest_run),
         judged_runs_text=describe_judged_runs(chosen),
         version=versions[c.solver],
         numbers=", ".join(f"{key} = {value!r}" for key, value in options.items())

@@ -72,19 +72,16 @@ def _explain_step_times(data: PageData) -> str:
     left_out = len(list_best_verdict_of_own_settings(data.verdicts)) - MOST_OWN
     more = f" {left_out} more custom settings: `tables/verdicts.csv`." * (left_out > 0)
     return (
-        "Step time of each solver, in its best configuration, in the replays and windows of "
-        "hardest steps. The marker shows "
+        "Step time of each solver in its best configuration. The marker shows "
         f"the p50 in the replay of {replay}{which}. The bar ends at the limiting p99, the line at "
-        "the longest step and the dashed line at the largest single timing, in closed "
-        f"loops too. The grey bar shows the call overhead.{absent}{more}"
+        "the longest step and the dashed line at the largest single timing. The grey bar shows "
+        f"the call overhead.{absent}{more}"
     )
 
 
 BARS = (
-    "The limiting p99 is scaled to the iterations of the closed loop, so it may exceed the longest "
-    "step, which is drawn as measured. The call overhead is the time of a call from Python that "
-    "copies its data but solves nothing. If the p50 of a solver is smaller than this time, its "
-    "grey bar ends at the p50. Below 5 µs, "
+    "The call overhead is the time of a call from Python that copies its data but solves nothing. "
+    "If the p50 of a solver is smaller than this time, its grey bar ends at the p50. Below 5 µs, "
     "differences may be due to the interfaces, not the algorithms."
 )
 

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, isclose, isfinite, isnan
+from math import inf, isfinite, isnan
 from typing import Any
 
 from dpbench.analysis.times.paired_times import (
@@ -40,7 +40,6 @@ from dpbench.report.formats import (
     format_time,
     join_with_and,
     plural,
-    significant,
 )
 from dpbench.report.page.data import PageData
 from dpbench.report.ship.capability_text import describe_consequence_solver, describe_unanswered_qps
@@ -81,8 +80,6 @@ NOTE_TITLES = {
 }
 """Titles of notes that do not name their topic themselves, by keyword."""
 WITH_THRUSTERS = "With commanded thrusters, "
-ROUNDING = 1e-9
-"""Relative rounding error of a time that is scaled up."""
 MOST_INCONCLUSIVE = 2
 """Number of faster but inconclusive configurations with a note."""
 
@@ -431,7 +428,7 @@ def list_speed_margin_sentences(data: PageData, chosen: Verdict) -> list[str]:
         f"{opening[0].upper()}{opening[1:]} may be up to "
         f"{format_rounded_down(margin.allowed_slowness_factor)} times slower than this machine"
         f"{replayed}{also}; {_describe_margin_limit(margin, requirements, has_p99=has_p99)}.",
-        *_list_limiting_steps(data, margin, chosen.algo_max_ns, has_p99=has_p99),
+        *_list_limiting_steps(data, margin, has_p99=has_p99),
         *_yield_longest_timing(data, chosen.configuration),
         *untimed,
     ]
@@ -450,70 +447,48 @@ def _describe_margin_limit(
     return f"{longest} {limit}, as there are too few steps for a p99"
 
 
-def _list_limiting_steps(
-    data: PageData, margin: SpeedMargin, measured_ns: float, *, has_p99: bool
-) -> list[str]:
-    """Return sentences on the steps that limit a speed margin, and each one's largest slowdown.
-
-    measured_ns : the longest step as measured, which a scaled p99 may exceed.
-    """
-    wait = describe_hardest_wait(data.records, margin.hardest.run)
+def _list_limiting_steps(data: PageData, margin: SpeedMargin, *, has_p99: bool) -> list[str]:
+    """Return sentences on the steps that limit a speed margin, and each one's largest slowdown."""
+    wait = describe_hardest_wait(data.records, margin.hardest.run, is_scaled=False)
     requirements, hardest = data.requirements, margin.hardest
-    texts = [_describe_limiting_p99(margin, wait, measured_ns)] if has_p99 else []
+    texts = [_describe_limiting_p99(margin)] if has_p99 else []
     if margin.deadline < margin.p99_limit and has_p99:
         texts.append(
             f"It reaches its limit of {requirements.p99_ms:g} ms at a slowdown of "
             f"× {format_rounded_down(margin.p99_limit)}."
         )
-    measured = f"{format_time(hardest.time_ns)}{wait}"
-    step = f"{_name_slow_step(hardest)} ({measured}; {_describe_work(hardest)})"
-    longest = f"The longest step is {step}."
-    if hardest.run.untimed_iterations_max > 1.0:
-        longest = (
-            f"After scaling to the most iterations in the closed loop, the longest step is {step}. "
-            f"It takes {format_time(margin.longest_ns)} after scaling by a factor of "
-            f"{significant(hardest.run.untimed_iterations_max)}."
-        )
-    reached = (
-        f"It reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
-        f"× {format_rounded_down(margin.deadline)}."
+    scaled = f" and is scaled up to {format_time(margin.longest_ns)}" * (
+        hardest.run.untimed_iterations_max > 1.0
     )
-    return [*texts, f"{longest} {reached}"]
+    return [
+        *texts,
+        f"The longest step is {_name_slow_step(hardest)} ({_describe_work(hardest)}). It took "
+        f"{format_time(hardest.time_ns)}{wait}{scaled}. It reaches the deadline of "
+        f"{requirements.deadline_ms:g} ms at a slowdown of "
+        f"× {format_rounded_down(margin.deadline)}.",
+    ]
 
 
-def _describe_limiting_p99(margin: SpeedMargin, wait: str, measured_ns: float) -> str:
-    """Return sentences on the step with the limiting p99, and how that is scaled up.
-
-    wait : note on the longest step; measured_ns : its time.
-    """
-    run = margin.p99.run
-    wait *= margin.p99.time_ns == margin.hardest.time_ns
-    step = f"{_name_slow_step(margin.p99)} ({_describe_work(margin.p99)})"
-    estimated = " This estimate has no confidence interval." * bool(run.steps_searched_for_hardest)
-    time = format_time(margin.p99.time_ns)
-    measured = f"The p99 of {name_experiment(run)} is the time of {step}, {time}{wait}."
+def _describe_limiting_p99(margin: SpeedMargin) -> str:
+    """Return sentences: how the limiting p99 was estimated, and how it is scaled up."""
+    run, time = margin.p99.run, format_time(margin.p99.time_ns)
+    measured = f"The limiting p99 is that of {name_experiment(run)}"
+    estimated, replayed = "", "this replay"
     if steps := run.steps_searched_for_hardest:
+        beyond, replayed = steps // 100, "these steps"
+        take = "takes" if beyond == 1 else "take"
         measured = (
-            f"Only {run.steps_planned} of the {format_count(steps)} steps of `{run.scenario}` were "
-            f"replayed. The p99 of the {format_count(steps)} steps is estimated as the time that "
-            f"{steps // 100} of the replayed ones exceed: {time}{wait}, in {step}."
+            f"The p99 is estimated from the {run.steps_planned} hardest of the "
+            f"{format_count(steps)} steps of `{run.scenario}`: {beyond} of them {take} longer than "
+            f"{time}"
         )
+        estimated = " This estimate has no confidence interval."
     if not run.untimed_iterations > 1.0:
-        return f"{measured} It is the limiting p99.{estimated}"
-    beyond = (
-        f" It therefore exceeds the longest step as measured ({format_time(measured_ns)})."
-    ) * (margin.limiting_p99_ns > measured_ns * (1.0 + ROUNDING))
-    replayed = "window" if run.steps_searched_for_hardest else "replay"
-    scaled = f"by {significant(run.untimed_iterations)}"
-    longest_ns = run.algo_max_ns * run.untimed_iterations_max
-    if isclose(margin.limiting_p99_ns, run.algo_max_ns, rel_tol=ROUNDING):
-        scaled = f"but not beyond the longest step of the {replayed}"
-    elif isclose(margin.limiting_p99_ns, longest_ns, rel_tol=ROUNDING):
-        scaled = f"but not beyond the scaled longest step of the {replayed}"
+        return f"{measured}.{estimated}"
     return (
-        f"{measured} The closed loop has a larger p99 of iterations than the {replayed}, so this "
-        f"time is scaled up, {scaled}: the limiting p99 is {format_time(margin.limiting_p99_ns)} "
-        f"(formula: page “Method” of the documentation).{beyond}{estimated}"
+        f"{measured}. The closed loop takes more iterations than {replayed}, so the {time} are "
+        f"scaled up to the limiting p99 of {format_time(margin.limiting_p99_ns)} (formula: page "
+        f"“Method” of the documentation).{estimated}"
     )
 
 

@@ -98,7 +98,7 @@ def _describe_configuration(
     data: PageData, recommendation: Recommendation, c: Configuration, v: Verdict | None
 ) -> dict[str, Any]:
     """Return the facts of a configuration that the page's script needs."""
-    times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.algo_max_ns}
+    times = {} if v is None else {"p50": v.p50_ns, "p99": v.p99_ns, "max": v.longest_ns}
     return {
         **make_configuration_columns(c),
         "verdict": "not judged" if v is None else v.state,
@@ -115,8 +115,8 @@ def _describe_configuration(
         "call": format_python_call(c),
         **_describe_margin(data, c, v),
         "longest_in_windows": [list(step) for step in data.longest_window_steps.get(c, ())],
-        "max_wait": describe_hardest_wait(data.records, None if v is None else v.max_run),
-        "max_in": "" if v is None or v.max_run is None else name_experiment(v.max_run),
+        "max_wait": describe_hardest_wait(data.records, None if v is None else v.longest_run),
+        "max_in": "" if v is None or v.longest_run is None else name_experiment(v.longest_run),
     }
 
 
@@ -125,9 +125,8 @@ def _describe_margin(data: PageData, c: Configuration, v: Verdict | None) -> dic
     margin = data.get_speed_margin(c)
     if margin is None:
         return {"margin": None, "limited_by": "", "p99_run_id": ""}
-    requirements, longest = data.requirements, format_time(margin.hardest.time_ns)
+    requirements, longest = data.requirements, format_time(margin.longest_ns)
     if margin.deadline < margin.p99_limit:
-        longest = format_time(margin.longest_ns)
         limited_by = f"longest step of {longest} (deadline {requirements.deadline_ms:g} ms)"
     elif v is None or isnan(v.p99_ns):
         limit = f"p99 limit {requirements.p99_ms:g} ms, as too few steps give a p99"

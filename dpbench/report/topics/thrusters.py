@@ -178,7 +178,7 @@ def _describe_solver_to_use(
     if margin is None:
         return f"{label}; no replay times its QPs."
     step = margin.hardest
-    share = format_sample_share(step.time_ns / (margin.deadline * margin.longest_ns))
+    share = format_sample_share(1.0 / margin.deadline)
     where = f"step {step.k} of the replay of {step.run.sequence}"
     wait = describe_hardest_wait(records, step.run)
     return f"{label}: its longest step, {where}, takes {share} of the sample time{wait}."

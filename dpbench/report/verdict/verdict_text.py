@@ -493,10 +493,20 @@ def describe_short_times(records: Records, compared: Sequence[Verdict]) -> str:
     )
 
 
-def describe_hardest_wait(records: Records, run: RunRecord | None) -> str:
-    """State how much of a replay's hardest step was a wait for the core; "" for hardly anything."""
+def describe_hardest_wait(
+    records: Records, run: RunRecord | None, *, is_scaled: bool = True
+) -> str:
+    """State how much of a replay's longest step was a wait for the core; "" for hardly anything.
+
+    is_scaled : whether the text follows the time as scaled to the closed loop's iterations.
+    """
     times = None if run is None else records.get_step_times(run)
-    return "" if times is None else describe_wait(times.algo_ns.max(), times.hardest_wait_ns)
+    if run is None or times is None:
+        return ""
+    wait = describe_wait(times.algo_ns.max(), times.hardest_wait_ns)
+    if is_scaled and run.untimed_iterations_max > 1.0:
+        return wait.replace(" for the core)", " for the core, before scaling)")
+    return wait
 
 
 def describe_longest_wait(records: Records, run: RunRecord | None) -> str:

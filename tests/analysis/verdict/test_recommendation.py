@@ -62,12 +62,12 @@ def test_verdicts_are_sorted_by_p99_then_p50_then_largest_step_then_name() -> No
     verdicts = [
         _verdict("e"),
         _verdict("d"),
-        _verdict("c", algo_max_ns=9.0),
-        _verdict("f", algo_max_ns=8.0),
-        _verdict("b", 20.0, algo_max_ns=1.0),
-        _verdict("a", 20.0, algo_max_ns=1.0),
-        _verdict("g", 10.0, algo_max_ns=99.0),
-        _verdict("h", p50_ns=5.0, algo_max_ns=99.0),
+        _verdict("c", longest_ns=9.0),
+        _verdict("f", longest_ns=8.0),
+        _verdict("b", 20.0, longest_ns=1.0),
+        _verdict("a", 20.0, longest_ns=1.0),
+        _verdict("g", 10.0, longest_ns=99.0),
+        _verdict("h", p50_ns=5.0, longest_ns=99.0),
     ]
     found = [verdict.configuration.solver for verdict in sort_fastest_first(verdicts)]
     assert found == ["g", "a", "b", "h", "f", "c", "d", "e"]
@@ -159,10 +159,10 @@ def test_disturbed_rounds_hide_no_setting_that_is_twice_as_fast() -> None:
 
 def test_without_a_p99_medians_are_compared() -> None:
     """Medians of 100 and 102 are alike, whichever has the longer step."""
-    best = _verdict("daqp", settings="high", p50_ns=100.0, algo_max_ns=200.0)
-    usual = _verdict("daqp", p50_ns=102.0, algo_max_ns=300.0)
+    best = _verdict("daqp", settings="high", p50_ns=100.0, longest_ns=200.0)
+    usual = _verdict("daqp", p50_ns=102.0, longest_ns=300.0)
     assert find_fastest_configuration(_verdicts(usual, best), "daqp") is usual
-    slow = _verdict("daqp", p50_ns=240.0, algo_max_ns=190.0)
+    slow = _verdict("daqp", p50_ns=240.0, longest_ns=190.0)
     assert find_fastest_configuration(_verdicts(slow, best), "daqp") is best
     assert find_fastest_configuration(_verdicts(usual, best), "piqp") is None
 

@@ -102,7 +102,7 @@ def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, writte
     for figure in (
         format_error(verdict.error_move),
         format_time(verdict.p99_ns),
-        format_time(verdict.algo_max_ns),
+        format_time(verdict.longest_ns),
         list_speed_margin_sentences(facts, verdict)[0],
         *("Synthetic CPU", "0123456789ab", "does not cover other vessels"),
         *("State during timing: quiet", "DNV-ST-0111", "IMCA M 220"),

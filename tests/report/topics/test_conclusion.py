@@ -150,5 +150,5 @@ def test_times_for_thrusters_are_those_of_thruster_qps(records: Any) -> None:
     assert " With commanded thrusters, its limiting p99 is " in recommendation.sentence
     margin = dict(recommendation.notes)["margin"]
     assert margin.startswith("With commanded thrusters, the ship's computer may be up to ")
-    assert " over all replays); " in margin and "the time of step " in margin
+    assert " over all replays); " in margin and "The longest step is step " in margin
     assert "three_forces" not in margin
