@@ -220,6 +220,7 @@ class ShipPlant:
         self._D, self._hull = np.ascontiguousarray(vessel.D), None
         if vessel.drag is not None:
             self._hull, self._MinvD = vessel.drag.to_kernel_array(), np.zeros_like(vessel.D)
+            self._D = np.ascontiguousarray(vessel.drag.limit_linear_damping(vessel.D))
             loads = np.zeros(COEFFICIENTS) if loads is None else loads
         self._loads = None if loads is None else np.array(loads, dtype=np.float64)
         self._thrust = None if actuators is None else actuators.make_state_at_rest()

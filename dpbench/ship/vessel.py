@@ -13,8 +13,9 @@ C_d is Hoerner's two-dimensional coefficient at B/2T, c = 0.07 that of DNV-ST-01
 are those of a rectangle of area A_c = T̄ L_os about x_c, where the integrals have a closed form.
 
 The linear damping D is identified at some cm/s and fades with speed; S keeps S D S positive
-definite. Its yaw part stays, as published yaw damping is ten times the strip integral of a turn.
-All of it follows Froude's law. Munk's moment is left out with the Coriolis terms (paper eq. 4).
+definite. Its sway entry is limited so that the force abeam rises with speed. Its yaw part stays, as
+published yaw damping is ten times the strip integral of a turn. All of it follows Froude's law.
+Munk's moment is left out with the Coriolis terms (paper eq. 4).
 """
 
 import math
@@ -32,6 +33,9 @@ from dpbench.ship.weather import GRAVITY, WATER_DENSITY, WaveReflection, Windage
 
 FADING_FROUDE_NUMBER = 0.004
 """V_0 over √(gL): 0.11 m/s on a ship of 76 m, so that 1 % of D is left at 0.5 m/s."""
+_GOLDEN = 0.5 * (1.0 + math.sqrt(5.0))
+_STEEPEST = _GOLDEN * math.exp(_GOLDEN) / (_GOLDEN - 1.0)
+"""Least x eˣ / (x − 1) over x > 1: see `HullDrag.limit_linear_damping`."""
 SURGE_COEFFICIENT = 0.07  # Of ½ρ B T V u (DNV-ST-0111, section 3.6)
 AXIS_NAMES = ("surge", "sway", "yaw")
 _HOERNER = np.array(
@@ -85,12 +89,25 @@ class HullDrag:
         half_m = 0.5 * self.length_m
         return np.array([1.0 / self.fading_mps, self.along, self.across, self.centre_m, half_m])
 
+    def limit_linear_damping(self, D: Matrix) -> Matrix:
+        """Return damping (3, 3) with which the force abeam never falls as the speed rises.
+
+        The force D v exp(−v/V_0) + a v² rises at every speed v if D is at most
+        2 a V_0 φ eᵠ / (φ − 1), with the golden ratio φ. Couplings are limited by its root.
+        """
+        most = 2.0 * self.across * self.fading_mps * _STEEPEST
+        scale = np.ones(len(D))
+        scale[V] = min(1.0, math.sqrt(most / D[V, V]))
+        limited: Matrix = D * np.outer(scale, scale)
+        return limited
+
     def compute_drag_force(self, D: Matrix, velocity: Vector) -> Vector:
         """Return the force F (3,) [N, N, N·m] that keeps a velocity (3,) through the water."""
         force = np.empty(3)
         # Numba is imported where a force is asked for: commands that only read a vessel do without.
         write_drag = import_module("dpbench.ship.drag_kernel").write_drag_force
-        write_drag(velocity[U], velocity[V], velocity[R], D, self.to_kernel_array(), force)
+        linear, hull = self.limit_linear_damping(D), self.to_kernel_array()
+        write_drag(velocity[U], velocity[V], velocity[R], linear, hull, force)
         return force
 
 

@@ -24,11 +24,15 @@ TURNS = st.floats(-0.05, 0.05)
 
 
 def with_drag() -> Vessel:
-    """The rescue ship, whose hull below the water is published, with drag and all couplings."""
+    """The rescue ship, whose hull below the water is published, with drag and all couplings.
+
+    Its linear damping is small enough that none of it is taken away.
+    """
     vessel = load_vessel("ratownik")
     assert vessel.capability is not None
     couplings = np.array([[0.0, 3e4, 2e6], [5e4, 0.0, -4e6], [-1e6, -3e6, 0.0]])
-    return replace(vessel, D=vessel.D + couplings, drag=HullDrag.from_hull(vessel.capability))
+    small = np.diag([1.0, 0.5, 1.0]) * vessel.D
+    return replace(vessel, D=small + couplings, drag=HullDrag.from_hull(vessel.capability))
 
 
 def sum_strips(D: np.ndarray, u: float, v: float, r: float) -> np.ndarray:
@@ -125,6 +129,30 @@ def test_slow_motion_meets_the_linear_damping() -> None:
     np.testing.assert_allclose(force[:2], drag[:2], rtol=3e-3)
     # Couplings fade with the root.
     assert force[2] == pytest.approx(drag[2], rel=0.03)
+
+
+@pytest.mark.parametrize("name", ["supply_mss", "supply_tmr", "osv", "ratownik", "cybership2"])
+def test_the_force_abeam_never_falls_as_the_speed_rises(name: str) -> None:
+    """Up to 1.5 m/s at full size, in steps of 2 mm/s, to either side."""
+    ship = load_vessel(name)
+    speeds = np.linspace(0.0, 1.5 if ship.length_m > 10.0 else 0.18, 751)
+    for sign in (1.0, -1.0):
+        velocities = np.zeros((len(speeds), 3))
+        velocities[:, 1] = sign * speeds
+        forces = [sign * ship.force_to_keep_velocity(one)[1] for one in velocities]
+        assert (np.diff(forces) >= -1e-9 * forces[-1]).all()
+
+
+def test_no_more_damping_is_taken_away_than_must_be() -> None:
+    """With 1 % more of it the force would fall; of a ship of which it does not, all is left."""
+    ship, other = load_vessel("ratownik"), load_vessel("supply_mss")
+    assert ship.drag is not None and other.drag is not None
+    v = np.linspace(0.0, 0.5, 5001)
+    limited = ship.drag.limit_linear_damping(ship.D)
+    assert limited[1, 1] < ship.D[1, 1] and limited[0, 0] == ship.D[0, 0]
+    linear = 1.01 * limited[1, 1] * v * np.exp(-v / (0.004 * math.sqrt(9.81 * 86.56)))
+    assert np.diff(linear + ship.drag.across * v * v).min() < 0.0
+    assert (other.drag.limit_linear_damping(other.D) == other.D).all()
 
 
 @pytest.mark.parametrize(
