@@ -87,7 +87,7 @@ def pair_sequences_with_cores(
     known = list(find_recipes())
     for name in table.solvers:
         if name not in known:
-            allowed = f"a solver with a recipe: {format_allowed_names(name, known)}"
+            allowed = f"a solver with a build recipe: {format_allowed_names(name, known)}"
             raise InputError("suite", "embedded.solvers", repr(name), allowed)
     return [
         PlannedCount(solver, target, *part, single=table.precision == "float")

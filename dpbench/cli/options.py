@@ -392,7 +392,8 @@ def add_embedded_options(embedded: Command) -> None:
     embedded.add_argument("sequences", metavar="SEQUENCE", nargs="*", help=sequences)
     repeated: Callable[..., None] = partial(_repeated, default=[])
     solver = embedded.add_argument_group("solvers")
-    repeated(solver, "--solver", "SOLVER", "measure only this solver (default: all with a recipe)")
+    only = "measure only this solver (default: all with a build recipe)"
+    repeated(solver, "--solver", "SOLVER", only)
     recipe = "folder with your own build recipe for a solver's C code (recipe.toml and shim.c)"
     repeated(solver, "--recipe", "DIR", recipe)
     repeated(solver, "--source", "SOLVER=DIR", "folder with the sources of a solver, such as hpipm")

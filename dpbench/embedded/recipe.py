@@ -124,7 +124,7 @@ class Recipe:
             if key not in self.file.settings:
                 known = list(self.file.settings)
                 allowed = format_allowed_names(key, known) if known else "no settings"
-                found = "an option that the recipe does not have"
+                found = "an option that its build recipe does not have"
                 raise InputError(f"settings of {self.solver}", key, found, allowed)
         return {**self.file.settings, **given}
 
@@ -247,7 +247,7 @@ def select_recipes(
     for option, given in (("--source", sources or {}), ("--solver", names)):
         for name in given:
             if name not in known:
-                allowed = f"a solver with a recipe: {format_allowed_names(name, list(known))}"
+                allowed = f"a solver with a build recipe: {format_allowed_names(name, list(known))}"
                 raise UnknownNameError(option, "", repr(name), allowed)
     for name, source in (sources or {}).items():
         known[name] = Recipe(known[name].folder, source)

@@ -41,7 +41,7 @@ def test_a_recipe_of_a_users_own(tmp_path: Path) -> None:
         select_recipes(["mine"])
     with pytest.raises(
         InputError,
-        match=r"osqp: sigma: found an option that the recipe does not have; .*one of eps_abs, ",
+        match=r"osqp: sigma: found an option that its build recipe does not have; .*one of eps_abs",
     ):
         select_recipes(["osqp"])[0].with_settings({"sigma": 1})
 

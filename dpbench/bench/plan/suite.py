@@ -255,7 +255,7 @@ class EmbeddedTable(FileModel):
     targets: Annotated[list[TargetName], Field(min_length=1)] = ["m7"]
     """Cores: m7, a53, riscv, x86."""
     solvers: list[str] = []
-    """Solvers to count; empty: all with a recipe."""
+    """Solvers to count; empty: all with a build recipe."""
     precision: Literal["double", "float"] = "double"
     """Precision of the C code."""
 
