@@ -201,8 +201,9 @@ def main(argv: list[str] | None = None) -> int:
             return _store_baseline(now, arguments, baseline, console)
         was = load_run(baseline)
         if was.names.isdisjoint(now.names):
-            fault = f"has no benchmark in common with {baseline}, which --renew replaces by it"
-            raise SituationError(str(arguments.json), fault)
+            fault = f"found no benchmark in common with {baseline}"
+            remedy = f"--renew replaces {baseline} with {arguments.json}"
+            raise SituationError(str(arguments.json), f"{fault}; {remedy}")
         if line := describe_unusable_times(was, baseline):
             console.print(f"{line} (--renew)", soft_wrap=True)
         now = measure_suspects_again(was, now, arguments.retries, console, **allowed)

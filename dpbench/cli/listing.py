@@ -37,7 +37,7 @@ def list_table(kind: str, name: str = "") -> RenderableType:
     """
     if name:
         if kind != "solvers":
-            raise InputError("NAME", "", repr(name), "only with KIND solvers")
+            raise InputError("NAME", "", repr(name), "a NAME only where KIND is solvers")
         return make_unstyled_text(_describe_solver(name, with_options=True) + f"\n{SOLVERS_ARE}")
     makers = {"vessels": _list_vessels, "scenarios": _list_scenarios, "suites": _list_suites}
     return (makers | {"sequences": _list_sequences, "solvers": _list_solvers})[kind]()

@@ -268,7 +268,8 @@ WRITTEN_OR_WARNED = ("warning", "statement", "comment")
 def _rewrite_report(arguments: argparse.Namespace) -> int:
     """Write the report of a result folder anew (`dpbench report`); return the exit code."""
     if arguments.columns and not arguments.latex:
-        raise SituationError("--columns", "add --latex TABLE, the table to print")
+        allowed = "together with --latex TABLE, the table to print"
+        raise InputError("--columns", "", "without --latex", allowed)
     if arguments.tables or arguments.latex:
         return _print_tables(arguments)
     from dpbench.bench.record.cell_store import count_batches_newer_than_tables
@@ -277,7 +278,8 @@ def _rewrite_report(arguments: argparse.Namespace) -> int:
     from dpbench.report.write import write_report_with_summary
 
     if arguments.against and arguments.solver is None:
-        raise SituationError("--against", "add --for SOLVER, the solver to compare with these")
+        allowed = "together with --for SOLVER, the solver to compare with these"
+        raise InputError("--against", "", "without --for", allowed)
     later = count_batches_newer_than_tables(Path(arguments.dir))
     interrupted = f"a later run was interrupted, and its results (batches: {later}) are in no table"
     if later and arguments.statement:
@@ -369,7 +371,7 @@ def _compare_configurations(arguments: argparse.Namespace) -> None:
         "--reference": arguments.reference,
     }
     if found := [name for name, is_given in given.items() if is_given]:
-        allowed = "one folder, without --html and --reference"
+        allowed = "--solver with one folder, and without --html or --reference"
         raise InputError("--solver", "", f"with {' and '.join(found)}", allowed)
     chosen = compare_configurations_of_folder(arguments.folders[0], arguments.choices)
     _print_comparison(chosen.markdown(), [chosen.table], chosen.lines, arguments.markdown)

@@ -184,7 +184,8 @@ def test_files_without_a_benchmark_in_common_are_not_compared(
     out, err = capsys.readouterr()
     (line,) = err.splitlines()
     assert not out
-    assert line.startswith(f"gate: {other}: has no benchmark in common with {base}, which --renew ")
+    fault = f"gate: {other}: found no benchmark in common with {base}"
+    assert line.startswith(f"{fault}; --renew replaces {base} with {other}")
     assert gate.main([str(other), str(tmp_path / "none.json"), *options]) == 0
 
 

@@ -364,4 +364,4 @@ def test_the_options_of_a_solver_are_listed(capsys):
     # https://osqp.org/docs/interfaces/solver_settings.html
     assert {"rho,", "eps_abs,", "max_iter,", "check_termination,"} <= set(options.split())
     assert main(["list", "suites", "osqp"]) == 2
-    assert "found 'osqp'; allowed: only with KIND solvers" in capsys.readouterr().err
+    assert "found 'osqp'; allowed: a NAME only where KIND is solvers" in capsys.readouterr().err

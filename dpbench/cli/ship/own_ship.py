@@ -160,7 +160,8 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
     else:
         if sea is None:
             instead = (
-                f"give --sea, 1 to {max(scaling.DP_NUMBERS)}, or the data of the ship with --force"
+                f"give --sea (1 to {max(scaling.DP_NUMBERS)}) to use it, or give the data of the "
+                "ship and --force to overwrite it"
             )
             raise SituationError(WHERE, f"{vessel_file} exists; {instead}")
         vessel = load_vessel(vessel_file)

@@ -119,6 +119,6 @@ def test_the_command_prints_ratios_with_verdicts(
     assert (row["ratio"], row["first_us"]) == (pytest.approx(0.25), pytest.approx(40.0))
     assert main(["compare", str(out), str(out), *words, "--html", "c.html"]) == 2
     assert capsys.readouterr().err.startswith(
-        "dpbench: --solver: found with 2 folders and --html; allowed: one folder, without "
-        "--html and --reference"
+        "dpbench: --solver: found with 2 folders and --html; allowed: --solver with one "
+        "folder, and without --html or --reference"
     )

@@ -162,4 +162,4 @@ def test_the_command_writes_a_step_to_export(tmp_path: Path, monkeypatch: Any, c
     with np.load(commands[0].split()[-1], allow_pickle=False) as stored:
         assert len(stored["q"]) == 1
     assert main(["report", "mine", "--against", "daqp"]) == 2
-    assert "add --for SOLVER" in capsys.readouterr().err
+    assert "found without --for; allowed: together with --for SOLVER" in capsys.readouterr().err
