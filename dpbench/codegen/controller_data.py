@@ -137,7 +137,9 @@ def _refuse_unsupported_controller(scenario: Scenario, controller: Controller) -
     if not is_force and not isinstance(controller, ThrusterController):
         cascade = f"a cascade (tuning {controller.tuning_and_horizons_label})"
         found = cascade if controller.allocates else 'limits = "attainable"'
-        allowed = "three forces with limits per axis, or thrusters, without a cascade"
+        allowed = (
+            "a controller without a cascade, for three forces with limits per axis or for thrusters"
+        )
         raise InputError(where, "controller", found, allowed)
     if controller.linearisation is not FIXED_MODEL:
         found, allowed = (
@@ -152,7 +154,10 @@ def _refuse_unsupported_controller(scenario: Scenario, controller: Controller) -
     if scenario.preview:
         raise InputError(where, "reference.preview", "true", "false")
     if scenario.estimation.kind != "measured":
-        allowed = '"measured", as the generated code requires a filtered state as its measurement'
+        allowed = (
+            '"measured", because the measurement of the generated code must be a state that is '
+            "already filtered"
+        )
         raise InputError(where, "estimator.kind", f'"{scenario.estimation.kind}"', allowed)
     if not is_force and controller.amplitude == "hard":
         raise InputError(where, "controller.amplitude", '"hard"', '"reachable" for thrusters')

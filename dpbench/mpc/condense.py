@@ -95,8 +95,9 @@ def solve_discrete_riccati_of_model(
     except np.linalg.LinAlgError as error:
         stable, reason = False, str(error)
     if not stable:
-        allowed = 'a stabilisable model, detectable through its weights, or "none"'
-        raise InputError("ControlProblem", "terminal", f"riccati: {reason}", allowed)
+        found = f'"riccati" ({reason.rstrip(".")})'
+        allowed = 'a stabilisable model that is detectable through its weights, or "none"'
+        raise InputError("ControlProblem", "terminal", found, allowed)
     return np.asarray(S, dtype=np.float64)
 
 

@@ -125,7 +125,9 @@ def _find_key_or_list_index(table: Any, part: str, where: str, model: Model) -> 
             return int(part)
         raise InputError(where, "", part, f"an index from 0 to {len(table) - 1}")
     if table is None or table == []:
-        remedy = f"add the whole table in the file, or as the value of the key {above}"
+        remedy = (
+            f"add the whole table to the scenario file, or give it as the value of the key {above}"
+        )
         raise SituationError(where, f"the scenario has no table {above}: {remedy}")
     found = f"the key {part!r} of {above}, which is a single value, not a table"
     raise InputError(where, "", found, "a key in a table of the scenario")

@@ -417,7 +417,8 @@ def build_scenario_from_documents(
     plant = spec.plant
     sample_s = spec.sample_s * scale.time_and_speed_factor
     if not 1 <= spec.steps <= MAX_STEPS:
-        allowed = f"1 to {MAX_STEPS} samples of {spec.sample_s:g} s"
+        longest_s, samples = MAX_STEPS * spec.sample_s, f"1 to {MAX_STEPS} samples"
+        allowed = f"{spec.sample_s:g} to {longest_s:g} s, which is {samples} of {spec.sample_s:g} s"
         raise InputError(where, "duration_s", spec.duration_s, allowed)
     for number, fault in enumerate(spec.faults):
         if fault.at_s >= spec.duration_s:

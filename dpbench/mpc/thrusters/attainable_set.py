@@ -74,7 +74,8 @@ def _list_force_corners_of_thruster(thruster: Thruster, sides: int, where: str) 
     """Return the corner forces (v, components) of one thruster's limits, in order."""
     if thruster.sector_rad is not None:
         found = f"a sector of {thruster.name!r}"
-        raise InputError(where, "thrusters.sector_deg", found, 'none with limits = "attainable"')
+        allowed = 'no sector_deg where limits = "attainable"'
+        raise InputError(where, "thrusters.sector_deg", found, allowed)
     if thruster.kind != "azimuth":
         return np.array([[-thruster.astern * thruster.thrust_N], [thruster.thrust_N]])
     angle = 2.0 * np.pi * np.arange(sides) / sides

@@ -197,7 +197,7 @@ class ControllerSpec:
         """Raise InputError for a fault that stops thrusters at once, as none are commanded."""
         for _, i, fault in self._samples_and_faults_in_order:
             if fault.loss == "trip":
-                allowed = '"ramp_down", or "trip" where thrusters are commanded'
+                allowed = '"ramp_down", or "trip" where the controller commands the thrusters'
                 raise InputError(
                     self.where, format_key_path(["faults", i, "loss"]), '"trip"', allowed
                 )
@@ -350,8 +350,8 @@ class Controller(ABC):
         """Return the builder of the sparse QPs; InputError where there is no sparse form."""
         why = self.reason_for_no_sparse_form.removeprefix("sparse: ")
         if why or self.amplitude == "soft":
-            allowed = f"'condensed_box' or 'condensed_stacked', as {why}; or a scenario with one "
-            allowed += "model, hard or reachable limits and no output bounds"
+            allowed = f"'condensed_box' or 'condensed_stacked', as {why}; or 'sparse' for a "
+            allowed += "scenario with one model, hard or reachable limits, and no output bounds"
             raise InputError(where, "formulation", "'sparse'", allowed)
         return StagedQP(self.problem, units=units, amplitude=self.amplitude)
 

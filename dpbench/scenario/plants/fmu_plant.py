@@ -152,7 +152,7 @@ class FmuPlant:
                 self.name,
                 f"[u, v, r, n, e, ψ] starts at {self.state.round(6).tolist()} in the FMU, but at "
                 f"{state.round(6).tolist()} in the scenario: name the FMU's start variables in "
-                "plant.fmu.start, or change the start of the scenario",
+                "plant.fmu.start, or change the initial state of the scenario",
             )
 
     def _read_state(self) -> None:

@@ -338,8 +338,8 @@ class VesselFile(FileModel):
         if not 1e-4 <= share <= 1.0:
             found = f"{self.length_m:g} m with a surge inertia of {surge_kg:.3g} kg"
             allowed = (
-                "an inertia of 1e-4 to 1 times 1026 kg/m³ times the length cubed; check the units "
-                "(m and kg)"
+                f"an inertia of 1e-4·ρL³ to 1·ρL³, with ρ = {WATER_DENSITY:g} kg/m³ and "
+                "L = length_m; check the units (m and kg)"
             )
             raise InputError(where, "length_m", found, allowed)
 
