@@ -176,7 +176,7 @@ def refuse_invalid_own_settings(suite: SuiteFile, choices: Iterable[str], where:
         for solver, options in table.options_by_solver.items():
             where = f"suite: settings.{name}.{solver}"
             try:
-                _refuse_unavailable_call_mode(solver, table)
+                _refuse_unavailable_call_mode(solver, table, where)
                 has_preset = has_preset_or_tolerance(find_solver_record(solver).name, name)
                 for point in expand_option_grid(options, where):
                     _refuse_unaccepted_options(solver, point)
@@ -191,14 +191,14 @@ def refuse_invalid_own_settings(suite: SuiteFile, choices: Iterable[str], where:
                 )
 
 
-def _refuse_unavailable_call_mode(solver: str, table: SettingsTable) -> None:
+def _refuse_unavailable_call_mode(solver: str, table: SettingsTable, where: str) -> None:
     """Raise PolicyError where a solver has no route, or no policy of it, that settings name."""
     row = find_solver_record(solver)
     if (route := table.route) is not None and route not in row.routes:
-        raise PolicyError("", "route", repr(route), ", ".join(row.routes))
+        raise PolicyError(where, "route", repr(route), ", ".join(row.routes))
     offered = [p for own in ([route] if route else row.routes) for p in row.policies_by_route[own]]
     if table.policy is not None and table.policy not in offered:
-        raise PolicyError("", "policy", repr(table.policy), ", ".join(dict.fromkeys(offered)))
+        raise PolicyError(where, "policy", repr(table.policy), ", ".join(dict.fromkeys(offered)))
 
 
 def _refuse_unaccepted_options(solver: str, options: Options) -> None:

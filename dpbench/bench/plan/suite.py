@@ -402,8 +402,8 @@ def load_path_and_suite(name_or_path: str | Path) -> tuple[Path, SuiteFile]:
     kind = next((kind for key, kind in _OTHER_FILES.items() if key in document), None)
     if kind is not None:
         name = "FILE" if kind == "scenario" else "SCENARIO@FILE"
-        remedy = f'For this {kind}, use `run_campaign(SUITE, scenarios=["{name}"])`'
-        raise SituationError(str(path), f"found a {kind}; required: a suite. {remedy}")
+        remedy = f'for this {kind}, use `run_campaign(SUITE, scenarios=["{name}"])`'
+        raise SituationError(str(path), f"found a {kind}; required: a suite; {remedy}")
     return path, validate_settings_as_model(document, SuiteFile, str(path))
 
 

@@ -236,11 +236,13 @@ def read_stored_text(arrays: Arrays, where: str, name: str) -> str:
     return str(array)
 
 
-def read_stored_count(arrays: Arrays, where: str, name: str) -> int:
+def read_stored_count(
+    arrays: Arrays, where: str, name: str, allowed: str = "one whole number, 0 or more"
+) -> int:
     """Return the whole number (≥ 0) stored as the array `name`; InputError without one."""
     array = arrays.get(name)
     if array is None or array.dtype.kind not in "iu" or array.shape or array < 0:
         found = "nothing" if array is None else np.array2string(array, threshold=4)
         found = f"the text {found}" if found[0] in "'\"" else found
-        raise InputError(where, name, found, "one whole number, 0 or more")
+        raise InputError(where, name, found, allowed)
     return int(array)

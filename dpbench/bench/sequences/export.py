@@ -256,7 +256,7 @@ def save_qpbenchmark(out: str | Path, recorded: Recorded) -> tuple[Path, Path]:
     path = Path(out)
     stem = path.stem
     if not stem.isidentifier() or stem in _TAKEN or path.suffix not in ("", ".py", ".parquet"):
-        allowed = "a Python module name that no library has, such as dp_paper.py"
+        allowed = "a Python file with a valid module name that no library has, such as dp_paper.py"
         raise InputError("`out`", "", repr(path.name), allowed)
     sequence = recorded.sequence
     steps = list_steps_with_optimum(recorded)

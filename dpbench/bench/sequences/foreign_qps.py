@@ -94,7 +94,7 @@ def _group_arrays_by_stage(document: dict[str, object], where: str) -> list[Arra
         raise InputError(
             where,
             "",
-            "missing stages" if by_stage else "no stages",
+            "a QP without some of its stages" if by_stage else "no stages",
             f"all stages 0 to N of {ACADOS}",
         )
     return [by_stage[k] for k in range(len(by_stage))]

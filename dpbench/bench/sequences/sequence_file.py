@@ -190,7 +190,7 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
 
     Raises
     ------
-    InputError : for a bad file, or one without units in SI.
+    InputError : for a bad file, or one without SI units.
     TypeError : for what is neither a name nor a path.
 
     Examples
@@ -217,7 +217,8 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
         return recorded.sequence
     if recorded.sequence.units is None:
         found = "only ones, so the SI units are unknown"
-        raise InputError(str(path), "unit_z, unit_row", found, "units in SI, or units='scaled'")
+        allowed = "SI units in unit_z and unit_row, or units='scaled'"
+        raise InputError(str(path), "unit_z, unit_row", found, allowed)
     return convert_sequence_to_units(recorded.sequence, recorded.sequence.units)
 
 
@@ -243,7 +244,8 @@ def load_recorded(path: str | Path) -> Recorded:
     texts = {name: read_stored_text(arrays, where, name) for name in _TEXTS}
     if texts["format"] != FORMAT:
         raise InputError(where, "format", repr(texts["format"]), repr(FORMAT))
-    if (version := read_stored_count(arrays, where, "version")) != FORMAT_VERSION:
+    number = f"the whole number {FORMAT_VERSION}"
+    if (version := read_stored_count(arrays, where, "version", number)) != FORMAT_VERSION:
         raise InputError(
             where, "version", version, f"{FORMAT_VERSION}; update dpbench to read a newer version"
         )

@@ -229,7 +229,10 @@ def prove_iteration_bound(
     loaded = load_scenario(scenario)
     builder = loaded.controller.make_condensed_qp_builder()
     if not builder.control.model.n_u == builder.block == 3 or builder.m != builder.n:
-        allowed = "a scenario with the QP of the paper: three forces, hard limits"
+        allowed = (
+            "a scenario with the same kind of QP as scenario paper: three forces with limits per "
+            "axis, without soft limits or output bounds"
+        )
         raise InputError("--scenario", "", loaded.name, allowed)
     box = choose_parameter_box(loaded, axes, factor)
     qp = make_parametric_qp(builder, box, loaded.name)

@@ -111,7 +111,7 @@ def put(key: str, value: object) -> Callable[[Fields], Fields]:
         (put("idxb_0", [0, 2]), ["stage 0", "idxb", "0 to 1"]),
         (put("idxs_0", [0]), ["idxs_0", "soft constraints"]),
         (put("W_0", [[1.0]]), ["W_0", "unknown"]),
-        (put("Q_3", [[1.0]]), ["all stages", "missing"]),
+        (put("Q_3", [[1.0]]), ["all stages", "without some of its stages"]),
         (put("Q_1", [[1.0]] * 1999), ["2001", "1 to 2000"]),
         (lambda fields: {}, ["no stages"]),
         (lambda fields: {k: v for k, v in fields.items() if k != "B_0"}, ["B", "missing"]),

@@ -161,7 +161,7 @@ def renamed(a: Arrays) -> Arrays:
         (without("certificate"), ["certificate", "missing"]),
         (put("format", "spam"), ["format", "'spam'", "dpbench-sequence"]),
         (put("version", 2), ["version", "2", "newer"]),
-        (put("version", "1"), ["version", "whole number"]),
+        (put("version", "1"), ["version", "allowed: the whole number 1"]),
         (put("meta", "{"), ["meta", "invalid JSON"]),
         (put("meta", '{"every": "two"}'), ["meta.every", "'two'"]),
         (put("documents", "[]"), ["documents", "list"]),
