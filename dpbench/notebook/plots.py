@@ -199,7 +199,8 @@ def _list_signals(run: JudgedRun) -> list[str]:
     """Return the columns of a run's signals; InputError for a run without."""
     _require_run(run, "`run_closed_loop`")
     if run.signals is None:
-        raise InputError("plot", "run", f"{run.label} without signals", "loops of a `LinearMPC`")
+        found = f"{run.label} without signals"
+        raise InputError("plot", "run", found, "closed loops of a `LinearMPC`")
     return [*map(str, run.signals)]
 
 
@@ -264,8 +265,8 @@ def _import_matplotlib_charts() -> ModuleType:
         # What an extra installs is imported only where it is asked for.
         from dpbench.report.charts import printed
     except ModuleNotFoundError as error:
-        found = f"matplotlib, without {error.name}"
-        allowed = "altair; or matplotlib after pip install 'dpbench[matplotlib]'"
+        found = f"matplotlib, but the module {error.name} is not installed"
+        allowed = "altair; or matplotlib after `pip install 'dpbench[matplotlib]'`"
         raise InputError("plot", "backend", found, allowed) from error
     return printed
 

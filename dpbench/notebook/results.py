@@ -484,7 +484,7 @@ def _refuse_unknown_name(argument: str, name: str, known: Iterable[str], listing
     if name not in (names := list(known)):
         allowed = format_allowed_names(name, names, listing=listing)
         if argument == "columns":  # their names differ from the heads on the page: none is near
-            allowed = f"some of {', '.join(names)}"
+            allowed = f"one or more of {', '.join(names)}"
         if not names:
             allowed = f"none, as there are no {argument.removesuffix('s')}s"
         raise InputError(f"`{argument}`", "", repr(name), allowed)

@@ -123,7 +123,7 @@ def refuse_training_qps_in_test(
         for other in test:
             same_loop = bool(mine.loop) and mine.loop == other.loop
             if mine.name == other.name or same_loop or mine.steps & other.steps:
-                why = "QPs of the same loop" if same_loop else "the same QPs"
+                why = "QPs of the same closed loop" if same_loop else "the same QPs"
                 raise SituationError(
                     "--test",
                     f"{other.name} has {why} as {mine.name} in the training set; name "

@@ -13,10 +13,10 @@ from dpbench.tuning.campaigns import load_tuned_problem, refuse_training_qps_in_
 @pytest.mark.parametrize(
     ("training", "test", "why"),
     [
-        ("paper-60-10", "paper-60-10", "QPs of the same loop as paper-60-10"),
-        ("paper-60-10", "paper-30-5", "QPs of the same loop as paper-60-10"),
-        ("paper", "paper-30-5", "QPs of the same loop as paper in"),
-        ("paper", "paper", "QPs of the same loop as paper in"),
+        ("paper-60-10", "paper-60-10", "QPs of the same closed loop as paper-60-10"),
+        ("paper-60-10", "paper-30-5", "QPs of the same closed loop as paper-60-10"),
+        ("paper", "paper-30-5", "QPs of the same closed loop as paper in"),
+        ("paper", "paper", "QPs of the same closed loop as paper in"),
     ],
 )
 def test_what_overlaps_is_refused(training: str, test: str, why: str) -> None:

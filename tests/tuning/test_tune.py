@@ -32,7 +32,7 @@ from dpbench.tuning.tune import tune_solver
 @pytest.mark.parametrize(
     ("solver", "arguments", "message"),
     [
-        ("osqp", {"training": ["paper"], "test": ["paper-60-10"]}, "--test: .*same loop"),
+        ("osqp", {"training": ["paper"], "test": ["paper-60-10"]}, "--test: .*same closed loop"),
         ("osqp", {"trials": 0}, "--trials: found 0"),
         ("osqp", {"error_move": 0.0}, "--error: found 0"),
         ("osqp", {"name": "high"}, "--name: found 'high'"),

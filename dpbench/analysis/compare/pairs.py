@@ -115,10 +115,10 @@ def pair_runs_of_folders(a: Records, b: Records, names: tuple[str, str]) -> Pair
         else:
             pairs.append(pair)
     if not pairs and not lost:
-        missing = f"no cell on the same problem as in {names[0]}"
+        missing = f"no cell in common with {names[0]}"
         allowed = "results of the same suite"
         if renamed := _find_renamed_settings(cells_a, cells_b):
-            missing += f" with the same name of its settings, such as {' and '.join(renamed)}"
+            missing += f", as the names of settings differ, such as {' and '.join(renamed)}"
             allowed += ", with the same names of settings"
         raise ResultsError(names[1], "", missing, allowed)
     only_a = [_describe_run(run) for key, run in cells_a.items() if key not in partners]

@@ -101,8 +101,8 @@ def open_engine(
         # What an extra installs is imported only where it is asked for.
         from dpbench.bench.engines.dask_engine import open_dask_engine
     except ModuleNotFoundError as error:
-        fault = f"dask needs the package {error.name}, which is not installed"
-        remedy = "run `pip install 'dpbench[cluster]'`, or use the engine local"
+        fault = f"dask needs the {error.name} package, which is not installed"
+        remedy = "run `pip install 'dpbench[cluster]'`, or use the local engine"
         raise SituationError("`engine`", f"{fault}: {remedy}") from error
     return open_dask_engine(scheduler, slots, tls)
 

@@ -274,7 +274,8 @@ def lock_result_folder(
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             fault = f"{folder} is in use by {describe_lock_holders(lock)}"
-            raise SituationError(where, f"{fault}; use another folder, or wait for it") from error
+            remedy = "use another folder, or wait until that process ends"
+            raise SituationError(where, f"{fault}; {remedy}") from error
         with lock_for_writing(folder, patience):
             yield
 

@@ -33,4 +33,5 @@ def test_without_the_extra_the_line_names_it(
     for name in ("dask_engine", "dask_cluster"):
         monkeypatch.delitem(sys.modules, f"dpbench.bench.engines.{name}", raising=False)
     line = refused(["--engine", "dask"], tmp_path, capsys)
-    assert "--engine: dask needs the package" in line and "pip install 'dpbench[cluster]'" in line
+    assert "--engine: dask needs the " in line and " package, which is not installed" in line
+    assert "pip install 'dpbench[cluster]'" in line and "or use the local engine" in line

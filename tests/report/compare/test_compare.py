@@ -600,7 +600,7 @@ def test_bad_options(make: Make, option: str, capsys: Any) -> None:
 
 def test_folders_without_a_common_cell(make: Make, tmp_path: Path) -> None:
     a, b = make("a", seed=1, configurations=("daqp",)), make("b", seed=1, configurations=("piqp",))
-    with pytest.raises(InputError, match="no cell on the same problem"):
+    with pytest.raises(InputError, match="no cell in common with"):
         compare(a, b)
     with pytest.raises(InputError, match="no such folder"):
         compare(a, tmp_path / "none")
@@ -619,7 +619,7 @@ def test_cells_without_a_partner_are_named(make: Make) -> None:
     assert "only in A, not compared: osqp" in text
     assert "only in B, not compared: scs" in text
     changed = json.dumps({"scenario": {"name": "paper", "vessel": "another"}})
-    with pytest.raises(InputError, match="no cell on the same problem"):
+    with pytest.raises(InputError, match="no cell in common with"):
         compare(a, make("c", seed=1, cell=changed))
 
 

@@ -127,7 +127,7 @@ def test_its_sequence_is_replayed() -> None:
     assert run.signals is None
     with pytest.raises(InputError, match="found a replay"):
         run.plot.ship()
-    with pytest.raises(InputError, match="without signals; allowed: loops of a `LinearMPC`"):
+    with pytest.raises(InputError, match="without signals; allowed: closed loops of a `LinearMPC`"):
         run.plot.signals()
 
 
