@@ -37,7 +37,7 @@ from dpbench.bench.run.replay import ReplayRun
 from dpbench.bench.run.timed_solver import TimedSolver, list_failure_descriptions
 from dpbench.bench.sequences.sequence_file import as_sequence
 from dpbench.display import make_html_field_table
-from dpbench.errors import InputError, require_integer_at_least, shorten_found
+from dpbench.errors import InputError, require_integer_at_least, require_type, shorten_found
 from dpbench.mpc.condense import UnitSystem
 from dpbench.notebook.plots import RunPlots
 from dpbench.qp.program import QPSequence
@@ -350,7 +350,8 @@ def run_closed_loop(
         none, a slowdown, deadline or number of steps that cannot be, or weather that would push a
         custom plant.
     PlantError : for a plant that fails, or whose state or measurement has another shape or NaN.
-    TypeError : for a scenario, workspace, number of steps, slowdown or deadline of another type.
+    TypeError : for a scenario, workspace, backup, number of steps, slowdown or deadline of another
+        type.
 
     Examples
     --------
@@ -359,6 +360,7 @@ def run_closed_loop(
     True
     """
     function = "run_closed_loop"
+    require_type("backup", backup, str, "the name of a solver")
     _refuse_unknown_choice(function, "fallback", fallback, FALLBACKS)
     _refuse_unknown_choice(function, "formulation", formulation, FORMULATIONS)
     mpc = scenario if isinstance(scenario, LinearMPC) else None

@@ -42,6 +42,10 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: dpbench.run_closed_loop("paper", "daqp", steps=2, deadline_s="1"),
         "closed loop: deadline_s: found '1'; allowed: above 0 and at most the sample time of 0.3",
     ),
+    "backup": (
+        lambda: dpbench.run_closed_loop("paper", "daqp", steps=2, backup=5),
+        "backup: found 5; allowed: the name of a solver",
+    ),
     "a reference": (
         lambda: condense("paper").emit(np.zeros(9), [0.0, 0.0, 0.0], np.zeros(3)),
         "emit: y_ref: found [0.0, 0.0, 0.0]; allowed: an array",

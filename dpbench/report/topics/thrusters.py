@@ -260,7 +260,7 @@ def _yield_consequence_sentences(records: Records, chosen: Verdict | None) -> It
         at_s = f"{last['to_s'].max():.0f} s"
         held_at_end.append(f"at {at_s} of {where} {count} of {len(last)} {losses} could be held")
     held_text = ", ".join(held_at_end)
-    yield f"{held_text[0].upper()}{held_text[1:]}."
+    yield f"In the static consequence analysis, {held_text}."
     own = select_configurations_in_all_analyses(analyses)
     right = [name for name, of_it in own.items() if all(a.has_only_right_answers for a in of_it)]
     shares = {name: find_largest_solve_time_share(own[name]) for name in right}
