@@ -17,6 +17,8 @@ from dpbench.analysis.suites.capability import (
     CapabilityResult,
     build_consequence_analyses,
 )
+from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_step_columns
 from dpbench.report.ship import capability_text
@@ -26,6 +28,7 @@ from dpbench.report.ship.capability_text import (
     describe_unanswered_qps,
 )
 from dpbench.report.topics.capability import build_consequence_topic
+from dpbench.report.topics.thrusters import build_conclusion_topic
 from tests.result_folder import StepsInMemory
 
 TRUE = {"true": True, "true_1e4": True, "true_1e6": True}
@@ -171,6 +174,19 @@ def test_the_topic_names_who_misses_alarms(storm: Records) -> None:
     ]
     (table,) = topic.tables
     assert table.rows[-1] == ("osqp", "–", "0.0027 %", "4 of 6", "0 of 2", "1", "2", "1", "0 of 1")
+
+
+def test_the_conclusion_calls_the_losses_that_could_be_held_static(records: Any) -> None:
+    """At the last of the four samples, 1.2 s after the start, board B cannot be lost."""
+    records.loop("quadprog", "thrusters_loss", steps=500)
+    last = [TRUE, TRUE, REFUSED, REFUSED]
+    found = view(records, {"quadprog": {"board A": [[TRUE] * 4], "board B": [last]}})
+    topic = build_conclusion_topic(found, judge_solvers(found, Requirements()))
+    assert topic is not None
+    assert (
+        "In the static consequence analysis, at 1 s of thrusters_loss 1 of 2 losses could be held. "
+        "quadprog finds this at every sample in at most "
+    ) in topic.lines[-1]
 
 
 def test_it_says_that_no_alarm_was_due(records: Any) -> None:
