@@ -73,6 +73,9 @@ def read_rows_of_thruster_table(path: Path) -> list[dict[str, str]]:
     """Return a dict for each row of a thruster table, of its filled cells; InputError if bad."""
     rows = read_csv_rows(path)
     names = [cell.strip() for cell in rows[0]] if rows else []
+    if len(names) == 1 and (separator := next(filter(names[0].count, ";\t"), "")):
+        found = f"columns separated by {separator!r}"
+        raise InputError(f"{path}: first row", "", found, "a comma between columns")
     for name in names:
         if name not in COLUMNS or names.count(name) > 1:
             found = "a second column" if names.count(name) > 1 else "an unknown column"

@@ -607,6 +607,8 @@ def test_thrusters_are_asked_for(
         (TABLE.replace("-38", "-380", 1), (), "thruster 1: x_m: found -380; allowed: -48 to 48"),
         (TABLE.replace("azimuth", "pod"), (), "thruster 5: kind: found 'pod'"),
         (TABLE.replace("2000", "2000000"), (), "10 times the ship's weight"),
+        (TABLE.replace("2000", "2").replace("00,board", ",board"), (), "0.0001 to 0.5 times the w"),
+        (TABLE.replace(",", ";"), (), "first row: found columns separated by ';'; allowed: a com"),
         (
             "kind,x_m,thrust_kN\nmain,-38,100\n",
             (),

@@ -43,8 +43,8 @@ from dpbench.ship.vessel import Vessel
 
 WHERE = "init"
 FORCES = ("thrust", "sway-thrust", "yaw-moment")
-MOST_TO_WEIGHT = 0.5
-"""Thrust of all thrusters over the ship's weight; beyond it a unit is wrong."""
+TO_WEIGHT = (1e-4, 0.5)
+"""Least and largest thrust of all thrusters over the ship's weight; beyond it a unit is wrong."""
 MOST_LOSSES = 3
 """Failure groups whose loss is simulated, each in a scenario of its own."""
 MOST_FACETS = 150
@@ -251,12 +251,12 @@ def read_own_thrusters(
     berth = Berth(own.length_m, own.breadth_m, rise_s)
     tables, thrusters = complete_thruster_values(rows, berth, where)
     share = scaling.compute_thrust_to_weight_ratio(own, float(thrusters.largest_thrusts_N.sum()))
-    if share > MOST_TO_WEIGHT:
+    least, most = TO_WEIGHT
+    if not least <= share <= most:
         total_kN = thrusters.largest_thrusts_N.sum() / 1e3
-        found = f"{total_kN:.0f} kN in all, {share:.2g} times the ship's weight"
-        raise InputError(
-            where, "power_kW, thrust_kN", found, f"at most {MOST_TO_WEIGHT:g} times the weight"
-        )
+        found = f"{total_kN:.3g} kN in all, {share:.2g} times the ship's weight"
+        allowed = f"{least:g} to {most:g} times the weight; check the units (kW, kN and m)"
+        raise InputError(where, "power_kW, thrust_kN", found, allowed)
     return OwnThrusters(where, rows, tables, thrusters)
 
 
