@@ -1,4 +1,4 @@
-"""Statement: pages that a control engineer can give to a class society.
+"""Statement: pages that a control engineer can give to a classification society.
 
 It is drawn as SVG and turned into PDF, and claims nothing that is not on its pages.
 """
