@@ -280,7 +280,9 @@ def find_finished_cells(planned: Sequence[PlannedCell], folder: Path) -> set[int
 
 def describe_what_is_not_forecast(slots: int) -> list[str]:
     """Return lines on what a forecast leaves out: other campaigns and other programs' load."""
-    lines = ["not included: waits for other dpbench runs (--wait) and the load of other programs"]
+    lines = [
+        "not included: waits for other dpbench commands (--wait) and the load of other programs"
+    ]
     if holders := find_machine_lock_holders():
         lines.append(
             f"this machine is in use by {' and '.join(map(str, holders))}, so the run may have to "

@@ -27,7 +27,10 @@ _STORED = {
 _BAD_INPUT = "2 bad input"
 _LOST = "1 a run was lost through a fault of dpbench or the machine (repeat the command)"
 _NOT_HELD = "with --strict, a ship does not stay on station in a closed loop"
-_BUSY = f"{_BAD_INPUT}, or another dpbench run is still active (with --no-wait, or after --wait)"
+_BUSY = (
+    f"{_BAD_INPUT}, or another dpbench command still uses the machine (when the time of --wait is "
+    "over, or at once with --no-wait)"
+)
 
 
 @dataclass(frozen=True)

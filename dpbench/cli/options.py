@@ -108,9 +108,9 @@ def _add_execution_options(group: Command) -> None:
 def _add_wait_options(group: Command) -> None:
     """Add the options on how long to wait for another campaign to a command or a group of it."""
     wait = group.add_mutually_exclusive_group()
-    longest = "longest time to wait for another dpbench run on this machine (default: no limit)"
+    longest = "longest wait while another dpbench command uses this machine (default: no limit)"
     _option(wait, "--wait", "SECONDS", longest, type=float, dest="wait_s")
-    never = "exit with 2 if another dpbench run is active on this machine"
+    never = "exit with 2 if another dpbench command uses this machine"
     wait.add_argument("--no-wait", action="store_const", const=0.0, dest="wait_s", help=never)
 
 

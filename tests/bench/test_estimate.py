@@ -207,7 +207,7 @@ def test_load_and_waits_are_named(
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     first, *others = describe_what_is_not_forecast(2)
-    assert first.startswith("not included: waits for other dpbench runs")
+    assert first.startswith("not included: waits for other dpbench commands")
     assert [line.endswith(factor) for line in others] == [True] * bool(factor)
     other = json.dumps({"work": "dpbench run seas", "since": 0.0, "pid": os.getppid()})
     (find_safe_lock_folder() / "machine").write_text(f"{other}\n")

@@ -302,7 +302,7 @@ def list_runs_of_other_length(planned: Sequence[PlannedCell], steps: int) -> lis
     whole = [f"{name} ({n})" for name, n in lengths.items() if n > steps]
     heads = {
         f"fewer than the {steps} requested steps": fewer,
-        f"not shortened to {steps} steps, as only closed loops and their replays are": whole,
+        f"not shortened to {steps} steps, as only closed loops and replays of scenarios are": whole,
     }
     return [f"{head}: {_name_a_few(names)}" for head, names in heads.items() if names]
 

@@ -96,7 +96,7 @@ def run_on_cores(tasks: Sequence[AnyTask], cores: Sequence[int]) -> Iterator[Any
 
 Sources = Mapping[str, Path]  # The files behind the QPs of a batch, by key
 WAITING = (
-    "waiting for {}: while one run times replays, no other dpbench run can use this machine "
+    "waiting for {}: while one dpbench command times replays, no other can use this machine "
     "(--wait SECONDS, or `wait_s` in Python, limits the wait)"
 )
 
