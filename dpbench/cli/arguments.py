@@ -232,8 +232,8 @@ COMMANDS: dict[str, CommandHelp] = {
         "Join the shards of a suite and write the report",
         options.add_gather_options,
         ("gather shard-* --out results/all", "gather a b --out results/all --open"),
-        "0 done; 1 cells are missing (run them on this machine with `dpbench run` and the same "
-        f"--out) or, {_NOT_HELD}; {_BAD_INPUT}",
+        "0 done; 1 runs are missing (complete them on this machine with `dpbench run` and the "
+        f"--out of this command) or, {_NOT_HELD}; {_BAD_INPUT}",
     ),
     "report": CommandHelp(
         _BENCHMARK,
@@ -254,11 +254,11 @@ COMMANDS: dict[str, CommandHelp] = {
             "compare results/mine --solver 'osqp[rho=1.6]' --solver daqp",
         ),
         f"0 no significant regression; 1 a significant regression; {_BAD_INPUT}; "
-        "CODE (--disturbed-exit) step times not judged, no significant regression",
+        "CODE (--disturbed-exit) a step time has no verdict, and nothing regressed",
     ),
     "paper": CommandHelp(
         _BENCHMARK,
-        "Reproduce Figures 4-7 and the claims of the paper",
+        "Reproduce Figures 4-7 and claims of the paper by Xia et al.",
         options.add_paper_options,
         ("paper", "paper --out results/figures"),
         f"0 done, even if claims are not reproduced; {_LOST}; {_BAD_INPUT}",
@@ -280,18 +280,20 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "iteration-bound": CommandHelp(
         _ANALYSE,
-        "Prove a bound on the iterations of paper_active_set",
+        "Prove an iteration bound for the solver paper_active_set",
         options.add_iteration_bound_options,
         ("iteration-bound surge", "iteration-bound sway-yaw --box 0.016"),
         "0 proved; 1 not proved within --limit, or the C code of paper_active_set takes a "
         f"different number of iterations on a tested QP than in the proof; {_BAD_INPUT}",
         "Prove a bound on the iterations that the solver paper_active_set takes from a cold start "
         "on the QPs of a controller. The bound covers every QP whose parameters (offset, speed, "
-        "previous force and change of speed) lie in a box; --box scales this box.",
+        "previous force and change of speed) lie in a box. With --box 1, it contains offsets up "
+        "to 50 m and 30°, speeds up to 1 m/s and 1°/s, and all forces within the limits. The "
+        "command prints the whole box.",
     ),
     "active-sets": CommandHelp(
         _ANALYSE,
-        "Count the active sets at the optima of a controller's QPs",
+        "Count the distinct active sets at the optima of QP sequences",
         options.add_active_sets_options,
         ("active-sets paper", "active-sets rough-30-5 --instructions"),
     ),
@@ -300,9 +302,9 @@ COMMANDS: dict[str, CommandHelp] = {
         "Search for a solver's fastest accurate settings",
         options.add_tune_solver_options,
         ("tune-solver osqp", "tune-solver 'osqp[rho=1.6]' --range 'rho=[0.1,10]'"),
-        "0 settings found; 1 no settings are accurate on every training sequence, or the best "
-        f"settings fail on a test sequence; {_BUSY}; 130 interrupted (the best settings so far "
-        "are written)",
+        "0 done: the best settings pass on every training and test sequence; 1 no settings are "
+        "accurate on every training sequence, or the best settings fail on a training or test "
+        f"sequence; {_BUSY}; 130 interrupted (the best settings so far are written)",
         "Search for the fastest settings with which a solver is accurate on all training "
         "sequences. Then measure the best settings on test sequences of other scenarios. Faster "
         "settings may exist. Ctrl-C writes the best settings so far; the same command continues "
@@ -320,21 +322,22 @@ COMMANDS: dict[str, CommandHelp] = {
         text="Write NAME.toml (vessel), NAME_weather.toml (scenario) and NAME_suite.toml (suite). "
         "Comments in them explain how the main values were derived. With --thrusters, also "
         "write:\n"
-        "  NAME_thrusters.toml   scenario with commanded thrusters and the worst loss\n"
-        "                        of a failure group after which the ship holds\n"
-        "                        station\n"
+        "  NAME_thrusters.toml   scenario in which the controller commands each\n"
+        "                        thruster, with the loss of the worst failure group\n"
+        "                        (thrusters that fail together) after which the\n"
+        "                        ship holds station\n"
         "  NAME_loss_*.toml      scenarios with the other losses\n"
-        "  NAME_intact.toml      scenario without a loss, in the largest sea off the\n"
-        "                        bow in which the ship holds station (only if larger\n"
-        "                        than that of NAME_thrusters.toml)\n"
-        "  NAME_weak_side.toml   scenario with weather from the direction of least\n"
-        "                        wind held\n"
+        "  NAME_intact.toml      scenario without a loss, in the highest sea from 30°\n"
+        "                        off the bow in which the ship holds station (only\n"
+        "                        if higher than the sea of NAME_thrusters.toml)\n"
+        "  NAME_weak_side.toml   scenario with weather from the direction from which\n"
+        "                        the ship holds station against the least wind\n"
         "  NAME_capability.svg   capability plot\n"
-        "In the file of --thrusters, give the sector or barred zone of an azimuth thruster as the "
-        "directions in which it pushes the ship, clockwise from ahead; its race (wash) goes the "
-        "opposite way. For example, if the race of a port azimuth thruster must not point between "
-        "60° and 120°, towards the starboard one, set the columns barred_from_deg and "
-        "barred_to_deg to 240 and 300.\n"
+        "In the file of --thrusters, give the allowed sector or the barred zone of an azimuth "
+        "thruster in degrees clockwise from ahead. Give the directions in which the thruster "
+        "pushes the ship; its race (wash) goes the opposite way. For example, if the race of a "
+        "port azimuth thruster must not point between 60° and 120°, towards the starboard one, set "
+        "the columns barred_from_deg and barred_to_deg to 240 and 300.\n"
         "If NAME.toml exists and only --sea is given, write the scenario and the suite of that "
         "ship for that sea.",
     ),
@@ -343,7 +346,7 @@ COMMANDS: dict[str, CommandHelp] = {
         "Check a vessel, scenario, suite, sequence or submitted result",
         options.add_check_options,
         ("check my_ship.toml", "check paper@osv --quick"),
-        "0 valid, perhaps with cautions; 2 not valid, or not found",
+        "0 valid, even if a CAUTION is printed; 2 not valid, or not found",
     ),
     "tune": CommandHelp(
         _SHIP,
@@ -354,17 +357,18 @@ COMMANDS: dict[str, CommandHelp] = {
         f"not keep the ship within --margin in the search or in the test; {_BAD_INPUT}",
         "Search for controller weights and horizons that keep the ship on station with a margin "
         "and with little thruster wear. Test them in other realisations of the sea and write a "
-        "scenario with them. The largest offset in any of the scenarios counts. "
-        "To continue after an interruption, run the same command again.",
+        "scenario with them. The largest offset in any of the scenarios is compared with "
+        "--margin. To continue after an interruption, run the same command again.",
     ),
     "capability": CommandHelp(
         _SHIP,
-        "Compute the largest wind in which the ship holds station",
+        "Compute the highest wind speed at which a ship holds station",
         options.add_capability_options,
         ("capability osv --figure osv.svg", "capability my_ship.toml --solver daqp"),
-        text="For each of 36 wind directions, compute the largest wind in which the ship holds "
-        "station, intact and after the loss of each failure group (DNV-ST-0111, level 1). "
-        "With --solver, also check solvers' answers to the allocation QPs at this wind.",
+        text="For each of 36 wind directions, compute the highest wind speed at which the ship "
+        "holds station (DNV-ST-0111, level 1), intact and after the loss of each failure group "
+        "(thrusters that fail together). With --solver, also check solvers' solutions of thrust "
+        "allocation QPs near this wind speed.",
     ),
     "embedded": CommandHelp(
         _DEPLOY,
@@ -397,7 +401,7 @@ COMMANDS: dict[str, CommandHelp] = {
         "Check that the machine is quiet and timing is correct",
         options.add_doctor_options,
         ("doctor", "doctor --offline"),
-        f"0 done, even if the machine is disturbed; {_BAD_INPUT}",
+        f"0 done, even if the machine is not quiet; {_BAD_INPUT}",
     ),
     "completion": CommandHelp(
         _HELP,

@@ -7,6 +7,8 @@ from typing import Any
 
 Command = Any  # A parser of a command, or a group of its arguments
 _AGAIN = "repeatable"
+_PRESETS = "default (the library's own), low (tolerance about 1e-3), mid (1e-6), high (1e-9)"
+_RANDOM = "random_mpc-STATES-INPUTS-HORIZON (QPs of a random MPC problem)"
 
 
 def _option(group: Command, name: str, value: str, meaning: str, **keywords: Any) -> None:
@@ -50,30 +52,33 @@ def add_run_options(run: Command) -> None:
     estimate = "print the number of cells and an estimate of the time and disk use, then exit"
     _flag(engine, "--dry-run", estimate)
     output = run.add_argument_group("output")
-    _option(output, "--out", "DIR", "result folder (default: results/SUITE)")
+    folder = (
+        "result folder (default: results/SUITE or results/sequence-NAME, plus -part if only some "
+        "of the runs are selected)"
+    )
+    _option(output, "--out", "DIR", folder)
     add_ending_options(output)
 
 
 def _add_suite_options(run: Command) -> None:
     """Add the options that select the runs of a suite to a command's parser."""
-    suite = "name of a suite, or a TOML file; not with --sequence"
+    suite = "name of a suite, or a TOML file; give either SUITE or --sequence"
     run.add_argument("suite", nargs="?", metavar="SUITE", help=suite)
     choice = run.add_argument_group("selection")
     sequence = (
-        "replay recorded QPs instead of running a suite: a name, a file (.npz, .json or .mat) or a "
-        "folder of such files"
+        "instead of running a suite, replay this sequence of recorded QPs: its name, file (.npz, "
+        ".json or .mat) or folder"
     )
     _option(choice, "--sequence", "SEQUENCE", sequence)
     solver = (
-        "run only this solver, such as osqp; 'osqp[rho=[0.1,1]]' makes a configuration for each "
-        "value"
+        "run only this solver, such as osqp; 'osqp[rho=[0.1,1]]' runs it twice, with rho = 0.1 and "
+        "with rho = 1"
     )
     _repeated(choice, "--solver", "SOLVER", solver, dest="solvers")
     scenario = "run only this scenario, given by name or TOML file; it need not be in the suite"
     _repeated(choice, "--scenario", "SCENARIO", scenario, dest="scenarios")
     settings = (
-        "use only these settings: default, low, mid, high, a tolerance such as 1e-4, or a name in "
-        "the suite"
+        f"use only these settings: {_PRESETS}, a tolerance such as 1e-4, or a name in the suite"
     )
     _repeated(choice, "--settings", "NAME", settings)
     route = (
@@ -86,20 +91,24 @@ def _add_suite_options(run: Command) -> None:
         "(workspace and last solution); overrides the suite"
     )
     _repeated(choice, "--policy", "POLICY", policy, dest="policies")
-    _option(choice, "--steps", "N", "stop closed loops and their replays after N steps", type=int)
+    steps = (
+        "stop closed loops and replays of scenarios after N steps; recorded sequences are replayed "
+        "whole"
+    )
+    _option(choice, "--steps", "N", steps, type=int)
     _add_module_option(choice)
 
 
 def _add_execution_options(group: Command) -> None:
     """Add the options on parallel runs, resumption and waiting to a group of a command."""
     jobs = (
-        "number of closed loops, or of replays of random sequences, to run in parallel "
-        "(default: one per core)"
+        "number of cells to run in parallel (default: one per core); timed replays run one at a "
+        "time"
     )
     _option(group, "--jobs", "N", jobs, type=int)
     again = (
-        "run finished cells again (a cell is one configuration in one scenario or on one "
-        "sequence); not related to --policy fresh"
+        "run finished cells again (a cell is a solver with its settings, route and policy in one "
+        "scenario or on one sequence); not related to --policy fresh"
     )
     _flag(group, "--fresh", again)
     _add_wait_options(group)
@@ -146,20 +155,29 @@ def add_report_options(report: Command) -> None:
     """Add the options of `dpbench report` to its parser."""
     folder = "result folder of `dpbench run` or `dpbench gather`"
     report.add_argument("dir", metavar="DIR", help=folder)
-    baseline = "solver to compare the recommended one with"
+    baseline = (
+        "compare the solver that the report recommends with this one (default: the baseline in "
+        "the suite, or one chosen by speed)"
+    )
     _option(report, "--baseline", "SOLVER", baseline)
     more = report.add_argument_group("further documents")
     formats = "also write the figures as svg, pdf or png"
     _repeated(more, "--figures", "FORMAT", formats, default=[])
-    _option(more, "--statement", "FILE", "write a statement for a class society (.pdf or .svg)")
-    beside = (
-        "write SOLVER.md in the result folder, a comment for a pull request: this solver (in all "
-        "its settings) compared with others, and its worst steps"
+    statement = (
+        "write a statement on the recommended solver for a classification society (.pdf or .svg)"
     )
-    _option(more, "--for", "SOLVER", beside, dest="solver")
+    _option(more, "--statement", "FILE", statement)
+    comment = (
+        "write a comment for a pull request to SOLVER.md in the result folder: this solver (all "
+        "settings) compared with others, and its worst steps in error, time and iterations"
+    )
+    _option(more, "--for", "SOLVER", comment, dest="solver")
     against = "with --for: compare with this solver (default: osqp and daqp)"
     _repeated(more, "--against", "SOLVER", against, default=[])
-    _option(more, "--send", "DIR", "write a folder to submit to dpbench's results/community")
+    sent = (
+        "write a folder to submit to results/community of the dpbench repository (nothing is sent)"
+    )
+    _option(more, "--send", "DIR", sent)
     _flag(more, "--tables", "only list the folder's tables and what each contains")
     _option(more, "--latex", "TABLE", "only print a table as a LaTeX tabular (booktabs)")
     _option(more, "--columns", "A,B,C", "with --latex: only these columns, in this order")
@@ -178,18 +196,21 @@ def add_compare_options(compare: Command) -> None:
     releases = "compare each solver's releases across the folders"
     _flag(compare, "--releases", releases)
     reference = (
-        "divide step times by those of this solver; always done for results from two machines "
-        "(default: paper_active_set, or daqp if that was not run)"
+        "divide step times by those of this solver; results from two machines are always divided "
+        "(default solver: paper_active_set, else daqp)"
     )
     _option(compare, "--reference", "SOLVER", reference)
     _flag(compare, "--any-machine", argparse.SUPPRESS)
-    margin = "largest relative difference that counts as equivalent (default: 0.05)"
+    margin = (
+        "relative difference in a step time, error or control metric up to which two runs are "
+        "equivalent (default: 0.05)"
+    )
     _option(compare, "--margin", "SHARE", margin, type=float, default=0.05)
     alpha = "family-wise error rate (default: 0.05)"
     _option(compare, "--alpha", "SHARE", alpha, type=float, default=0.05)
     disturbed = (
-        "exit code if times are not judged (usually due to other load) and nothing regressed "
-        "(default: 0)"
+        "exit code if a step time has no verdict (usually because of other load on the machine) "
+        "and nothing regressed (default: 0)"
     )
     codes: dict[str, Any] = {"type": int, "choices": range(256), "default": 0}
     _option(compare, "--disturbed-exit", "CODE", disturbed, **codes)
@@ -205,18 +226,22 @@ def add_compare_options(compare: Command) -> None:
 
 def add_export_options(export: Command) -> None:
     """Add the options of `dpbench export` to its parser."""
-    problems = (
-        "scenario, sequence (name, .npz file or random_mpc-STATES-INPUTS-HORIZON) or folder of QPs"
-    )
+    problems = f"scenario, sequence (name or .npz file), folder of QPs, or {_RANDOM}"
     export.add_argument("what", metavar="WHAT", nargs="?", help=problems)
-    _flag(export, "--all", "write all stored sequences instead of WHAT")
+    _flag(export, "--all", "write all sequences of `dpbench list sequences` instead of WHAT")
     choice = export.add_argument_group("selection")
-    horizons = "use these prediction and control horizons instead of the scenario's"
+    horizons = (
+        "use these prediction and control horizons [samples], such as 30/5, instead of the "
+        "scenario's"
+    )
     _option(choice, "--horizons", "N_p/N_c", horizons)
     _option(choice, "--steps", "N", "write only the first N steps", type=int)
     _option(choice, "--every", "K", "write every K-th step (default: 1)", type=int, default=1)
-    _option(choice, "--at", "K", "write only step K", type=int)
-    part = "QPs of a cascade to write: controller (default) or allocation"
+    _option(choice, "--at", "K", "write only step K (the first step is 0)", type=int)
+    part = (
+        "QPs of a cascade (controller, then thrust allocation) to write: controller (default) or "
+        "allocation"
+    )
     _option(choice, "--part", "PART", part, default="controller")
     output = export.add_argument_group("output")
     formats = "file format: npz (default), qpbenchmark, mat, csv or qps"
@@ -233,7 +258,9 @@ def add_worst_case_options(worst_case: Command) -> None:
     worst_case.add_argument("solver", metavar="SOLVER", help=solver)
     _add_call_options(worst_case.add_argument_group("solver"), has_settings=True)
     search = worst_case.add_argument_group("search")
-    goal = "quantity to maximise: iterations (default) or error"
+    goal = (
+        "quantity to maximise: iterations (default) or error (of the plan, in maximum increments)"
+    )
     _option(search, "--goal", "GOAL", goal, default="iterations")
     start = "scenario whose initial state and disturbances are varied (default: paper)"
     _option(search, "--scenario", "SCENARIO", start, default="paper")
@@ -257,9 +284,7 @@ def _add_call_options(group: Command, *, has_settings: bool = False) -> None:
     )
     _option(group, "--policy", "POLICY", policies, default="fresh")
     if has_settings:
-        levels = (
-            "settings: default (those of the library), low, mid, high, or a tolerance such as 1e-4"
-        )
+        levels = f"settings: {_PRESETS} or a tolerance such as 1e-4; if not given: default"
         _option(group, "--settings", "NAME", levels, default="default")
     _add_module_option(group)
 
@@ -267,7 +292,7 @@ def _add_call_options(group: Command, *, has_settings: bool = False) -> None:
 def add_iteration_bound_options(bound: Command) -> None:
     """Add the options of `dpbench iteration-bound` to its parser."""
     bound.add_argument("axes", metavar="AXES", help="axes of the controller: surge or sway-yaw")
-    controller = "scenario with the controller (default: paper)"
+    controller = "scenario whose controller is analysed (default: paper)"
     _option(bound, "--scenario", "SCENARIO", controller, default="paper")
     box = "scale the box of parameters by this factor (default: 1)"
     _option(bound, "--box", "FACTOR", box, type=float, dest="factor", default=1.0)
@@ -324,8 +349,8 @@ def add_init_options(init: Command) -> None:
         init.add_argument_group("weather"),
         "--sea",
         "N",
-        "DP capability number of the sea, 1 to 9 (default: the largest at which the ship holds "
-        "station)",
+        "sea with this DP capability number of DNV-ST-0111, 1 to 9 (default: the highest at which "
+        "the ship holds station)",
     )
     output = init.add_argument_group("output")
     _option(output, "--out", "DIR", "folder to write to (default: current folder)", default=".")
@@ -341,13 +366,13 @@ def add_capability_options(capability: Command) -> None:
     )
     _option(capability, "--sides", "N", sides, type=int)
     planned = (
-        "also show the wind held with each azimuth thruster restricted to the half turn (180°) in "
-        "which the controllers plan its direction"
+        "also show the highest wind speed with each azimuth thruster restricted to the half turn "
+        "(180°) in which the controllers plan its direction"
     )
     _flag(capability, "--planned", planned)
     solver = (
-        "check this solver's answers to the allocation QPs at the largest wind; 'all' checks every "
-        "installed solver"
+        "check this solver's solutions of thrust allocation QPs near the highest wind speed; "
+        "'all' checks every installed solver"
     )
     _repeated(capability, "--solver", "SOLVER", solver)
     output = capability.add_argument_group("output")
@@ -370,8 +395,8 @@ def add_codegen_options(codegen: Command) -> None:
     )
     _option(codegen, "--solver", "SOLVER", solver, default="paper_active_set")
     levels = (
-        "settings: default (those of the library), low, mid, high, or a tolerance such as 1e-4; "
-        "if not given: mid with rho = 0.25 for osqp, else default"
+        f"settings: {_PRESETS} or a tolerance such as 1e-4; if not given: mid with rho = 0.25 for "
+        "osqp, else default"
     )
     _option(codegen, "--settings", "NAME", levels)
     steps = "steps of the recorded trajectory (default: 1000)"
@@ -386,8 +411,8 @@ def add_codegen_options(codegen: Command) -> None:
 def add_embedded_options(embedded: Command) -> None:
     """Add the options of `dpbench embedded` to its parser."""
     sequences = (
-        "name, file (.npz, .json or .mat) or folder of a sequence, or "
-        "random_mpc-STATES-INPUTS-HORIZON (default: paper-30-5)"
+        f"name, file (.npz, .json or .mat) or folder of a sequence, or {_RANDOM}; default: "
+        "paper-30-5"
     )
     embedded.add_argument("sequences", metavar="SEQUENCE", nargs="*", help=sequences)
     repeated: Callable[..., None] = partial(_repeated, default=[])
@@ -447,11 +472,17 @@ def add_tune_solver_options(tune: Command) -> None:
     search = tune.add_argument_group("search")
     ranges = "range to search in place of all predefined ones, such as 'rho=[1e-3,10]'"
     repeated(search, "--range", "RANGE", ranges, dest="ranges")
-    widened = "search this option too, in this range; the others keep their predefined ranges"
+    widened = (
+        "also search this solver option, in this range (form as in --range); the other options "
+        "keep their predefined ranges"
+    )
     repeated(search, "--widen", "RANGE", widened, dest="widened")
-    error = "largest allowed error of the first move, in maximum increments (default: 0.01)"
+    error = (
+        "largest allowed error of the first control move, as a share of the maximum increment "
+        "(default: 0.01)"
+    )
     _option(search, "--error", "X", error, type=float, default=0.01, dest="error_move")
-    trials = "number of settings to try (default: 48); more may find better ones"
+    trials = "number of sets of settings to try (default: 48); more trials may find better settings"
     _option(search, "--trials", "N", trials, type=int, default=48)
     _option(search, "--seed", "N", "seed of the search (default: 1)", type=int, default=1)
     _flag(search, "--dry-run", "estimate the time, then exit")
@@ -466,10 +497,14 @@ def add_tune_solver_options(tune: Command) -> None:
 def add_tune_options(tune: Command) -> None:
     """Add the options of `dpbench tune` to its parser."""
     scenarios = (
-        "name of a scenario, or a TOML file; all with one vessel, controller and sample time"
+        "name of a scenario, or a TOML file; all scenarios must have the same vessel, controller "
+        "and sample time"
     )
     tune.add_argument("scenarios", nargs="+", metavar="SCENARIO", help=scenarios)
-    seas = "DP capability numbers, such as 4,5 (default: the scenario's own weather)"
+    seas = (
+        "seas in which to try the controllers, as DP capability numbers, such as 4 or 4,5 "
+        "(default: the scenario's own weather)"
+    )
     _option(tune, "--seas", "N,N", seas, default="")
     search = tune.add_argument_group("search")
     trials = "number of controllers to try (default: 48)"
