@@ -53,7 +53,7 @@ def test_claims_of_the_paper_case(records: Any) -> None:
     failed = [claim for claim, state in states.items() if state != "reproduced"]
     assert all(claim.replace("`", "") in topic.lines[0] for claim in failed)
     assert failed == [
-        "The constrained law has a smaller steady error (`paper` tuning)",
+        "The constrained law has a smaller steady-state error (`paper` tuning)",
         "The constrained law has a smaller heading error (Fig. 5)",
     ]
 
@@ -83,7 +83,10 @@ def test_contradicting_rows_are_believed(
         ({"clipped": 1}, "No limit is ever violated (Figs. 6 and 7)"),
         ({"at_rate_sway": 0.0}, "The rate limits shape the transfer (Fig. 7)"),
         ({"tail_m": 1.2}, "The ship is held within the 1 m precision circle (Fig. 4)"),
-        ({"tail_m": 0.06}, "The ship is nearly stationary in the circle (steady error below 5 cm)"),
+        (
+            {"tail_m": 0.06},
+            "The ship is nearly stationary in the circle (steady-state error below 5 cm)",
+        ),
     ],
 )
 def test_claims_on_a_law_follow_its_row(records: Any, columns: dict[str, Any], claim: str) -> None:
@@ -168,13 +171,13 @@ def test_the_words_of_the_paper_are_beside_the_results(records: Any) -> None:
     assert table.heads == ("claim", "paper states", "simulated here", "state")
     stated = {row[0]: row[1] for row in table.rows}
     assert all(stated.values())
-    five_cm = stated["The ship is nearly stationary in the circle (steady error below 5 cm)"]
+    five_cm = stated["The ship is nearly stationary in the circle (steady-state error below 5 cm)"]
     assert "no number" in five_cm and "5 cm is set by dpbench" in five_cm
     assert (
         "not stated in the text"
         in stated["The constrained law has a smaller heading error (Fig. 5)"]
     )
-    assert "depend on the assumptions: the documentation page on the paper" in table.note
+    assert "change with these values; the documentation page on the paper" in table.note
 
 
 @pytest.mark.slow
