@@ -118,10 +118,10 @@ def match_times_by_step(first: StepTimes, second: StepTimes) -> tuple[Floats, Fl
 TimedReplay = tuple[RunRecord, StepTimes]
 
 
-def compute_log_ratio_half_width(
+def compute_log_ratio_with_half_width(
     first: Mapping[int, TimedReplay], second: Mapping[int, TimedReplay], sizes: Mapping[int, float]
-) -> float:
-    """Return the half-width of two configurations' log time ratio on their largest common QPs.
+) -> tuple[float, float]:
+    """Return two configurations' log time ratio on their largest common QPs, and its half-width.
 
     NaN if unknown. first, second : replays by their index; sizes : the variables of each.
     """
@@ -132,8 +132,9 @@ def compute_log_ratio_half_width(
         if len(first_ns) and not one.explain_separate_timing(other):
             logs.setdefault(sizes[p], []).append(np.log(second_ns / first_ns))
     ratio = estimate_pooled_ratio(logs[max(logs)]) if logs else UNKNOWN
-    known = ratio.low > 0.0 and ratio.high < math.inf
-    return 0.5 * math.log(ratio.high / ratio.low) if known else math.nan
+    if not (ratio.low > 0.0 and ratio.high < math.inf):
+        return math.nan, math.nan
+    return math.log(ratio.value), 0.5 * math.log(ratio.high / ratio.low)
 
 
 def compare_paired_times(
@@ -146,7 +147,7 @@ def compare_paired_times(
     longest step if there is none.
     """
     label = first.configuration.label
-    tail = {"limiting p99" if math.isfinite(first.p99_ns) else "largest step": label}
+    tail = {"limiting p99" if math.isfinite(first.p99_ns) else "longest step": label}
     found = compare_configurations(records, first.configuration, second.configuration, ())
     return [replace(one, leaders=one.leaders | tail) for one in found]
 
@@ -213,7 +214,7 @@ def _compare_on_size(
 
 
 def count_common_window_steps(records: Records, first: Verdict, second: Verdict) -> int:
-    """Return how many steps two configurations both solved in windows of hardest steps."""
+    """Return how many steps two configurations both solved in windows."""
     replays = records.select_runs(mode="replay")
     windows = {run.sequence for run in replays if run.steps_searched_for_hardest}
     pair = first.configuration, second.configuration

@@ -24,7 +24,7 @@ from dpbench.analysis.times.paired_times import (
     TimedReplay,
     compare_paired_times,
     compare_settings_of_solvers,
-    compute_log_ratio_half_width,
+    compute_log_ratio_with_half_width,
 )
 from dpbench.analysis.verdict.requirements import STATES, Cause
 from dpbench.analysis.verdict.run_matrix import RunMatrix
@@ -324,11 +324,11 @@ def tabulate_time_ratios(matrix: RunMatrix) -> pd.DataFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class PairWidths:
-    """Half-widths of the log time ratio of each two timed configurations.
+class PairRatios:
+    """Log time ratio of each two timed configurations, and its half-width.
 
-    timed : indices of the configurations; widths : of the pairs in the order (0, 1), (0, 2), ...
-        (1, 2), ...; sizes : variables of the QPs of each replay, 0 if unknown.
+    timed : indices of the configurations; logs, widths : of the pairs in the order (0, 1), (0, 2),
+        ... (1, 2), ...; sizes : variables of the QPs of each replay, 0 if unknown.
     turns : by replay, for each configuration the numbers of the replays that it was timed with by
         turns, which alone make a ratio, and of their command.
     spreads : by replay and configuration `compute_round_spread` of those that other load disturbed;
@@ -336,14 +336,15 @@ class PairWidths:
     """
 
     timed: list[int]
+    logs: list[float]
     widths: list[float]
     sizes: dict[int, float]
     turns: dict[int, dict[int, tuple[int, int]]]
     spreads: dict[int, dict[int, float | None]]
 
 
-def compute_half_widths_of_pairs(matrix: RunMatrix) -> PairWidths:
-    """Return the half-widths of the log time ratio of each two timed configurations."""
+def compute_ratios_of_pairs(matrix: RunMatrix) -> PairRatios:
+    """Return the log time ratio of each two timed configurations, and its half-width."""
     timed: dict[int, dict[int, TimedReplay]] = {}
     sizes: dict[int, float] = {}
     for (c, p), run in matrix.runs.items():
@@ -355,7 +356,8 @@ def compute_half_widths_of_pairs(matrix: RunMatrix) -> PairWidths:
             # A run that crashed has no size.
             sizes[p] = max(sizes.get(p, 0.0), 0.0 if isnan(run.n) else run.n)
     pairs = combinations(timed.values(), 2)
-    widths = [compute_log_ratio_half_width(*two, sizes) for two in pairs]
+    ratios = [compute_log_ratio_with_half_width(*two, sizes) for two in pairs]
+    logs, widths = [log for log, _ in ratios], [width for _, width in ratios]
     turns: dict[int, dict[int, tuple[int, int]]] = {p: {} for p in sizes}
     spreads: dict[int, dict[int, float | None]] = {}
     numbers: dict[str, int] = {}
@@ -367,7 +369,7 @@ def compute_half_widths_of_pairs(matrix: RunMatrix) -> PairWidths:
             turns[p][c] = group, command
             if (spread := compute_round_spread(matrix.records, run, times)) != 1.0:
                 spreads.setdefault(p, {})[c] = spread if isfinite(spread) else None
-    return PairWidths(list(timed), widths, sizes, turns, spreads)
+    return PairRatios(list(timed), logs, widths, sizes, turns, spreads)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import pandas as pd
 from dpbench.analysis.records.machine import find_shortest_wait_ns
 from dpbench.analysis.suites.study import SMALL_M
 from dpbench.analysis.times.solver_tables import (
-    compute_half_widths_of_pairs,
+    compute_ratios_of_pairs,
     tabulate_best_times,
     tabulate_experiment_verdicts,
     tabulate_tolerance_levels,
@@ -43,6 +43,8 @@ from dpbench.report.verdict.findings_text import shorten_findings
 from dpbench.report.verdict.verdict_text import MOST_NAMED
 
 Charts = dict[str, Any]
+RATIO_RESOLUTION = 4e-4
+"""Resolution of packed log ratios: three digits of ratios up to 490 000."""
 
 
 def _draw_deadline_charts(data: PageData) -> Charts:
@@ -66,16 +68,16 @@ def _explain_step_times(data: PageData) -> str:
     names = _mark_names(v.configuration.solver for v in untimed if not v.timed_on)
     is_are, its = ("is", "its") if len(names) == 1 else ("are", "their")
     absent = (
-        f" {join_with_and(names)} {is_are} absent: {its} replays outside windows were not timed "
-        "completely."
+        f" {join_with_and(names)} {is_are} absent, because {its} replays (windows aside) were not "
+        "timed completely."
     ) * bool(names)
     left_out = len(list_best_verdict_of_own_settings(data.verdicts)) - MOST_OWN
     more = f" {left_out} more custom settings: `tables/verdicts.csv`." * (left_out > 0)
     return (
-        "Step time of each solver in its best configuration. The marker shows "
-        f"the p50 in the replay of {replay}{which}. The bar ends at the limiting p99, the line at "
-        "the longest step and the dashed line at the largest single timing. The grey bar shows "
-        f"the call overhead.{absent}{more}"
+        "Step time of each solver in its best configuration (best verdict, then fastest). The "
+        f"marker shows the p50 in the replay of {replay}{which}. The bar ends at the limiting p99, "
+        "the line at the longest step and the dashed line at the largest single timing. The grey "
+        f"bar shows the call overhead.{absent}{more}"
     )
 
 
@@ -104,7 +106,7 @@ MATRIX = (
     "Each cell shows the verdict on a configuration (solver, call mode, settings) in one scenario "
     "or replay."
 )
-TIMED_LOOPS = "The verdict on a closed loop includes the times of its window of hardest steps."
+TIMED_LOOPS = "The verdict on a closed loop includes the times of its window."
 
 
 def _explain_verdict_grid(data: PageData) -> str:
@@ -199,9 +201,10 @@ def _draw_empty_pair_chart(data: PageData) -> Charts:
     return {"pairs": draw_step_pairs("first", "second")} if has_pair else {}
 
 
-def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
-    """Return JSON data: the half-width of each two configurations' log time ratio, packed."""
-    pairs = compute_half_widths_of_pairs(data)
+def _pack_ratios(data: PageData, _: Results) -> dict[str, Any]:
+    """Return JSON data: each two configurations' log time ratio and its half-width, packed."""
+    pairs = compute_ratios_of_pairs(data)
+    ratio = data.block.add_as_int16_multiples(pairs.logs, RATIO_RESOLUTION)
     reach = data.block.add_as_uint16_logs(pairs.widths)
     about: dict[str, Any] = {
         "variables": pairs.sizes,
@@ -209,7 +212,7 @@ def _pack_half_widths(data: PageData, _: Results) -> dict[str, Any]:
         "spreads": pairs.spreads,
         "shortest": convert_to_json_number(find_shortest_wait_ns(data.records.calibration)),
     }
-    return {"paired": {"c": pairs.timed, "reach": reach, **about}}
+    return {"paired": {"c": pairs.timed, "ratio": ratio, "reach": reach, **about}}
 
 
 def _draw_accuracy(data: PageData) -> Charts:
@@ -229,7 +232,7 @@ def _explain_accuracy(data: PageData) -> str:
         for names in others
     ]
     replays = len(data.records.sequences)
-    where = f" over all {replays} replays" if replays > 1 else ""
+    where = f" over {'both' if replays == 2 else f'all {replays}'} replays" if replays > 1 else ""
     return (
         f"Largest error of each solver{where} against its step time, in the call mode of the "
         f"first figure. The step time is {_name_timed_replays(usual)}.{''.join(exceptions)} The "
@@ -321,7 +324,7 @@ SECTIONS = (
         folded_text=_explain_further_verdicts,
     ),
     Section("one", "One solver", _draw_empty_step_charts, live=True),
-    Section("two", "Two solvers", _draw_empty_pair_chart, data=_pack_half_widths, live=True),
+    Section("two", "Two solvers", _draw_empty_pair_chart, data=_pack_ratios, live=True),
     Section("accuracy", "Accuracy", _draw_accuracy, ("accuracy",), text=_explain_accuracy),
     Section(
         "study",

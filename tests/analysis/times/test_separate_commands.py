@@ -16,7 +16,7 @@ from dpbench.analysis.times.paired_times import (
     compare_paired_times,
     find_faster_inconclusive,
 )
-from dpbench.analysis.times.solver_tables import compute_half_widths_of_pairs, tabulate_time_ratios
+from dpbench.analysis.times.solver_tables import compute_ratios_of_pairs, tabulate_time_ratios
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import judge_solvers
@@ -59,8 +59,8 @@ def test_two_commands_give_both_times_and_no_ratio(records: Any) -> None:
     (row,) = tabulate_time_ratios(matrix).to_dict("records")
     assert (row["first_us"], row["second_us"]) == (pytest.approx(20.0), pytest.approx(50.0))
     assert row["finding"] == SEPARATE and math.isnan(row["ratio"])
-    pairs = compute_half_widths_of_pairs(matrix)
-    assert len(pairs.widths) == 1 and math.isnan(pairs.widths[0])
+    pairs = compute_ratios_of_pairs(matrix)
+    assert len(pairs.widths) == 1 and math.isnan(pairs.widths[0]) and math.isnan(pairs.logs[0])
     (turns,) = (of_replay for of_replay in pairs.turns.values() if of_replay)
     assert len({*turns.values()}) == 2
 

@@ -8,11 +8,12 @@ function together(first, second) {
     const a = cell(first, p), b = cell(second, p);
     if (experiment.mode !== "replay" || !a || !b || a.t == null || b.t == null) return;
     const x = array(a.t), y = array(b.t), f = array(a.f), g = array(b.f);
+    const whole = [a, b].some((run) => facts.arrays[run.t][4] !== undefined) ? Math.min(a.steps, b.steps) : null;
     x.forEach((ns, j) => {
       const i = a.first + j - b.first, other = y[i];
       if (ns > 0 && other > 0 && !((f[j] | g[i]) & HARD_ONLY)) rows.push({
         k: a.first + j, a_us: ns / 1e3, b_us: other / 1e3, sequence: experiment.label,
-        variables: facts.paired.variables[p], separate: whySeparate(first, second, p),
+        variables: facts.paired.variables[p], whole, separate: whySeparate(first, second, p),
         spread: Math.max(spreadOf(first, p), spreadOf(second, p)) });
     });
   });
@@ -52,9 +53,18 @@ function ofLargest(rows) {
   return rows.filter((row) => row.variables === most);
 }
 
+// The number of a pair of configurations in the packed arrays; -1 without one.
+function pairOf(first, second) {
+  const { c } = facts.paired;
+  const [i, j] = [c.indexOf(first), c.indexOf(second)].sort((a, b) => a - b);
+  return i < 0 ? -1 : i * c.length - (i * (i + 1)) / 2 + j - i - 1;
+}
+
 // How many times as long the second takes on the largest QPs: the geometric mean, each sequence of
-// equal weight.
-function ratioOf(rows) {
+// equal weight; over all steps where the ratio has an interval, else over those on the page.
+function ratioOf(first, second, rows) {
+  const { c, ratio } = facts.paired, log = array(ratio)[pairOf(first, second)] ?? null;
+  if (log !== null) return Math.exp(c.indexOf(first) < c.indexOf(second) ? log : -log);
   const largest = ofLargest(rows);
   const means = unique(largest.map((row) => row.sequence)).map((name) => {
     const own = largest.filter((row) => row.sequence === name);
@@ -72,10 +82,7 @@ function slowerIn(rows, low, isSecond) {
 
 // By what factor the 95 % interval of the ratio of two reaches up and down; null without one.
 function reachOf(first, second) {
-  const { c, reach } = facts.paired;
-  const [i, j] = [c.indexOf(first), c.indexOf(second)].sort((a, b) => a - b);
-  if (i < 0) return null;
-  const log = array(reach)[i * c.length - (i * (i + 1)) / 2 + j - i - 1];
+  const log = array(facts.paired.reach)[pairOf(first, second)] ?? null;
   return log === null ? null : Math.exp(log);
 }
 
@@ -88,13 +95,16 @@ function meanOf(rows, which) {
 // What tells a configuration from another: its solver, if that will do.
 const unlike = (c, other) => (C().solver[c] === C().solver[other] ? marked(c) : `\`${C().solver[c]}\``);
 
-// Which steps they are; of QPs of several sizes also how large these are.
-function commonSteps(rows) {
+// Which steps they are, all of the replays or those on the page; of QPs of several sizes also how
+// large these are.
+function commonSteps(rows, all = false) {
   const largest = ofLargest(rows);
-  const counts = unique(largest.map((row) => row.sequence))
-    .map((name) => `${largest.filter((row) => row.sequence === name).length} steps of \`${name}\``);
+  const counts = unique(largest.map((row) => row.sequence)).map((name) => {
+    const own = largest.filter((row) => row.sequence === name);
+    return `${grouped((all && own[0].whole) || own.length)} steps of \`${name}\``;
+  });
   const [replay, are] = counts.length > 1 ? ["replays", "of equal weight, "] : ["replay", ""];
-  const size = largest.length < rows.length ? `, ${are}the ${replay} with the largest QPs (${largest[0].variables} variables); windows are left out` : are && ", of equal weight";
+  const size = largest.length < rows.length ? `, ${are}the ${replay} with the largest QPs (${largest[0].variables} variables)` : are && ", of equal weight";
   return `${counts.join(" and ")}${size}`;
 }
 
@@ -117,7 +127,7 @@ function shortTimes(first, second) {
 // A configuration, with its verdict where it fails or is late.
 const judged = (c) => `${marked(c)}${{ fail: ", which fails,", late: ", which is late," }[C().verdict[c]] ?? ""}`;
 
-// The packed times hold two digits of a ratio: 1 is written as 1.0.
+// The packed times, of which a ratio without an interval is, hold two digits: 1 is written as 1.0.
 const twoDigits = (x) => (x >= 0.995 && x < 9.95 ? x.toFixed(1) : figure(x, 2));
 
 async function drawTwo() {
@@ -132,16 +142,16 @@ async function drawTwo() {
   const rows = comparedSteps(state.c, second), said = $("two-said");
   if (!rows.length) { said.textContent = "The two configurations have no replay in common."; $("two-figure").hidden = true; return; }
   $("two-figure").hidden = false;
-  const ratio = Math.max(ratioOf(rows), 1 / ratioOf(rows)), reach = reachOf(state.c, second);
-  const [slower, faster] = ratioOf(rows) >= 1 ? [second, state.c] : [state.c, second];
-  const interval = reach !== null ? `The 95 % interval, for these measurements only, is ${twoDigits(ratio / reach)} to ${twoDigits(ratio * reach)}`
+  const over = ratioOf(state.c, second, rows), ratio = Math.max(over, 1 / over), reach = reachOf(state.c, second);
+  const [slower, faster] = over >= 1 ? [second, state.c] : [state.c, second];
+  const interval = reach !== null ? `The 95 % interval, for these measurements only, is ${significant(ratio / reach)} to ${significant(ratio * reach)}`
     : ratio === 1 ? "Both are one run, as the settings make no difference" : "There are too few steps for an interval";
   const text = rows[0].separate
     ? `${marked(state.c)} takes ${time(meanOf(rows, "a"))} per step and ${marked(second)} `
     + `${time(meanOf(rows, "b"))}, ${rows[0].separate}, so there is no ratio: geometric means over `
     + `${commonSteps(rows)}.`
-    : `${judged(slower)} takes ${twoDigits(ratio)} times as long as ${judged(faster).replace(/,$/, "")}. `
-    + `${interval}. ${reach === null ? "" : slowerIn(rows, ratio / reach, slower === second)}The ratio is the geometric mean over ${commonSteps(rows)}.`
+    : `${judged(slower)} takes ${reach === null ? twoDigits(ratio) : significant(ratio)} times as long as ${judged(faster).replace(/,$/, "")}. `
+    + `${interval}. ${reach === null ? "" : slowerIn(rows, ratio / reach, slower === second)}The ratio is the geometric mean over ${commonSteps(rows, reach !== null)}.`
     + `${reach === null ? "" : whyUnranked(rows, ratio / reach)}${shortTimes(state.c, second)}`;
   said.replaceChildren(...coded(text));
   $("two-caption").replaceChildren(...coded(captionOf(rows, second)));
@@ -155,7 +165,7 @@ async function drawTwo() {
       const cells = [state.c, second].map((c) => `${time(C()[column][c])} in ${C()[`${column}_in`][c]}`);
       return `| ${name} | ${cells.join(" | ")} |`;
     }).join("\n")
-    + `\n| longest step of all replays and windows | ${time(C().max[state.c])} | ${time(C().max[second])} |`
+    + `\n| longest step | ${time(C().max[state.c])} | ${time(C().max[second])} |`
     + `\n| largest error of the first move [maximum increments] | ${figure(C().error[state.c])} | ${figure(C().error[second])} |\n`
     + `| verdict | ${C().verdict[state.c]} | ${C().verdict[second]} |\n\n${text}\n`;
 }
