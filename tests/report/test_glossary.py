@@ -109,7 +109,8 @@ def test_the_longest_phrase_is_the_term() -> None:
 
 
 def test_an_interval_of_a_study_is_over_realisations() -> None:
-    assert "or from realisations (studies)" in term_meanings()["interval"]
+    over = "for results over several realisations, from the realisations"
+    assert over in term_meanings()["interval"]
 
 
 def test_code_in_a_meaning_is_code_in_the_list_and_plain_in_a_link() -> None:
