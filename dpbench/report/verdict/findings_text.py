@@ -47,7 +47,7 @@ def describe_machine_state(findings: Sequence[Finding]) -> list[str]:
         return []
     state, where = sum_disturbances([*runs.values()]), _name_experiments([*runs.values()])
     of_all = f"{format_count(state.disturbed)} of {plural(state.rounds, 'round')}"
-    return [f"other work disturbed {of_all} of {where}"]
+    return [f"other load disturbed {of_all} of {where}"]
 
 
 _WORDS: dict[str, str] = read_words(__file__)["findings"]
@@ -150,9 +150,7 @@ def describe_finding(finding: Finding) -> str:
         outcome=first.outcome,
         planned=format_count(first.steps_planned),
         done=plural(_count_steps(first, finding), "step"),
-        of_steps=f"the {format_count(_count_steps(first, finding))} hardest steps of `{window_of}`"
-        if window_of
-        else plural(_count_steps(first, finding), "step"),
+        of_steps=f"the {all_steps} of the window of `{window_of}`" if window_of else all_steps,
         in_where="" if window_of else f" in {name_experiment(first)}",
         counted=plural(finding.value, "step"),
         error=format_error(finding.value),
@@ -175,7 +173,7 @@ def describe_finding(finding: Finding) -> str:
 
 
 def _format_explained(share: float, only: str = "") -> str:
-    """Return the share of late timings that other work explains as text, after `only`, or none."""
+    """Return the share of late timings that other load explains as text, after `only`, or none."""
     text = format_share(share)
     return "none of them" if text == format_share(0.0) else f"{only}{text}"
 
@@ -205,9 +203,9 @@ def _count_steps(run: RunRecord, finding: Finding) -> int:
 
 
 def name_experiment(row: RunRecord) -> str:
-    """Return the name of the scenario, replay or hardest steps that a run solved."""
+    """Return the name of the scenario, replay or window that a run solved."""
     if row.steps_searched_for_hardest:
-        return f"the hardest steps of `{row.scenario}`"
+        return f"the window of `{row.scenario}`"
     if row.mode == "replay":
         return f"the replay of {describe_range_of_steps(row.sequence)}"
     return f"`{row.scenario}`"
@@ -232,7 +230,8 @@ def _name_experiments(rows: Sequence[RunRecord], window_of: str = "") -> str:
         word = "replay" if len(replays) == 1 else "replays"
         loops.append(f"the {word} of {join_with_and(replays)}")
     if windows:
-        loops.append(f"the hardest steps of {join_with_and(windows)}")
+        word = "window" if len(windows) == 1 else "windows"
+        loops.append(f"the {word} of {join_with_and(windows)}")
     return join_with_and(loops)
 
 
@@ -265,6 +264,6 @@ def describe_late_times(alike: Sequence[Finding]) -> str:
     if replays:
         where.append(f"the replay{'s' * (len(replays) > 1)} of {join_with_and(replays)}")
     if windows:
-        where.append(f"the hardest steps of {join_with_and(windows)}")
+        where.append(f"the window{'s' * (len(windows) > 1)} of {join_with_and(windows)}")
     kind = _SAME_LIMIT.get(alike[0].kind, alike[0].kind)
     return _LATE_WORDS[kind].format(limit=format_time(alike[0].limit), where=join_with_and(where))

@@ -222,7 +222,7 @@ def test_a_p50_within_the_uncertainty_of_rounds_is_named(records: Any) -> None:
         (
             (2e7, 1e7),
             (1.9e7, 0.0),
-            "its longest step of 20.0 ms in the replay of `paper` takes 1.00",
+            "its largest step time of 20.0 ms in the replay of `paper` is 1.00",
         ),
     ],
 )
@@ -462,7 +462,7 @@ def test_a_window_that_leaves_out_slow_steps_does_not_pass(
     assert figures["p99_ns"] == pytest.approx(bound_ns)
     if kinds:
         text = describe_findings(found)
-        assert "its p99 is 400 µs in the hardest steps of `turn`, and 1.01 ms if scaled up" in text
+        assert "its p99 is 400 µs in the window of `turn`, and 1.01 ms if scaled up" in text
     margins = compute_speed_margins(records.view(), REQUIREMENTS)
     (margin,) = margins.values()
     assert margin.p99_limit == pytest.approx(1e6 / bound_ns)

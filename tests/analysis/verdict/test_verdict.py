@@ -116,7 +116,9 @@ def test_the_first_failed_step_of_a_window_is_not_named(records: Any) -> None:
     source = {"kind": "hardest", "name": "paper hardest 15", "of": 450}
     records.replay("osqp", "paper hardest 15", steps=15, cell=json.dumps({"source": source}))
     finding = Finding("failed", tuple(records.view().runs), 8.0, 2, first=3)
-    assert describe_finding(finding).startswith("2 of the 15 hardest steps of `paper` fail, as ")
+    assert describe_finding(finding).startswith(
+        "2 of the 15 steps of the window of `paper` fail, as "
+    )
 
 
 @pytest.mark.parametrize(
@@ -173,8 +175,8 @@ def test_failed_hardest_steps_are_counted_among_them(records: Any) -> None:
     window, *loops = sorted(records.view().runs, key=lambda run: run.mode != "replay")
     finding = Finding("failed", (window, *loops), 9.0, 3, status="MAX_ITERATIONS")
     assert describe_finding(finding) == (
-        "3 of the 15 hardest steps of `turn` fail, as the solver reaches its iteration limit "
-        "(some also in its closed loop and `waves`)"
+        "3 of the 15 steps of the window of `turn` fail, as the solver reaches its iteration "
+        "limit (some also in its closed loop and `waves`)"
     )
 
 
@@ -196,12 +198,12 @@ def test_times_above_one_limit_are_one_clause(records: Any) -> None:
     ]
     assert describe_findings(found) == (
         "its p95 is above the p99 limit of 3.00 ms in the replays of `paper` (6.06 ms) and steps "
-        "900 to 1399 of `rough` (6.95 ms); its p99 is above the limit of 3.00 ms in the hardest "
-        "steps of `turn` (5.24 ms) and `rough` (6.83 ms)"
+        "900 to 1399 of `rough` (6.95 ms); its p99 is above the limit of 3.00 ms in the windows "
+        "of `turn` (5.24 ms) and `rough` (6.83 ms)"
     )
     assert describe_findings([late("p99 late", "paper", 4e6), *found[3:]]) == (
-        "its p99 is above the limit of 3.00 ms in the replay of `paper` (4.00 ms) and the hardest "
-        "steps of `rough` (6.83 ms)"
+        "its p99 is above the limit of 3.00 ms in the replay of `paper` (4.00 ms) and the window "
+        "of `rough` (6.83 ms)"
     )
 
 
@@ -350,7 +352,7 @@ def test_on_a_disturbed_machine_its_state_comes_before_all_reasons(records: Any)
     disturbed, calm = (_verdict(records, solver) for solver in ("daqp", "piqp"))
     reasons = describe_findings(calm.findings_that_bar_pass)
     assert "when first solved" in reasons and "timed in parallel with other work" in reasons
-    machine = "other work disturbed 3 of 5 rounds of the replay of `paper`; "
+    machine = "other load disturbed 3 of 5 rounds of the replay of `paper`; "
     assert _why(disturbed) == machine + reasons
     assert describe_main_reason(disturbed) == machine + reasons
     assert describe_main_reason(calm) == describe_finding(calm.doubts[0])
@@ -437,7 +439,7 @@ def test_a_hardest_step_beyond_the_deadline_is_late(records: Any) -> None:
     verdict = _verdict(records, "daqp")
     assert verdict.state == "late"
     assert _why(verdict) == (
-        "its longest step takes 400 ms in the replay of `paper`, above the deadline of 300 ms"
+        "its largest step time is 400 ms in the replay of `paper`, above the deadline of 300 ms"
     )
 
 
@@ -671,7 +673,7 @@ def test_load_is_the_likely_cause_of_a_slow_loop_of_a_solver_without_a_cache() -
         "the p90 of the closed loop's steps is 30 times that of the replay: the likely cause is "
         "other load on the machine; repeat the run on an idle machine"
     )
-    assert "load" not in describe_caching_sign("daqp", ("slow first visits", 0.06))
+    assert "likely cause" not in describe_caching_sign("daqp", ("slow first visits", 0.06))
     assert "cached answers" in describe_caching_sign("my_function", ("loop tail", 30.0))
 
 

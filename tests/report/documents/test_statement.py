@@ -228,7 +228,7 @@ def test_it_says_what_is_late_of_a_compared_solver_with_a_p99_in_the_limit(
     results = records.results()
     svg = make_statement_svg(out, results, Report.from_results(results).data)
     text = " ".join("".join(element.itertext()) for element in _texts(svg))
-    step = r"quadprog 1\.0 late, 2\d\.?\d* µs [^;]*\(its longest step takes 4\d\d ms"
+    step = r"quadprog 1\.0 late, 2\d\.?\d* µs [^;]*\(its largest step time is 4\d\d ms"
     assert re.search(step, text)
     assert re.search(r"osqp 1\.0 late, 20[^;]* ms (\(95 %[^;)]*\))?[;.]", text)
 
