@@ -26,7 +26,6 @@ from dpbench.report.formats import (
     format_time,
     join_with_and,
     make_markdown_table,
-    plural,
 )
 from dpbench.report.own_settings_text import describe_failing_settings_and_grids
 from dpbench.report.page.data import PageData
@@ -221,24 +220,21 @@ def _explain_columns(data: PageData, listed: Sequence[Verdict]) -> str:
 
 def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
     """Return how the columns of the table give the speed margin; "" without one."""
-    margins = [m for v in listed if (m := data.get_speed_margin(v.configuration))]
-    if not margins:
+    timed = [(v, m) for v in listed if (m := data.get_speed_margin(v.configuration))]
+    if not timed:
         return ""
     requirements = data.requirements
     is_scaled = any(
         max(m.p99.run.untimed_iterations, m.hardest.run.untimed_iterations_max) > 1.0
-        for m in margins
+        for _, m in timed
     )
-    scaled = (
-        " Both are scaled up if the closed loop of the scenario takes more iterations than the "
-        "replay or window."
-    ) * is_scaled
+    scaled = " Both are scaled up if the steps of the closed loop take more iterations." * is_scaled
+    without = " (without a p99: longest step)" * any(math.isnan(v.p99_ns) for v, _ in timed)
     return (
         "The limiting p99 and the longest step are the largest of all replays and windows."
-        f"{scaled} For a replay or window without a p99, its longest step is used instead. The "
-        "speed margin is the factor by which the computer may be slower, rounded down. It is the "
-        f"smaller of two ratios: {requirements.p99_ms:g} ms / limiting p99 and "
-        f"{requirements.deadline_ms:g} ms / longest step."
+        f"{scaled} The speed margin is the factor by which the computer may be slower, rounded "
+        f"down. It is the smaller of two ratios: {requirements.p99_ms:g} ms / limiting p99"
+        f"{without} and {requirements.deadline_ms:g} ms / longest step."
     )
 
 
@@ -287,25 +283,21 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
         v.configuration.marked_label: f"the replay of {describe_range_of_steps(v.timed_on)}"
         for v in timed
     }
-    # A solver may have been timed in windows alone.
-    placed = [v for v in verdicts if v.timed_on or _is_window(v.longest_run)]
+    placed = [v for v in verdicts if v.longest_run is not None]
     worst = {
         v.configuration.marked_label: _where(v.p99_run) for v in placed if not math.isnan(v.p99_ns)
     }
     hardest = {v.configuration.marked_label: _where(v.longest_run) for v in placed}
     if len({*usual.values()}) > 1 or any(verdict.replays > 1 for verdict in timed):
-        yield f"The p50 is {_most_and_others(usual, 'from')}."
+        yield _locate_times("p50", usual, "from")
     if any(_is_window(v.p99_run) for v in placed):
         yield (
-            "A limiting p99 from a window has no confidence interval, as only the hardest steps "
-            "were replayed."
+            "A limiting p99 from a window has no confidence interval, as only the steps around the "
+            "hardest step were replayed."
         )
     for name, found in (("limiting p99", worst), ("longest step", hardest)):
         if any(found[label] != usual.get(label, "") for label in found):
-            alike = " for all configurations in this table" * (
-                len({*found.values()}) == 1 < len(found)
-            )
-            yield f"The {name} is {_most_and_others(found, 'in')}{alike}."
+            yield _locate_times(name, found, "in")
     ended = [
         f"{v.configuration.marked_label}: {describe_findings(causes)}"
         for v in verdicts
@@ -324,36 +316,40 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
 
 
 def _is_window(run: RunRecord | None) -> bool:
-    """Return whether a time is from a window of hardest steps."""
+    """Return whether a time is from a window."""
     return run is not None and run.steps_searched_for_hardest > 0
 
 
 def _where(run: RunRecord | None) -> str:
     """Return the name of the replay or window of a time; "" for none."""
-    if run is None:
-        return ""
-    window = "the window of " if run.steps_searched_for_hardest else ""
-    return window + name_experiment(run).removeprefix("the " if window else "")
+    return "" if run is None else name_experiment(run)
 
 
-def _most_and_others(names: Mapping[str, str], preposition: str) -> str:
-    """Return the name that most labels have, and the others with their labels or their number.
+def _locate_times(time: str, names: Mapping[str, str], preposition: str) -> str:
+    """Return a sentence on the replays or windows of a time, named by configuration.
+
+    Few exceptions are named, more are counted.
 
     Examples
     --------
-    >>> _most_and_others({"daqp": "turn", "osqp": "turn", "piqp": "rough"}, "in")
-    'in turn, except for piqp, in rough'
+    >>> _locate_times("longest step", {"daqp": "turn", "osqp": "turn", "piqp": "rough"}, "in")
+    'The longest step is in turn; that of piqp is in rough.'
     """
     of_name = group_by_key(names, lambda label: names[label])
     most, *others = sorted(of_name, key=lambda name: -len(of_name[name]))
+    lead = f"The {time} is {preposition} {most}"
+    if not others:
+        return f"{lead}."
     if sum(len(of_name[name]) for name in others) > MOST_EXCEPTIONS:
-        counts = [
-            f"{name} (for {plural(len(of_name[name]), 'configuration')})"
-            for name in (most, *others)
-        ]
-        return f"{preposition} {join_with_and(counts)}"
-    texts = [f"for {join_with_and(of_name[name])}, {preposition} {name}" for name in others]
-    return f"{preposition} {most}{', except ' * bool(texts)}{', and '.join(texts)}"
+        counts = [f"{preposition} {name} for {len(of_name[name])}" for name in others]
+        first = f"{lead} for {len(of_name[most])} of the {len(names)} configurations"
+        return f"{join_with_and([first, *counts])}."
+    clauses = [
+        f"{'that' if len(of_name[name]) == 1 else 'those'} of {join_with_and(of_name[name])} "
+        f"{'is' if len(of_name[name]) == 1 else 'are'} {preposition} {name}"
+        for name in others
+    ]
+    return f"{lead}; {join_with_and(clauses)}."
 
 
 def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:

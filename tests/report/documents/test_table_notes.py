@@ -24,7 +24,7 @@ def _verdict(
 ) -> Verdict:
     """A verdict whose hardest step, and p99, is in the replay, or in a window of a scenario."""
     configuration = Configuration(solver, "native", "warm", **given)
-    worst = _run(window, 450) if window else _run(timed_on)
+    worst = _run(window, 450) if window else _run(timed_on) if timed_on else None
     times: dict[str, Any] = {"p99_ns": p99_ns, "p99_run": worst, "longest_run": worst}
     return Verdict(configuration, "pass", timed_on=timed_on, **times)
 
@@ -33,7 +33,7 @@ def test_rows_of_other_replays_and_own_options_are_named() -> None:
     own = _verdict("osqp", "squall", settings="mine", options='{"rho": 1.6}')
     notes = list(yield_table_remarks([_verdict("daqp", "move"), own, _verdict("piqp", "move")]))
     assert notes == [
-        "The p50 is from the replay of `move`, except for `osqp` (native warm, mine), from the "
+        "The p50 is from the replay of `move`; that of `osqp` (native warm, mine) is from the "
         "replay of `squall`.",
         "Custom settings: `osqp` mine: rho=1.6.",
     ]
@@ -71,14 +71,13 @@ def test_the_replays_of_worst_p99_and_hardest_step_are_named() -> None:
             ]
         )
     )
-    window = "in the window of hardest steps of"
-    turn = f"{window} `turn`, except for `scs` (native warm), in the replay of `move`"
-    rough = f"for `piqp` (native warm), {window} `rough`"
+    turn = "in the window of `turn`; that of `scs` (native warm) is in the replay of `move`"
+    rough = "that of `piqp` (native warm) is in the window of `rough`"
     assert notes == [
-        "A limiting p99 from a window has no confidence interval, as only the hardest steps were "
-        "replayed.",
+        "A limiting p99 from a window has no confidence interval, as only the steps around the "
+        "hardest step were replayed.",
         f"The limiting p99 is {turn}.",
-        f"The longest step is {turn}, and {rough}.",
+        f"The longest step is {turn} and {rough}.",
     ]
 
 
@@ -102,8 +101,8 @@ def test_more_than_three_exceptions_are_counted() -> None:
     other = [_verdict(name, "move", window="rough") for name in solvers]
     (*_, hardest) = yield_table_remarks([*(_verdict(f"d{i}", "move") for i in range(5)), *other])
     assert hardest == (
-        "The longest step is in the replay of `move` (for 5 configurations) and the window of "
-        "hardest steps of `rough` (for 4 configurations)."
+        "The longest step is in the replay of `move` for 5 of the 9 configurations and in the "
+        "window of `rough` for 4."
     )
 
 
