@@ -134,6 +134,9 @@ class Recommendation:
         yield from (("Ship", ship.details), ("", ship.conditions), ("", ship.wash))
         yield from (("Accuracy", self.accuracy), ("", self.requirements))
         for about, text in self.notes:
+            if about == "checked":
+                # Section "Two solvers" and the note on the figure of times have this caution.
+                continue
             yield NOTE_TITLES.get(about, ""), text.removeprefix(self.margin).lstrip()
 
     @staticmethod
@@ -457,14 +460,15 @@ def _list_limiting_steps(data: PageData, margin: SpeedMargin, *, has_p99: bool) 
             f"It reaches its limit of {requirements.p99_ms:g} ms at a slowdown of "
             f"× {format_rounded_down(margin.p99_limit)}."
         )
-    scaled = f" and is scaled up to {format_time(margin.longest_ns)}" * (
-        hardest.run.untimed_iterations_max > 1.0
-    )
+    named = f"longest step is {_name_slow_step(hardest)} ({_describe_work(hardest)})"
+    time = f"{format_time(hardest.time_ns)}{wait}"
+    longest = f"The {named}. It took {time}."
+    if hardest.run.untimed_iterations_max > 1.0:
+        scaled = f"scaled up to {format_time(margin.longest_ns)}"
+        longest = f"After scaling, the {named}: its time of {time} is {scaled}."
     return [
         *texts,
-        f"The longest step is {_name_slow_step(hardest)} ({_describe_work(hardest)}). It took "
-        f"{format_time(hardest.time_ns)}{wait}{scaled}. It reaches the deadline of "
-        f"{requirements.deadline_ms:g} ms at a slowdown of "
+        f"{longest} It reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
         f"× {format_rounded_down(margin.deadline)}.",
     ]
 
@@ -475,20 +479,21 @@ def _describe_limiting_p99(margin: SpeedMargin) -> str:
     measured = f"The limiting p99 is that of {name_experiment(run)}"
     estimated, replayed = "", "this replay"
     if steps := run.steps_searched_for_hardest:
-        beyond, replayed = steps // 100, "these steps"
+        beyond, replayed = steps // 100, "the window"
         take = "takes" if beyond == 1 else "take"
+        share = f"1 % of {format_count(steps)}{', rounded down' * (steps % 100 > 0)}"
         measured = (
-            f"The p99 is estimated from the {run.steps_planned} hardest of the "
-            f"{format_count(steps)} steps of `{run.scenario}`: {beyond} of them {take} longer than "
-            f"{time}"
+            f"The p99 of the {format_count(steps)} steps of `{run.scenario}` is estimated from the "
+            f"{plural(run.steps_planned, 'step')} of its window: {beyond} of them ({share}) {take} "
+            f"longer than {time}"
         )
         estimated = " This estimate has no confidence interval."
     if not run.untimed_iterations > 1.0:
         return f"{measured}.{estimated}"
     return (
-        f"{measured}. The closed loop takes more iterations than {replayed}, so the {time} are "
-        f"scaled up to the limiting p99 of {format_time(margin.limiting_p99_ns)} (formula: page "
-        f"“Method” of the documentation).{estimated}"
+        f"{measured}. The steps of the closed loop take more iterations than those of {replayed}, "
+        f"so the {time} are scaled up to the limiting p99 of {format_time(margin.limiting_p99_ns)}."
+        f"{estimated}"
     )
 
 

@@ -362,9 +362,7 @@ def describe_limiting_time(verdict: Verdict) -> str:
         return f"p50 step time is {time} in the replay of `{verdict.timed_on}`"
     time, searched = format_time(verdict.p99_ns), run.steps_searched_for_hardest
     if 0 < searched < LEAST_STRETCH:
-        return (
-            f"longest step time is {time}, over the {plural(searched, 'step')} of `{run.scenario}`"
-        )
+        return f"longest step is {time}, over the {plural(searched, 'step')} of `{run.scenario}`"
     interval = format_p99_interval(verdict.p99_interval)
     return f"limiting p99 is {time}{interval}, in {name_experiment(run)}"
 
@@ -398,7 +396,7 @@ def describe_paired_times(
 ) -> str:
     """Return in words two configurations' step time ratio at the smallest and largest QP.
 
-    in_windows : steps that both solved in windows of hardest steps, which make no ratio.
+    in_windows : steps that both solved in windows, which make no ratio.
     than : words that follow the first ratio, such as " as `daqp`".
     """
     if not by_size and in_windows:
@@ -411,7 +409,7 @@ def describe_paired_times(
     ends = [f"{than * (i == 0)}{size}" for i, size in enumerate(sizes)]
     ratios = [_describe_time_ratio(one, end) for one, end in zip(shown, ends, strict=True)]
     ratios += [f"{plural(more, 'more size')} in the table `paired_ratios`"] * (more > 0)
-    left_out = ". Windows of hardest steps are left out of this comparison" * (in_windows > 0)
+    left_out = ". Windows are left out of this comparison" * (in_windows > 0)
     if than and len(ratios) == 2 and not more:
         first, second = (_describe_time_ratio(*one) for one in zip(shown, (than, ""), strict=True))
         return f"{first}. At {shown[1].variables:.0f} variables, it takes {second}{left_out}"
@@ -533,11 +531,10 @@ def describe_answer(steps: RunSteps, at: int) -> str:
 
 
 def describe_judged_runs(verdict: Verdict) -> str:
-    """Return a text on how many closed loops and replays a configuration was judged by."""
-    kinds = {"closed loop": verdict.loops, "replay": verdict.replays}
+    """Return a text on how many closed loops, replays and windows a configuration was judged by."""
+    kinds = {"closed loop": verdict.loops, "replay": verdict.replays, "window": verdict.windows}
     wording = [plural(count, kind) for kind, count in kinds.items() if count]
-    windows = f"{plural(verdict.windows, 'window')} of hardest steps"
-    return join_with_and([*wording, *[windows] * (verdict.windows > 0)])
+    return join_with_and(wording)
 
 
 def describe_tolerances_left(verdict: Verdict) -> str:

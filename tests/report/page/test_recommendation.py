@@ -130,8 +130,8 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
 @pytest.mark.parametrize(
     ("of", "time"),
     [
-        (450, "limiting p99 is {}, in the hardest steps of `paper`"),
-        (60, "longest step time is {}, over the 60 steps of `paper`"),
+        (450, "limiting p99 is {}, in the window of `paper`"),
+        (60, "longest step is {}, over the 60 steps of `paper`"),
     ],
 )
 def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int, time: str) -> None:
@@ -148,7 +148,7 @@ def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int,
     following = time.replace("`", "").format("30.0 µs")
     against = "Compared with daqp (qpsolvers fresh): too few common steps for a ratio (15 of 500)."
     assert f"{following}. {against}" in ending["next"]
-    estimated = "The p99 is estimated from the 15 hardest of the 450 steps of paper: 4 of them "
+    estimated = "The p99 of the 450 steps of paper is estimated from the 15 steps of its window: "
     assert (estimated in ending["margin"]) is (of == 450)
 
 
@@ -497,7 +497,7 @@ def test_windows_of_one_scenario_are_named_once(records: Any) -> None:
         source = {"kind": "hardest", "name": f"paper hardest {n}", "of": 450}
         cell = json.dumps({"source": source})
         records.replay("osqp", f"paper hardest {n}", steps=n, error=0.2, cell=cell, **own)
-    assert " (also in the hardest steps of paper);" in records.ending()["options"]
+    assert " (also in the window of paper);" in records.ending()["options"]
 
 
 def test_the_settings_of_a_solver_with_several_are_named(records: Any) -> None:
@@ -575,11 +575,14 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     text = " ".join(list_speed_margin_sentences(data, verdict))
     assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
     assert (
-        "The p99 is estimated from the 30 hardest of the 450 steps of `turn`: 4 of them take "
-        "longer than 20.0 µs. The closed loop takes more iterations than these steps, so the "
-        "20.0 µs are scaled up to the limiting p99 of 40.0 µs (formula: page"
+        "The p99 of the 450 steps of `turn` is estimated from the 30 steps of its window: 4 of "
+        "them (1 % of 450, rounded down) take longer than 20.0 µs. The steps of the closed loop "
+        "take more iterations than those of the window, so the 20.0 µs are scaled up to the "
+        "limiting p99 of 40.0 µs. This estimate has no confidence interval. After scaling, the "
+        "longest step is step "
     ) in text
-    assert "It took 20.0 µs and is scaled up to 60.0 µs. It reaches the deadline of 300 ms" in text
+    scaled = "its time of 20.0 µs is scaled up to 60.0 µs. It reaches the deadline of 300 ms"
+    assert scaled in text
 
 
 def test_the_table_has_the_times_that_give_each_speed_margin(records: Any) -> None:

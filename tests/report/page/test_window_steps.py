@@ -1,4 +1,4 @@
-"""Longest steps of windows, in the page's list of hardest steps."""
+"""Slowest steps of windows, in the page's list of extreme steps."""
 
 import json
 from typing import Any
