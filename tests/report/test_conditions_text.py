@@ -59,8 +59,9 @@ def _text(ship: Any) -> str:
 def test_conditions_follow_from_the_scenario() -> None:
     assert _text(_ship("paper", {})) == IDEAL
     assert _text(_ship("paper", FILTERED)) == (
-        "measurement noise (0.3 m, 0.1°), no first-order wave motion, Kalman filter, thruster lag "
-        "2.5 s, delay of 2 samples, with model mismatch (mass +10 %; damping -20 %)"
+        "measurement noise (standard deviation 0.3 m, 0.1°), no first-order wave motion, Kalman "
+        "filter, thruster lag 2.5 s, delay of 2 samples, with model mismatch (mass +10 %; damping "
+        "-20 %)"
     )
     observer = {"estimator": {"kind": "passive", "wave_filter": False}}
     assert "passive observer without wave filter" in list_conditions(_ship("a", observer).run)
@@ -88,9 +89,9 @@ def test_scenarios_with_equal_conditions_are_named_together() -> None:
     assert describe_conditions_of_ships(ships) == (
         "Conditions in `calm` and `turn`: exact sensors, no state estimator, no thruster lag, no "
         "delay, no model mismatch. Conditions in `real`: one realisation (seed 0), measurement "
-        "noise (0.3 m, 0.1°), Kalman filter, thruster lag 2.5 s, delay of 2 samples, with model "
-        "mismatch (mass +10 %; damping -20 %). Conditions of every result: no first-order wave "
-        "motion."
+        "noise (standard deviation 0.3 m, 0.1°), Kalman filter, thruster lag 2.5 s, delay of 2 "
+        "samples, with model mismatch (mass +10 %; damping -20 %). Conditions of every result: no "
+        "first-order wave motion."
     )
     assert describe_conditions_of_ships(ships[:1]) == f"Conditions of this result: {IDEAL}."
     assert describe_conditions_of_ships(ships[::2]) == f"Conditions of every result: {IDEAL}."

@@ -80,7 +80,7 @@ def _turns_azimuths_freely(scenario: Mapping[str, Any], vessel: Mapping[str, Any
 def _list_sensors(known: Conditions) -> Iterator[str]:
     """Yield what the controller measures and how it is filtered, as text."""
     if any(known.noise):
-        yield "measurement noise ({:g} m, {:g}°)".format(*known.noise)
+        yield "measurement noise (standard deviation {:g} m, {:g}°)".format(*known.noise)
     else:
         yield "exact sensors"
     yield "first-order wave motion" if known.has_motion else "no first-order wave motion"

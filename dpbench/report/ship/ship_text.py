@@ -379,11 +379,11 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     moves, largest = "", "The largest offset"
     if any(ship.has_transfer for ship in kept):
-        moves = ", once it has arrived there"
+        moves = " from its arrival there on,"
         largest = "On station, the largest offset"
     return (
         "With exactly solved QPs, the controller holds the ship on station "
-        f"({_format_station_limits(farthest)}){weather} {where}{moves}. {largest} is "
+        f"({_format_station_limits(farthest)}){moves}{weather} {where}. {largest} is "
         f"{significant(run.exact_offset_max_m)} m{at} "
         f"({significant(run.exact_offset_end_m)} m at {end})."
     )
