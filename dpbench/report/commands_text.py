@@ -31,8 +31,8 @@ def describe_subject(records: Records, suite: SuiteDescription) -> str:
 def describe_disturbed_times(records: Records) -> str:
     """Return what disturbed the timed replays, and what to do, as text; "" on a quiet machine."""
     states = describe_machine_states(select_timed_replays(records))
-    note = "such times do not rank solvers of similar speed; measure them again on an idle machine"
-    return "" if states.startswith("quiet") else f"{states}; {note}"
+    note = "Times under such load do not rank solvers of similar speed; measure again on an idle"
+    return "" if states.startswith("quiet") else f"{states}. {note} machine"
 
 
 def describe_machine(records: Records, machine: Mapping[str, Any]) -> str:
@@ -113,9 +113,11 @@ def _describe_design(records: Records) -> str:
     if timed := select_timed_replays(records):
         counts = sorted({int(run.rounds) for run in timed})
         rounds = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
+        has_windows = any(run.steps_searched_for_hardest for run in timed)
+        replays = "replays and windows" if has_windows else "replays"
         texts.append(
-            f"Rounds of each replay: {rounds}; each step counts with its fastest round. Over "
-            f"all of them, the machine was {describe_machine_states(timed)}. "
+            f"Rounds of each replay: {rounds}; each step counts with its fastest round. Over all "
+            f"{replays}, the machine was {describe_machine_states(timed)}. "
         )
     return "".join(texts)
 
@@ -132,12 +134,12 @@ def _describe_counted_runs(runs: Sequence[RunRecord], records: Records) -> str:
     excluded = [f"{plural(count, 'run')} {what}" for what, count in apart.items() if count]
     if calibration := len(records.calibration):
         excluded.append(plural(calibration, "calibration run"))
-    notes = [f". The number of runs includes {plural(refused, 'refused run')}"] * bool(refused)
+    notes = [f"include {plural(refused, 'refused run')}"] * bool(refused)
     if twice:
-        why = "because two names of settings stand for the same options"
-        notes.append(f". Both numbers count {plural(twice, 'run')} twice, {why}")
-    notes += [f". Both numbers exclude {join_with_and(excluded)}"] * bool(excluded)
-    return "".join(notes)
+        why = "two settings names with the same solver options"
+        notes.append(f"count {plural(twice, 'run')} twice ({why})")
+    notes += [f"exclude {join_with_and(excluded)}"] * bool(excluded)
+    return f". These numbers {join_with_and(notes)}" * bool(notes)
 
 
 def describe_machine_states(runs: Sequence[RunRecord]) -> str:

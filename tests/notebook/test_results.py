@@ -212,7 +212,7 @@ def test_results_name_what_disturbed_their_times(results: Results, switches: int
     runs = results.runs.assign(**quiet, replay_s=1.0, involuntary_switches=switches)
     shown = replace(results, runs=runs)
     cause = "67 involuntary context switches per second"
-    warning = f"the machine was affected by other load: {cause}; such times do not"
+    warning = f"the machine was affected by other load: {cause}. Times under such load do not"
     for text in (repr(shown), shown._repr_html_()):
         assert (warning in text.replace("The machine", "the machine")) == (switches > 0)
         assert ("affected by other load" in text) == (switches > 0)

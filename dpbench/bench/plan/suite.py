@@ -318,7 +318,7 @@ class SuiteFile(FileModel):
     replay_budget_s: NotNegative = 0.0
     """Run time after which a replay gets no further round [s]; 0: no limit."""
     repeat_budget_s: NotNegative = 0.25
-    """Run time for repeating rounds of a replay that other work slowed [s]; 0: no repeats."""
+    """Run time for repeating rounds of a replay that other load slowed [s]; 0: no repeats."""
     rounds: Annotated[int, Field(ge=1)] = 5
     """Rounds of a replay that count."""
     warmup_steps: Count = 50

@@ -150,11 +150,11 @@ def _yield_unfinished_sentences(study: Study) -> Iterator[str]:
 
 
 def yield_disturbance_sentences(studies: Sequence[Study]) -> Iterator[str]:
-    """Yield a sentence on other work that disturbed the step times of each disturbed study."""
+    """Yield a sentence on other load that disturbed the step times of each disturbed study."""
     for study in studies:
         if study.disturbance and study.is_disturbed:
             yield (
-                f"`{study.name}`: other work disturbed the machine: "
+                f"`{study.name}`: other load disturbed the machine: "
                 f"{join_with_and(study.disturbance.complaints())}. An effect on step times is "
                 f"shown only if its whole interval is {BEYOND_LOAD}: other load may cause a "
                 "smaller one."

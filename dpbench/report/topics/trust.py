@@ -43,7 +43,6 @@ COVERED = (
     "The results do not cover other {}, times measured on an embedded core, or steps harder than "
     "those that were run."
 )
-COMPARED = "To compare machines, run the suite on each of them."
 
 
 def _describe_round_spread(records: Records, *, is_quiet: bool) -> list[str]:
@@ -61,7 +60,8 @@ def _describe_round_spread(records: Records, *, is_quiet: bool) -> list[str]:
         *([few] if count < LEAST_CONFIGURATIONS else ()),
     ]
     spread = (
-        f"This run gives no estimate of how much times differ between days: {join_with_and(why)}."
+        f"These results give no estimate of how much times differ from day to day, because "
+        f"{join_with_and(why)}."
         if why
         else "The median step times of the slowest and the fastest round differ by a factor of at "
         f"most {significant(usual)} for half of the configurations, and of at most "
@@ -104,16 +104,19 @@ def _describe_measured_waits(measured: Mapping[str, float], shortest_ns: float) 
 
 
 def _describe_machine_load(timed: Sequence[RunRecord]) -> str:
-    """Return a text on whether other work disturbed the machine while it timed solvers.
+    """Return a text on whether other load disturbed the machine while it timed solvers.
 
     Like the line on the machine, it judges each command; single replays may be worse.
     """
     states, disturbance = describe_machine_states(timed), sum_disturbances(timed)
     if not states.startswith("quiet"):
         causes = states.replace("affected by other load: ", "")
-        return f"Other work disturbed the machine: {causes}. Times may be too long."
+        return (
+            f"Other load disturbed the machine: {causes}. The measured times may be longer than "
+            "on an idle machine."
+        )
     if timed[0].mode != "replay":
-        return "Other work did not disturb these closed loops."
+        return "Other load did not disturb these closed loops."
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     return (
         f"The machine was quiet on average over the run. In all replays{windows}, "
@@ -130,14 +133,15 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
         f"Taken one by one, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
-        f"exceeded a limit of a quiet machine ({' or '.join(kinds)}). A ratio with such a replay "
-        "is significant only if its whole interval is outside the range from 1/s to s, where s is "
-        "the time of the slowest round of the replay divided by that of its fastest round."
+        f"exceeded a limit of a quiet machine ({' or '.join(kinds)}). A ratio of step times "
+        "from such a replay is significant only if the whole interval of the ratio is outside the "
+        "range from 1/s to s, where s is the time of the slowest round of the replay divided by "
+        "that of its fastest round."
     )
 
 
 def _describe_disturbed_rounds(disturbance: Disturbance) -> str:
-    """Return how many rounds were repeated as other work disturbed them, and remained disturbed."""
+    """Return how many rounds were repeated as other load disturbed them, and remained disturbed."""
     remaining, rounds = disturbance.disturbed, plural(disturbance.rounds, "round")
     limit = f"limit {100 * MAX_DISTURBED_SHARE:g} %"
     share = format_share(remaining / disturbance.rounds) if disturbance.rounds else MISSING
@@ -149,7 +153,7 @@ def _describe_disturbed_rounds(disturbance: Disturbance) -> str:
         return f"{left} of {rounds} remained disturbed ({share}, {limit})"
     were = "was" if disturbance.rerun == 1 else "were"
     return (
-        f"{format_count(disturbance.rerun)} of {rounds} {were} repeated because other work "
+        f"{format_count(disturbance.rerun)} of {rounds} {were} repeated because other load "
         f"disturbed them, and {left} remained disturbed ({share}, {limit})"
     )
 
@@ -204,8 +208,8 @@ def build_trust_topic(records: Records) -> Topic | None:
             Table(
                 ("property", "value"),
                 tuple(data.items()),
-                "Machine and accuracy of its times",
-                " ".join(filter(None, [*notes, COMPARED])),
+                "Machine and timing",
+                " ".join(filter(None, notes)),
                 folded=True,
             ),
         ),

@@ -163,12 +163,12 @@ def test_records_without_counters_say_nothing(records: Any) -> None:
             4,
             "most 2.00 for half of the configurations, and of at most 2.00 for 95 % of them. Runs",
         ),
-        (3, 4, "differ between days: only 3 configurations had two rounds."),
-        (4, 900, "no estimate of how much times differ between days: the machine was disturbed."),
+        (3, 4, "differ from day to day, because only 3 configurations had two rounds."),
+        (4, 900, "how much times differ from day to day, because the machine was disturbed."),
         (
             1,
             900,
-            "between days: the machine was disturbed and only 1 configuration had two rounds.",
+            "because the machine was disturbed and only 1 configuration had two rounds.",
         ),
     ],
 )
@@ -198,7 +198,7 @@ def test_one_disturbed_command_among_quiet_ones_is_not_called_quiet(records: Any
     topic = build_trust_topic(records.view())
     assert topic is not None
     (load,) = (line for line in topic.lines if "4 of 8 rounds disturbed" in line)
-    assert load.startswith("Other work disturbed the machine: ")
+    assert load.startswith("Other load disturbed the machine: ")
     assert "quiet (command of 2026-11-28 08:00:00 UTC)" in load
 
 
@@ -215,12 +215,12 @@ def test_a_replay_that_is_worse_than_the_limits_alone_is_counted(records: Any) -
         if line.startswith("The machine was quiet on average over the run. In all replays, ")
     )
     assert (
-        "In all replays, 4 of 32 rounds were repeated because other work disturbed them, and 1 "
+        "In all replays, 4 of 32 rounds were repeated because other load disturbed them, and 1 "
         in load
     )
     assert load.endswith("remained disturbed (3.1 %, limit 5 %).")
     assert "Taken one by one, 1 of 4 replays " in topic.tables[0].note
     assert (
-        "exceeded a limit of a quiet machine (5 % disturbed rounds). A ratio with "
+        "exceeded a limit of a quiet machine (5 % disturbed rounds). A ratio of step times from "
         in topic.tables[0].note
     )

@@ -73,9 +73,9 @@ def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> N
     assert "3 runs with" in made and "`native warm`" in made
     assert "Rounds of each replay: 3; each step counts with its fastest round. Over all" in made
     assert (
-        "Both numbers count 1 run twice, because two names of settings stand for the same "
-        "options. Both numbers exclude 1 run on simulated slower computers and 1 run of "
-        "consequence analyses. Scenarios: `"
+        "These numbers count 1 run twice (two settings names with the same solver options) and "
+        "exclude 1 run on simulated slower computers and 1 run of consequence analyses. "
+        "Scenarios: `"
     ) in made
 
 

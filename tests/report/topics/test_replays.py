@@ -122,7 +122,7 @@ def test_repeated_rounds_of_a_quiet_machine_are_counted(records: Any) -> None:
         if line.startswith("The machine was quiet on average over the run. In all replays, ")
     )
     assert (
-        "In all replays, 2 of 3 rounds were repeated because other work disturbed them, and "
+        "In all replays, 2 of 3 rounds were repeated because other load disturbed them, and "
         "none remained disturbed (0 %, limit 5 %)." in quiet
     )
 

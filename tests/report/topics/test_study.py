@@ -129,9 +129,9 @@ def test_a_disturbed_machine_is_said_of_a_study(records: Any, switches: int) -> 
         records.sea("daqp", 0, sea, {EAST: 1.0}, **columns)
     found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None
-    said = [line for line in found.lines if "other work disturbed the machine" in line]
+    said = [line for line in found.lines if "other load disturbed the machine" in line]
     expected = (
-        "`seas`: other work disturbed the machine: 10 involuntary context switches per second. "
+        "`seas`: other load disturbed the machine: 10 involuntary context switches per second. "
         "An effect on step times is shown only if its whole interval is above +50 % or below "
         "−33 %: other load may cause a smaller one."
     )
@@ -144,7 +144,7 @@ def test_a_disturbed_machine_is_said_of_a_study(records: Any, switches: int) -> 
 
 @pytest.mark.parametrize("switches", [99, 101])
 def test_a_step_time_of_a_disturbed_machine_has_no_number(records: Any, switches: int) -> None:
-    """The error keeps its own: other work changes no answer."""
+    """The error keeps its own: other load changes no answer."""
     for sea in range(1, 7):
         for point, east in enumerate((0.0, 3.0)):
             columns = {"replay_s": 10.0, "involuntary_switches": switches, "r_95_m": 0.5 + east}
