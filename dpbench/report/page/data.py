@@ -39,7 +39,7 @@ MOST_RUNS = 20_000
 MOST_LOOPS = 400
 """Runs of studies on the page with their steps."""
 MOST_WINDOW_STEPS = 5
-"""Steps of a configuration's windows in the page's list of hardest steps."""
+"""Steps of a configuration's windows in the page's list of extreme steps."""
 
 
 def select_shown_runs(runs: Iterable[RunRecord]) -> list[RunRecord]:
@@ -189,7 +189,7 @@ class PageData(RunMatrix):
 
     @cached_property
     def longest_window_steps(self) -> dict[Configuration, list[tuple[int, int, float]]]:
-        """Longest steps of all windows by configuration: loop's experiment index, k, time [ns]."""
+        """Slowest steps of all windows by configuration: loop's experiment index, k, time [ns]."""
         loops = self.loop_indices
         windows = {
             run.run_id: run for _, run in self.windows if run.has_steps and run.scenario in loops
@@ -313,7 +313,7 @@ LABELS = {
     "algo_p99_ns": "p99",
     "window_p99_ns": "p99 of window",
     "scaled_p99_ns": "scaled p99",
-    "algo_max_ns": "longest step",
+    "algo_max_ns": "largest step time",
     "raw_p50_ns": "p50 of single timings",
     "raw_p99_ns": "p99 of single timings",
     "raw_max_ns": "largest single timing",
@@ -351,8 +351,8 @@ COLUMNS = {
     **RUN_COLUMNS,
     "scaled_p99_ns": (
         "float64",
-        "p99, scaled up if the closed loop takes more iterations; the largest of a configuration "
-        "is its limiting p99",
+        "p99, scaled up if the steps of the closed loop take more iterations; the largest of a "
+        "configuration is its limiting p99",
     ),
 }
 """Type and meaning of the columns of runs, with that which only the page has."""
@@ -365,7 +365,7 @@ MOST_ROWS = 3000
 def make_table_of_runs(data: PageData, runs: pd.DataFrame) -> dict[str, Any]:
     """Return the table of runs as columns for the page's script, without empty columns.
 
-    A window of hardest steps leads to its closed loop, if the page has that.
+    A window leads to its closed loop, if the page has that.
     """
     runs = runs.iloc[:MOST_ROWS]
     slowdown = runs["slowdown"].replace(0.0, np.nan)  # 0 stands for this machine

@@ -189,8 +189,8 @@ def test_the_hardest_steps_are_those_of_all_experiments_then_of_one(selected: An
     assert here.locator("summary").inner_text() == "Extreme steps of paper"
     heads = page.locator("#hard span").all_text_contents()
     error = "largest error of the first move [maximum increments]"
-    own = [error, "largest single timings, including interruptions by other work"]
-    assert heads[0] == "longest steps of replays and windows, each in its fastest round"
+    own = [error, "largest single timings, including interruptions by other load"]
+    assert heads[0] == "largest step times of replays and windows, each in its fastest round"
     assert heads[-2:] == own
     runs = page.evaluate(
         "facts.experiments.map((_, p) => cell(state.c, p)).filter((run) => run?.hard)"
@@ -314,7 +314,7 @@ def test_replays_alone_are_counted_as_uncontradicted(chromium: Any, tmp_path: Pa
         records.replay(solver, steps=200)
     with opening(chromium, write_report(records.write(tmp_path / "replays"))) as opened:
         output = opened("#slow=2").inner_text("#slow-kept").replace("\xa0", " ")
-    assert "2 of 2 borderline or inconclusive solvers still meet both limits" in output, output
+    assert ", both borderline or inconclusive solvers still meet both limits" in output, output
 
 
 def test_a_bound_is_never_rounded_up(selected: Any) -> None:
@@ -356,8 +356,10 @@ def _check_speed_margins(page: Any, facts: Any, slow: int) -> None:
     keep = [row for row in right if bounds[int(row["id"])] >= slow]
     output = page.inner_text("#slow-kept").replace("\xa0", " ")
     meet = f"{'still ' * (slow > 1)}{'meets' if len(keep) == 1 else 'meet'}"
-    limits = "both limits (p99 3 ms, longest step 300 ms)"
-    assert f"{len(keep)} of {len(right)} passing solvers {meet} {limits}" in output
+    limits = "both limits (p99 of 3 ms, longest step of 300 ms)"
+    count = f"all {len(right)}" if keep == right else f"{len(keep)} of the {len(right)}"
+    slowdown = f"{slow:,}".replace(",", "\u202f")
+    assert f"At a slowdown of × {slowdown}, {count} passing solvers {meet} {limits}" in output
     assert len(right) < len(drawn)
     named = [f"{r['solver']} (up to × {format_rounded_down(bounds[int(r['id'])])})" for r in keep]
     assert all((name in output) == (slow > 1 or len(keep) <= 4) for name in named)
@@ -382,7 +384,7 @@ def _check_speed_margins(page: Any, facts: Any, slow: int) -> None:
         assert slow == 1 or said is not None, output
         assert said is None or float(re.sub(r"\s", "", said[1])) == pytest.approx(share, rel=0.06)
         if slow == 1 and c == page.evaluate("facts.answer.first"):
-            assert output.startswith("At × 1, "), "its margin is in the summary"
+            assert output.startswith("At a slowdown of × 1, "), "its margin is in the summary"
             continue
         if verdict.state == "fail":
             assert " fails, so it has no speed margin. " in output and "up to a" not in output
@@ -521,7 +523,7 @@ def test_two_solvers_are_compared(selected: Any) -> None:
     ratio = re.search(r"takes ([\d.]+) times as long", output)
     assert output.startswith("piqp (")
     assert float(ratio[1]) == pytest.approx(90.0 / 18.0, rel=0.1)
-    assert re.search(r"over \d+ steps of paper \(replay\)", output)
+    assert re.search(r"over [\d\u202f]+ steps of paper \(replay\)", output)
     rows = "[[1, 2], [3, 4], [6, 5]].map(([a_us, b_us]) => ({ a_us, b_us, variables: 1 }))"
     slower = page.evaluate(f"slowerIn({rows}, 0.9, true)")
     assert slower == "It is slower in 2 of 3 steps, but the interval includes 1. "
@@ -578,6 +580,8 @@ def test_any_two_have_the_interval_of_their_ratio(selected: Any, written: Any) -
         reach = page.evaluate(f"reachOf({a}, {b})")
         assert reach == page.evaluate(f"reachOf({b}, {a})")
         assert reach == pytest.approx((ratio.high / ratio.low) ** 0.5, rel=1e-3)
+        of_steps = page.evaluate(f"ratioOf({a}, {b}, comparedSteps({a}, {b}))")
+        assert of_steps == pytest.approx(ratio.value, rel=3e-4)
 
 
 def test_the_keyboard_reaches_everything(opened: Any) -> None:

@@ -1,4 +1,4 @@
-"""Runs without a chart of their own: windows of hardest steps and call modes that are refused."""
+"""Runs without a chart of their own: windows and call modes that are refused."""
 
 import json
 from collections.abc import Callable, Iterator

@@ -34,8 +34,10 @@ function kept() {
   // A solver has further rows for custom settings.
   const solvers = right.sort((a, b) => b.margin - a.margin).filter((row, i) => right.findIndex((r) => r.solver === row.solver) === i);
   const safe = solvers.filter((row) => state.slow <= 1 || row.margin >= state.slow);
-  return `${own}${slowed}At × ${figure(state.slow)}, ${safe.length} of ${solvers.length} ${passing.length ? "passing" : "borderline or inconclusive"
-  } solvers ${state.slow > 1 ? "still " : ""}${safe.length === 1 ? "meets" : "meet"} both limits (p99 ${p99_ms} ms, longest step ${deadline_ms} ms)${
+  const every = { 1: "the one", 2: "both" }[solvers.length] ?? `all ${solvers.length}`;
+  const count = safe.length < solvers.length ? `${safe.length} of the ${solvers.length}` : every;
+  return `${own}${slowed}At a slowdown of × ${figure(state.slow)}, ${count} ${passing.length ? "passing" : "borderline or inconclusive"
+  } solver${solvers.length > 1 ? "s" : ""} ${state.slow > 1 ? "still " : ""}${safe.length === 1 ? "meets" : "meet"} both limits (p99 of ${p99_ms} ms, longest step of ${deadline_ms} ms)${
     listed(safe, (row) => `${withSettings(Number(row.id))} (up to × ${roundedDown(row.margin)})`)}.`;
 }
 

@@ -142,7 +142,7 @@ async function drawOne() {
   $("figure-strips").hidden = $("strips-said").hidden = !drawn;
   $("strips-time").textContent = facts.experiments[state.p].mode === "replay"
     ? "Step time, error and iterations of each step. Each dot is one step, in its fastest round. The grey line ends at its largest timing. A replay has no plant, so no ship is shown."
-    : "Step time, error, iterations and forces of each step. Each dot is one step. Do not compare its time with that of another solver: it was timed once, while other runs used the machine.";
+    : "Step time, error, iterations and forces of each step. Each dot is one step. Do not compare these times with those of another solver: each step was timed once, while other runs used the machine.";
   const thinned = drawn && facts.arrays[run.t][4] !== undefined;
   $("strips-kept").hidden = !thinned;
   if (thinned) $("strips-kept").replaceChildren(...coded(
@@ -169,7 +169,7 @@ async function drawOne() {
 function worstAnywhere(m) {
   const known = facts.experiments.flatMap((experiment, p) => (experiment.trial || (m === 0 && experiment.mode !== "replay") ? []
     : cell(state.c, p)?.hard?.[m] ?? []).map(([k, value]) => ({ p, k, value })));
-  // Windows of hardest steps have no experiment of their own: their steps are shown in the loop.
+  // Windows have no experiment of their own: their steps are shown in the loop.
   if (m === 0) known.push(...C().longest_in_windows[state.c].map(([p, k, value]) => ({ p, k, value })));
   const rank = (x) => (x === "inf" ? Infinity : x);
   return known.sort((a, b) => rank(b.value) - rank(a.value))
@@ -200,7 +200,7 @@ const written = (m, value) => (m === 0 ? time(value) : m === 1 && value ? groupe
 function drawHard(run) {
   const replayed = facts.experiments[state.p].mode === "replay";
   const names = [
-    replayed ? "longest steps, each in its fastest round" : "largest single timings, including interruptions by other work", "most iterations", "largest error of the first move [maximum increments]",
+    replayed ? "largest step times, each in its fastest round" : "largest single timings, including interruptions by other load", "most iterations", "largest error of the first move [maximum increments]",
   ];
   const row = (name, steps) => {
     const line = document.createElement("p"), head = document.createElement("span");
@@ -224,7 +224,7 @@ function drawHard(run) {
   // Of a single experiment its own lines are enough.
   const several = facts.experiments.filter((_, p) => cell(state.c, p)?.hard).length > 1;
   const most = varies(state.c) ? [1] : [], worst = most.length && !["late", "fail"].includes(C().verdict[state.c]) ? [] : [2];
-  const everywhere = [[0, "longest steps of replays and windows, each in its fastest round"],
+  const everywhere = [[0, "largest step times of replays and windows, each in its fastest round"],
     ...[...worst, ...most].map((m) => [m, names[m]])];
   const place = `\`${facts.experiments[state.p].label}\``;
   const anywhere = several ? everywhere.map(([m, name]) => row(name, worstAnywhere(m).map(said(m)))) : [];
