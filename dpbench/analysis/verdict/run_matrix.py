@@ -1,7 +1,7 @@
 """Runs by configuration and experiment, each judged alone: the cells of the page's grid.
 
 An experiment has its scenarios in closed loop and sequences in replay, in the order of the suite,
-then the realisations of studies. A window of the hardest steps counts in its scenario's closed
+then the realisations of studies. A window counts in its scenario's closed
 loop.
 """
 
@@ -172,7 +172,7 @@ class RunMatrix:
 
     @cached_property
     def windows(self) -> list[tuple[Configuration, RunRecord]]:
-        """Replays of hardest steps in scaled units, with their configuration."""
+        """Windows in scaled units, with their configuration."""
         return [
             (get_configuration_in_common_form(run), run)
             for run in self.records.select_runs(mode="replay", units="scaled")

@@ -251,7 +251,7 @@ def _plan_scenario_replays(
 
 
 def _refuse_impossible_window(table: ReplayTable, scenario: Scenario) -> None:
-    """Raise InputError where a suite table has an impossible window of hardest steps."""
+    """Raise InputError where a suite table has an impossible window."""
     found, allowed = str(table.hardest), ""
     if table.steps and table.hardest > table.steps:
         allowed = f"at most {table.steps}, the number of steps to choose from"

@@ -330,7 +330,7 @@ def _list_remarks(
     if timed and not has_enough_samples_for_percentile(longest, 99):
         of, hardest = max((cell.source.count_stretch_steps(0), cell.steps) for cell in timed)
         judged = (
-            f"the p99 of {of} steps, the hardest {hardest} of which are replayed, is judged instead"
+            f"the p99 of {of} steps, estimated from a window of {hardest}, is judged instead"
             if of >= LEAST_STRETCH
             else "the longest step is judged instead"
         )

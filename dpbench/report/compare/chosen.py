@@ -33,7 +33,7 @@ NOTE = (
     "Second/first: time of the second divided by that of the first on the same steps, timed in "
     "turn; above 1 the second is slower. It is a geometric mean in which replays of one size have "
     "equal weight, with a 95 % interval from 500 steps on. The interval is valid for this run "
-    "only; ratios of two runs can differ by more. Windows of hardest steps are not counted. A "
+    "only; ratios of two runs can differ by more. Windows are not counted. A "
     "configuration that fails also has a ratio, although its answers are not accurate on every "
     "step."
 )

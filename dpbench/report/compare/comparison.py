@@ -512,7 +512,7 @@ def _make_summary_lines(
         )
     windows = sum(pair.a.steps_searched_for_hardest > 0 for pair in pairs.pairs)
     if windows:
-        lines.append(f"{plural(windows, 'window')} of hardest steps: step times without a verdict")
+        lines.append(f"{plural(windows, 'window')}: step times without a verdict")
     lines += [describe_shared_factor(one) for one in shared]
     changes = Counter(answer.change for answer in figures)
     if figures:

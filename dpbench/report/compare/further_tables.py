@@ -1,4 +1,4 @@
-"""Further tables of a comparison: changed verdicts, windows of hardest steps, two settings."""
+"""Further tables of a comparison: changed verdicts, windows, two settings."""
 
 import math
 from collections.abc import Sequence
@@ -48,7 +48,7 @@ def make_verdicts_table(a: Records, b: Records, changes: Sequence[VerdictChange]
 
 
 def make_windows_table(a: Records, b: Records, pairs: Sequence[Pair]) -> Table | None:
-    """Return a table of step times in windows of hardest steps of two folders; None without one."""
+    """Return a table of step times in windows of two folders; None without one."""
     rows, of_medians = [], False
     for pair in pairs:
         if not (of := pair.a.steps_searched_for_hardest):
@@ -76,11 +76,11 @@ def make_windows_table(a: Records, b: Records, pairs: Sequence[Pair]) -> Table |
     if of_medians:
         ratio += " (the ratio of medians if a folder has no steps.parquet)"
     note = (
-        "The p99 is that of all steps from which the hardest were chosen; with fewer than 100 "
+        "The p99 is that of all steps from which the window was chosen; with fewer than 100 "
         f"steps it is the largest. B/A: {ratio}, including the machine factor. So few "
         "steps give no interval and no verdict."
     )
-    title = "Step times, windows of hardest steps"
+    title = "Step times, windows"
     return Table.from_rows(rows, title, note=note, text_columns=2) if rows else None
 
 

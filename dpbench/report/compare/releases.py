@@ -247,7 +247,7 @@ def _make_version_rows(history: History, histories: Histories) -> list[dict[str,
             if i
             else MISSING,
             f"p99{unit}": _format_time(release.p99, histories),
-            f"longest step{unit}": _format_time(release.largest, histories),
+            f"largest step time{unit}": _format_time(release.largest, histories),
             "largest error": format_error(release.largest_error_move),
             "false claims": _format_count(release.most_claimed_not_true_per_round),
             "failed steps": _format_count(release.most_failed_steps),
@@ -279,8 +279,8 @@ def write_releases(path: Path, releases: Releases) -> Path:
     table["age"] = table["age"].map(AGES)
     unit = f"× {releases.histories.reference}" if releases.histories.reference else "µs"
     charts = {
-        "Point p50, bar to p99 where 1000 steps support one, line to the longest step; replays, "
-        "the most usual configuration of each solver.": draw_release_times(table, unit),
+        "Point p50, bar to p99 where 1000 steps support one, line to the largest step time; "
+        "replays, the most usual configuration of each solver.": draw_release_times(table, unit),
         "The same runs; dashed: what the requirements allow. An error of exactly 0 has no point.": (
             draw_release_errors(table, releases.requirements.error_move)
         ),

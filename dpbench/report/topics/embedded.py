@@ -1,7 +1,6 @@
 """Cost of solvers as C on the ship's computer: instructions, memory, and the desk's ranking."""
 
 from collections.abc import Iterator
-from itertools import chain
 from typing import Any
 
 import pandas as pd
@@ -51,15 +50,15 @@ def build_embedded_topic(results: EmbeddedResults, requirements: Requirements) -
     if results.sequences:
         lines[0] = f"The solvers' C code was {describe_emulation(results.sequences)}. {lines[0]}"
     lines += yield_uncounted_sentences(results.not_counted)
-    left_out = yield_unranked_sentences(results.sequences), yield_uncounted_loops_sentences(results)
+    unranked = yield_unranked_sentences(results.sequences)
+    uncounted = [*yield_uncounted_loops_sentences(results)] or [WORST]
     fewest = min((group.steps for group in results.sequences), default=0)
     rough = (
         f"Over {fewest} steps, a p99 is a rough estimate, as at most "
         f"{plural(fewest // 100, 'step')} can exceed it. "
     ) * (0 < fewest < 1000)
     compiled = f"The C code was compiled by {', '.join(compilers)} with -O2."
-    note = f"{NOTE} {rough}{compiled} {WORST} {CAVEAT}"
-    note = " ".join([note, *chain(*left_out)])
+    note = " ".join([f"{NOTE} {rough}{compiled}", *uncounted, CAVEAT, *unranked])
     looks: dict[str, Any] = {"text_columns": 3, "folded": True, "labels": LABELS}
     tables = (Table.from_rows(rows, TABLE, note=note, **looks),) if rows else ()
     return Topic("embedded", TITLE, tuple(lines), tables=tables)

@@ -225,7 +225,7 @@ def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
     note = "Geometric mean of the step time ratios on common steps, in one call mode. "
     note += "The intervals are valid for these measurements only."
     windows = any(run.steps_searched_for_hardest for run in records.runs)
-    texts += ["Windows of hardest steps are not counted."] if windows else []
+    texts += ["Windows are not counted."] if windows else []
     table = Table.from_rows(rows, text_columns=2)
     grids = describe_best_of_grids(records, verdicts)
     return Topic(

@@ -27,7 +27,7 @@ def _labels(matrix: RunMatrix) -> list[str]:
 
 
 def _window(records: Any, solver: str, steps: int = 30, **columns: Any) -> None:
-    """A window of the hardest steps of `paper`."""
+    """A window of `paper`."""
     source = {"kind": "hardest", "name": "paper hardest 30", "of": 450}
     cell = {"scenario": records.scenario("paper").files, "source": source}
     name = "paper hardest 30"

@@ -67,14 +67,14 @@ def test_solvers_without_chosen_settings_are_named(suite: str) -> None:
         (
             450,
             4,
-            "4 steps, too few for a p99; the p99 of 450 steps, the hardest 4 of which are",
+            "4 steps, too few for a p99; the p99 of 450 steps, estimated from a window of 4, is",
         ),
     ],
 )
 def test_a_remark_says_what_is_judged_in_place_of_a_p99(
     suite: str, steps: int, hardest: int, judged: str
 ) -> None:
-    """A window of hardest steps has the p99 of what they are chosen from."""
+    """A window has the p99 of the steps that it is chosen from."""
     replays = f"steps = {steps}\nhardest = {hardest}\npolicies"
     Path(suite).write_text(SUITE.replace("steps = 5\npolicies", replays))
     (remark,) = RunRequest(suite).make_plan().remarks
