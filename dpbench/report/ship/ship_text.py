@@ -377,13 +377,11 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         at, end = f", {_format_time_of_offset(run)} of {_locate_ship(farthest)}", "its end"
     from_deg = find_weather_direction(ship.run for ship in known)
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
-    moves, largest = "", "The largest offset"
-    if any(ship.has_transfer for ship in kept):
-        moves = " from its arrival there on,"
-        largest = "On station, the largest offset"
+    moves = any(ship.has_transfer for ship in kept)
+    before = " Offsets before the ship arrives on station do not count." * moves
     return (
         "With exactly solved QPs, the controller holds the ship on station "
-        f"({_format_station_limits(farthest)}){moves}{weather} {where}. {largest} is "
+        f"({_format_station_limits(farthest)}){weather} {where}.{before} The largest offset is "
         f"{significant(run.exact_offset_max_m)} m{at} "
         f"({significant(run.exact_offset_end_m)} m at {end})."
     )
