@@ -330,7 +330,8 @@ def add_init_options(init: Command) -> None:
     _option(ship, "--breadth", "M", "breadth [m]")
     _option(ship, "--draught", "M", "draught [m]")
     _option(ship, "--displacement", "T", "displacement [t]")
-    _option(ship, "--like", "VESSEL", "library vessel to scale (default: the nearest in size)")
+    like = "library vessel from which the ship is scaled (default: the nearest in size)"
+    _option(ship, "--like", "VESSEL", like)
     _option(ship, "--from-mss", "FILE.mat", "read the hull from a vessel of the MSS toolbox")
     _option(ship, "--from-csv", "FILE.csv", "read the hull from rows of coefficient,value")
     thrust = init.add_argument_group("thrust")

@@ -616,7 +616,7 @@ def find_mean_share(vessel: Vessel, number: int, held: HeldSea | None = None) ->
 
 
 def choose_limits(vessel: Vessel) -> str:
-    """Return "attainable" if controllers of three forces can limit them by thrusters, else "box".
+    """Return "attainable" if controllers with three forces can be limited by thrusters, else "box".
 
     Box limits where there are no thrusters, where one has a sector, or where the attainable set
     has more than `MOST_FACETS` facets.
