@@ -19,9 +19,6 @@ FOLLOWED_BY = re.compile(
     re.M | re.S,
 )
 LINKED = "the README has at most 120 lines; the guide of its task shows the output"
-MINUTES = "a campaign of more than ten minutes"
-AGAIN = "it prints what the first `dpbench run seas` of the page prints"
-ONE_SOLVER = "it takes some minutes; the page shows the output with one solver"
 WITHOUT = {
     "README.md": {
         "dpbench doctor": LINKED,
@@ -37,14 +34,8 @@ WITHOUT = {
         "dpbench check my_ship.toml": LINKED,
         "dpbench run my_ship_suite.toml --open": LINKED,
     },
-    "clusters.md": {"dpbench run seas --engine dask --jobs 2": AGAIN},
     "containers.md": {"python -m dpbench.cli.compiling": "it prints nothing"},
     "embedded.md": {"dpbench run standard": "report.md shows the output"},
-    "thrusters.md": {"dpbench run thrusters": MINUTES},
-    "own-thrusters.md": {
-        "dpbench run my_ship_suite.toml --out results/my_ship": ONE_SOLVER,
-        "dpbench report results/my_ship --statement my_ship.pdf": ONE_SOLVER,
-    },
 }
 """Commands whose output their page does not show, by page, with the reason."""
 PROMPT = "$ "
