@@ -116,8 +116,8 @@ def _describe_design(records: Records) -> str:
         has_windows = any(run.steps_searched_for_hardest for run in timed)
         replays = "replays and windows" if has_windows else "replays"
         texts.append(
-            f"Rounds of each replay: {rounds}; each step counts with its fastest round. Over all "
-            f"{replays}, the machine was {describe_machine_states(timed)}. "
+            f"Rounds of each replay: {rounds}; the time of each step is that of its fastest round. "
+            f"Over all {replays}, the machine was {describe_machine_states(timed)}. "
         )
     return "".join(texts)
 

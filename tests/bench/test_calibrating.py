@@ -172,7 +172,7 @@ def test_a_part_of_a_suite_may_be_an_own_configuration(folder: Path, tmp_path: P
     assert runs["solver"].tolist() == [NO_OP]
     text = write_report(out).with_suffix(".md").read_text(encoding="utf-8")
     assert (
-        "\n\nThe machine was quiet on average over the run" in text
+        "\n\nOver all replays, the machine was quiet" in text
         or "\n\nOther load disturbed the machine" in text
     )
     assert "recommended" not in text and "requirements" not in text.lower()

@@ -228,13 +228,18 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
         max(m.p99.run.untimed_iterations, m.hardest.run.untimed_iterations_max) > 1.0
         for _, m in timed
     )
-    scaled = " Both are scaled up if the steps of the closed loop take more iterations." * is_scaled
+    scaled = (
+        " Both are scaled up if the closed loop takes more iterations than the replay or window."
+        * is_scaled
+    )
     without = " (without a p99: longest step)" * any(math.isnan(v.p99_ns) for v, _ in timed)
     return (
-        "The limiting p99 and the longest step are the largest of all replays and windows."
-        f"{scaled} The speed margin is the factor by which the computer may be slower, rounded "
-        f"down. It is the smaller of two ratios: {requirements.p99_ms:g} ms / limiting p99"
-        f"{without} and {requirements.deadline_ms:g} ms / longest step."
+        "The limiting p99 is the largest p99 of all replays and windows, and the longest step is "
+        "their largest step time."
+        f"{scaled} The speed margin is the factor by which the ship's computer may be slower than "
+        "this machine, rounded down; below 1, it must be faster. It is the smaller of two ratios: "
+        f"{requirements.p99_ms:g} ms / limiting p99{without} and {requirements.deadline_ms:g} ms / "
+        "longest step."
     )
 
 
@@ -292,8 +297,8 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
         yield _locate_times("p50", usual, "from")
     if any(_is_window(v.p99_run) for v in placed):
         yield (
-            "A limiting p99 from a window has no confidence interval, as only the steps around the "
-            "hardest step were replayed."
+            "A limiting p99 from a window has no confidence interval, as a window is only a part "
+            "of the scenario."
         )
     for name, found in (("limiting p99", worst), ("longest step", hardest)):
         if any(found[label] != usual.get(label, "") for label in found):
@@ -333,7 +338,7 @@ def _locate_times(time: str, names: Mapping[str, str], preposition: str) -> str:
     Examples
     --------
     >>> _locate_times("longest step", {"daqp": "turn", "osqp": "turn", "piqp": "rough"}, "in")
-    'The longest step is in turn; that of piqp is in rough.'
+    'The longest step is in turn, except that of piqp (in rough).'
     """
     of_name = group_by_key(names, lambda label: names[label])
     most, *others = sorted(of_name, key=lambda name: -len(of_name[name]))
@@ -346,10 +351,10 @@ def _locate_times(time: str, names: Mapping[str, str], preposition: str) -> str:
         return f"{join_with_and([first, *counts])}."
     clauses = [
         f"{'that' if len(of_name[name]) == 1 else 'those'} of {join_with_and(of_name[name])} "
-        f"{'is' if len(of_name[name]) == 1 else 'are'} {preposition} {name}"
+        f"({preposition} {name})"
         for name in others
     ]
-    return f"{lead}; {join_with_and(clauses)}."
+    return f"{lead}, except {join_with_and(clauses)}."
 
 
 def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:

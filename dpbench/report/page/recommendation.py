@@ -483,17 +483,16 @@ def _describe_limiting_p99(margin: SpeedMargin) -> str:
         take = "takes" if beyond == 1 else "take"
         share = f"1 % of {format_count(steps)}{', rounded down' * (steps % 100 > 0)}"
         measured = (
-            f"The p99 of the {format_count(steps)} steps of `{run.scenario}` is estimated from the "
-            f"{plural(run.steps_planned, 'step')} of its window: {beyond} of them ({share}) {take} "
-            f"longer than {time}"
+            f"The p99 of the {format_count(steps)} steps of `{run.scenario}` is estimated from its "
+            f"window of {plural(run.steps_planned, 'step')}: it is {time}, as {beyond} of these "
+            f"steps ({share}) {take} longer"
         )
         estimated = " This estimate has no confidence interval."
     if not run.untimed_iterations > 1.0:
         return f"{measured}.{estimated}"
     return (
-        f"{measured}. The steps of the closed loop take more iterations than those of {replayed}, "
-        f"so the {time} are scaled up to the limiting p99 of {format_time(margin.limiting_p99_ns)}."
-        f"{estimated}"
+        f"{measured}. The p99 of iterations is larger in the closed loop than in {replayed}, so "
+        f"the limiting p99 is scaled up to {format_time(margin.limiting_p99_ns)}.{estimated}"
     )
 
 

@@ -15,8 +15,8 @@ from dpbench.report.ship.ship_text import list_losses
 from dpbench.report.words import term_meanings, topics
 
 _OWN_PHRASES = (
-    "active limits, certified optimum, claimed, closed loop, deadline, deployable, requirements, "
-    "disturbed, reference loop, failed step, fallback, fresh, interval, jitter, "
+    "accurate, active limits, certified optimum, claimed, closed loop, deadline, deployable, "
+    "requirements, disturbed, reference loop, failed step, fallback, fresh, interval, "
     "native, paired ratio, qpsolvers, radial error, rate limit, maximum increment, "
     "on station, referee, region of attraction, replay, reuse, round, settings, warm, call mode, "
     "window"

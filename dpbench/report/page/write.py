@@ -203,7 +203,7 @@ FILES = {
     "machine.json": "description of the machine and versions of its software",
     "suite.json": "the suite that was run, its start and duration, and the revision of dpbench",
     "suite.toml": "the suite alone, to run it again: `dpbench run suite.toml`",
-    "tables/runs.csv": "the runs as CSV; README.md in the same folder describes all tables",
+    "tables/runs.csv": "the runs as CSV; tables/README.md describes all tables",
 }
 VARIABLES = {
     style.INK: "var(--ink)",

@@ -91,9 +91,9 @@ def _describe_thruster_load(
     names = join_with_and([f"`{name}`" for name in sorted(best)])
     all_runs = " of all these scenarios" * (len(best) > 1)
     return (
-        f"In the accurate closed loop of `{hardest.scenario}` nearest to the reference loop, at "
-        f"least one thruster is at its thrust limit in {100.0 * hardest.at_limit_thrusters:.0f} % "
-        f"of the {plural(hardest.steps_done, 'step')}. "
+        f"At least one thruster is at its thrust limit in "
+        f"{100.0 * hardest.at_limit_thrusters:.0f} % of the {plural(hardest.steps_done, 'step')} "
+        f"of `{hardest.scenario}`, in the accurate closed loop closest to the reference loop. "
         f"{whole} of the {plural(len(configurations), 'configuration')} run in {names} "
         f"{'is' if whole == 1 else 'are'} accurate on every step{all_runs}."
     )

@@ -119,7 +119,7 @@ def _describe_machine_load(timed: Sequence[RunRecord]) -> str:
         return "Other load did not disturb these closed loops."
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     return (
-        f"The machine was quiet on average over the run. In all replays{windows}, "
+        f"Over all replays{windows}, the machine was quiet: "
         f"{_describe_disturbed_rounds(disturbance)}."
     )
 
@@ -133,7 +133,7 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
         f"Taken one by one, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
-        f"exceeded a limit of a quiet machine ({' or '.join(kinds)}). A ratio of step times "
+        f"exceeded a limit for a quiet machine ({' or '.join(kinds)}). A ratio of step times "
         "from such a replay is significant only if the whole interval of the ratio is outside the "
         "range from 1/s to s, where s is the time of the slowest round of the replay divided by "
         "that of its fastest round."

@@ -81,8 +81,8 @@ def _describe_time_limits(requirements: Requirements) -> str:
     share = f"{100.0 * requirements.p99_ms / requirements.deadline_ms:.2g}"
     return (
         f"a p99 step time of at most {requirements.p99_ms:g} ms ({share} % of the deadline); "
-        f"and every step within the deadline of {requirements.deadline_ms:g} ms. Each step counts "
-        "with its fastest round"
+        f"and every step within the deadline of {requirements.deadline_ms:g} ms. The time of "
+        "each step is that of its fastest round"
     )
 
 

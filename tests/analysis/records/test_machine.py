@@ -210,17 +210,15 @@ def test_a_replay_that_is_worse_than_the_limits_alone_is_counted(records: Any) -
     topic = build_trust_topic(records.view())
     assert topic is not None
     (load,) = (
-        line
-        for line in topic.lines
-        if line.startswith("The machine was quiet on average over the run. In all replays, ")
+        line for line in topic.lines if line.startswith("Over all replays, the machine was quiet: ")
     )
     assert (
-        "In all replays, 4 of 32 rounds were repeated because other load disturbed them, and 1 "
-        in load
+        "Over all replays, the machine was quiet: 4 of 32 rounds were repeated because "
+        "other load disturbed them, and 1 " in load
     )
     assert load.endswith("remained disturbed (3.1 %, limit 5 %).")
     assert "Taken one by one, 1 of 4 replays " in topic.tables[0].note
     assert (
-        "exceeded a limit of a quiet machine (5 % disturbed rounds). A ratio of step times from "
+        "exceeded a limit for a quiet machine (5 % disturbed rounds). A ratio of step times from "
         in topic.tables[0].note
     )

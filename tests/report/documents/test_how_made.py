@@ -71,7 +71,10 @@ def test_runs_that_are_not_counted_or_counted_twice_are_named(records: Any) -> N
     assert len(frame) == 5
     made = _paragraph(make_report_markdown(Report.from_results(records.results())))
     assert "3 runs with" in made and "`native warm`" in made
-    assert "Rounds of each replay: 3; each step counts with its fastest round. Over all" in made
+    assert (
+        "Rounds of each replay: 3; the time of each step is that of its fastest round. Over all"
+        in made
+    )
     assert (
         "These numbers count 1 run twice (two settings names with the same solver options) and "
         "exclude 1 run on simulated slower computers and 1 run of consequence analyses. "
