@@ -28,8 +28,8 @@ _BAD_INPUT = "2 bad input"
 _LOST = "1 a run was lost through a fault of dpbench or the machine (repeat the command)"
 _NOT_HELD = "with --strict, a ship does not stay on station in a closed loop"
 _BUSY = (
-    f"{_BAD_INPUT}, or another dpbench command still uses the machine (when the time of --wait is "
-    "over, or at once with --no-wait)"
+    f"{_BAD_INPUT}, or another dpbench command is using the machine (still after the --wait time, "
+    "or at once with --no-wait)"
 )
 
 
@@ -287,9 +287,9 @@ COMMANDS: dict[str, CommandHelp] = {
         f"different number of iterations on a tested QP than in the proof; {_BAD_INPUT}",
         "Prove a bound on the iterations that the solver paper_active_set takes from a cold start "
         "on the QPs of a controller. The bound covers every QP whose parameters (offset, speed, "
-        "previous force and change of speed) lie in a box. With --box 1, it contains offsets up "
-        "to 50 m and 30°, speeds up to 1 m/s and 1°/s, and all forces within the limits. The "
-        "command prints the whole box.",
+        "previous force and change of speed) lie in a box. With --box 1, the box contains "
+        "offsets up to 50 m and 30°, speeds up to 1 m/s and 1°/s, and all forces within the "
+        "limits. The command prints the whole box.",
     ),
     "active-sets": CommandHelp(
         _ANALYSE,
@@ -303,8 +303,9 @@ COMMANDS: dict[str, CommandHelp] = {
         options.add_tune_solver_options,
         ("tune-solver osqp", "tune-solver 'osqp[rho=1.6]' --range 'rho=[0.1,10]'"),
         "0 done: the best settings pass on every training and test sequence; 1 no settings are "
-        "accurate on every training sequence, or the best settings fail on a training or test "
-        f"sequence; {_BUSY}; 130 interrupted (the best settings so far are written)",
+        "accurate on every training sequence in the search, or the best settings fail on a "
+        f"training or test sequence in the final measurement; {_BUSY}; 130 interrupted (the best "
+        "settings so far are written)",
         "Search for the fastest settings with which a solver is accurate on all training "
         "sequences. Then measure the best settings on test sequences of other scenarios. Faster "
         "settings may exist. Ctrl-C writes the best settings so far; the same command continues "
@@ -321,18 +322,17 @@ COMMANDS: dict[str, CommandHelp] = {
         ),
         text="Write NAME.toml (vessel), NAME_weather.toml (scenario) and NAME_suite.toml (suite). "
         "Comments in them explain how the main values were derived. With --thrusters, also "
-        "write:\n"
-        "  NAME_thrusters.toml   scenario in which the controller commands each\n"
-        "                        thruster, with the loss of the worst failure group\n"
-        "                        (thrusters that fail together) after which the\n"
-        "                        ship holds station\n"
-        "  NAME_loss_*.toml      scenarios with the other losses\n"
-        "  NAME_intact.toml      scenario without a loss, in the highest sea from 30°\n"
-        "                        off the bow in which the ship holds station (only\n"
-        "                        if higher than the sea of NAME_thrusters.toml)\n"
-        "  NAME_weak_side.toml   scenario with weather from the direction from which\n"
-        "                        the ship holds station against the least wind\n"
+        "write a capability plot and scenarios in which the controller commands each thruster, "
+        "most with the loss of a failure group (thrusters that fail together):\n"
+        "  NAME_thrusters.toml   loss of the worst failure group that the ship can lose\n"
+        "                        and still hold station\n"
+        "  NAME_loss_*.toml      losses of other failure groups, in the same sea\n"
+        "  NAME_intact.toml      no loss, in the highest sea in which the ship holds\n"
+        "                        station (if higher than that of NAME_thrusters.toml)\n"
+        "  NAME_weak_side.toml   loss of NAME_thrusters.toml; weather from the side from\n"
+        "                        which the least wind drives the ship off station\n"
         "  NAME_capability.svg   capability plot\n"
+        "The weather comes from 30° off the bow, except in NAME_weak_side.toml.\n"
         "In the file of --thrusters, give the allowed sector or the barred zone of an azimuth "
         "thruster in degrees clockwise from ahead. Give the directions in which the thruster "
         "pushes the ship; its race (wash) goes the opposite way. For example, if the race of a "
@@ -353,11 +353,11 @@ COMMANDS: dict[str, CommandHelp] = {
         "Search for controller weights and horizons for a ship",
         options.add_tune_options,
         ("tune my_ship_weather.toml --seas 4,5", "tune my_ship_weak_side.toml my_ship_intact.toml"),
-        "0 a controller was found that keeps the ship within --margin; 1 the best controller does "
-        f"not keep the ship within --margin in the search or in the test; {_BAD_INPUT}",
-        "Search for controller weights and horizons that keep the ship on station with a margin "
-        "and with little thruster wear. Test them in other realisations of the sea and write a "
-        "scenario with them. The largest offset in any of the scenarios is compared with "
+        "0 with the best controller, the ship stays on station within --margin; 1 with the best "
+        f"controller, it exceeds --margin in the search or in the test; {_BAD_INPUT}",
+        "Search for controller weights and horizons with which the ship stays on station with a "
+        "margin and with little thruster wear. Test them in other realisations of the sea and "
+        "write a scenario with them. The largest offset in any of the scenarios is compared with "
         "--margin. To continue after an interruption, run the same command again.",
     ),
     "capability": CommandHelp(

@@ -7,7 +7,7 @@ from typing import Any
 
 Command = Any  # A parser of a command, or a group of its arguments
 _AGAIN = "repeatable"
-_PRESETS = "default (the library's own), low (tolerance about 1e-3), mid (1e-6), high (1e-9)"
+_PRESETS = "default (the solver library's own), low (tolerance about 1e-3), mid (1e-6), high (1e-9)"
 _RANDOM = "random_mpc-STATES-INPUTS-HORIZON (QPs of a random MPC problem)"
 
 
@@ -82,8 +82,8 @@ def _add_suite_options(run: Command) -> None:
     )
     _repeated(choice, "--settings", "NAME", settings)
     route = (
-        "interface through which solvers are called: native (the library's own), qpsolvers (the "
-        "Python package) or default (each solver's own default); overrides the suite"
+        "interface through which solvers are called: native (the solver library's own), qpsolvers "
+        "(the Python package) or default (each solver's own default); overrides the suite"
     )
     _repeated(choice, "--route", "ROUTE", route, dest="routes")
     policy = (
@@ -117,9 +117,9 @@ def _add_execution_options(group: Command) -> None:
 def _add_wait_options(group: Command) -> None:
     """Add the options on how long to wait for another campaign to a command or a group of it."""
     wait = group.add_mutually_exclusive_group()
-    longest = "longest wait while another dpbench command uses this machine (default: no limit)"
+    longest = "longest wait while another dpbench command is using this machine (default: no limit)"
     _option(wait, "--wait", "SECONDS", longest, type=float, dest="wait_s")
-    never = "exit with 2 if another dpbench command uses this machine"
+    never = "exit with 2 if another dpbench command is using this machine"
     wait.add_argument("--no-wait", action="store_const", const=0.0, dest="wait_s", help=never)
 
 
@@ -148,7 +148,11 @@ def add_ending_options(group: Command) -> None:
     _flag(group, "--open", "open the report in a browser")
     _flag(group, "--json", "print the result as JSON")
     _flag(group, "--quiet", "print only the path of the report")
-    _flag(group, "--strict", "exit with 1 if a ship does not stay on station in a closed loop")
+    strict = (
+        "exit with 1 if a ship does not stay on station (5 m, 5°) in a closed loop, even with "
+        "exact solutions"
+    )
+    _flag(group, "--strict", strict)
 
 
 def add_report_options(report: Command) -> None:
@@ -164,11 +168,11 @@ def add_report_options(report: Command) -> None:
     formats = "also write the figures as svg, pdf or png"
     _repeated(more, "--figures", "FORMAT", formats, default=[])
     statement = (
-        "write a statement on the recommended solver for a classification society (.pdf or .svg)"
+        "write a statement for a classification society on the recommended solver (.pdf or .svg)"
     )
     _option(more, "--statement", "FILE", statement)
     comment = (
-        "write a comment for a pull request to SOLVER.md in the result folder: this solver (all "
+        "write SOLVER.md, a comment for a pull request, in the result folder: this solver (all "
         "settings) compared with others, and its worst steps in error, time and iterations"
     )
     _option(more, "--for", "SOLVER", comment, dest="solver")
@@ -196,8 +200,8 @@ def add_compare_options(compare: Command) -> None:
     releases = "compare each solver's releases across the folders"
     _flag(compare, "--releases", releases)
     reference = (
-        "divide step times by those of this solver; results from two machines are always divided "
-        "(default solver: paper_active_set, else daqp)"
+        "divide step times by those of this solver (default: undivided on one machine; on several, "
+        "paper_active_set, else daqp)"
     )
     _option(compare, "--reference", "SOLVER", reference)
     _flag(compare, "--any-machine", argparse.SUPPRESS)
@@ -259,7 +263,8 @@ def add_worst_case_options(worst_case: Command) -> None:
     _add_call_options(worst_case.add_argument_group("solver"), has_settings=True)
     search = worst_case.add_argument_group("search")
     goal = (
-        "quantity to maximise: iterations (default) or error (of the plan, in maximum increments)"
+        "quantity to maximise: iterations (default) or error (error of the plan, as a multiple of "
+        "the maximum increment)"
     )
     _option(search, "--goal", "GOAL", goal, default="iterations")
     start = "scenario whose initial state and disturbances are varied (default: paper)"
@@ -274,8 +279,8 @@ def add_worst_case_options(worst_case: Command) -> None:
 def _add_call_options(group: Command, *, has_settings: bool = False) -> None:
     """Add the options on how a solver is called to a group of a command."""
     routes = (
-        "interface through which the solver is called: native (the library's own; default where "
-        "available) or qpsolvers (the Python package)"
+        "interface through which the solver is called: native (the solver library's own; default "
+        "where available) or qpsolvers (the Python package)"
     )
     _option(group, "--route", "ROUTE", routes)
     policies = (
@@ -296,7 +301,7 @@ def add_iteration_bound_options(bound: Command) -> None:
     _option(bound, "--scenario", "SCENARIO", controller, default="paper")
     box = "scale the box of parameters by this factor (default: 1)"
     _option(bound, "--box", "FACTOR", box, type=float, dest="factor", default=1.0)
-    limit = "stop the proof after this time (default: 600)"
+    limit = "stop the proof after this time (default: 600 s)"
     _option(bound, "--limit", "SECONDS", limit, type=float, dest="limit_s", default=600.0)
 
 
@@ -367,8 +372,8 @@ def add_capability_options(capability: Command) -> None:
     )
     _option(capability, "--sides", "N", sides, type=int)
     planned = (
-        "also show the highest wind speed with each azimuth thruster restricted to the half turn "
-        "(180°) in which the controllers plan its direction"
+        "also show the highest wind speed with each azimuth thruster restricted to the 180° "
+        "sector (half turn) in which the controllers plan its direction"
     )
     _flag(capability, "--planned", planned)
     solver = (
@@ -429,7 +434,7 @@ def add_embedded_options(embedded: Command) -> None:
         "SOLVER.KEY=N",
         "solver option (not a tolerance preset), such as osqp.rho=0.1",
     )
-    _flag(solver, "--float", "compile in single precision", dest="single")
+    _flag(solver, "--float", "compile in single precision (default: double)", dest="single")
     core = embedded.add_argument_group("core")
     repeated(
         core,
@@ -469,7 +474,8 @@ def add_tune_solver_options(tune: Command) -> None:
     repeated(data, "--train", "SEQUENCE", training, dest="training")
     test = "sequence or scenario to measure on (default: move, extreme, weather)"
     repeated(data, "--test", "SEQUENCE", test)
-    _option(data, "--steps", "N", "use at most N steps of each (default: all)", type=int, default=0)
+    steps = "use at most N steps of each sequence (default: all)"
+    _option(data, "--steps", "N", steps, type=int, default=0)
     search = tune.add_argument_group("search")
     ranges = "range to search in place of all predefined ones, such as 'rho=[1e-3,10]'"
     repeated(search, "--range", "RANGE", ranges, dest="ranges")
@@ -514,7 +520,8 @@ def add_tune_options(tune: Command) -> None:
     _option(search, "--realisations", "N", count, type=int, default=2)
     margin = "largest offset allowed, as a share of the limits of 5 m and 5° (default: 0.7)"
     _option(search, "--margin", "SHARE", margin, type=float, default=0.7)
-    _option(search, "--steps", "N", "run at most N steps (default: all)", type=int, default=0)
+    steps = "run at most N steps of each scenario (default: all)"
+    _option(search, "--steps", "N", steps, type=int, default=0)
     _option(search, "--seed", "N", "seed of the search (default: 1)", type=int, default=1)
     output = tune.add_argument_group("output")
     _option(

@@ -162,7 +162,7 @@ def _format_rows_as_text(table: ReportTable) -> Text:
 def print_ending(page: Path, rows: list[tuple[str, str]], arguments: argparse.Namespace) -> int:
     """Print a report's results as table or JSON, or its page's path; return the exit code.
 
-    Returns the exit code: 1 with `--strict` if a ship does not hold station.
+    Returns the exit code: 1 with `--strict` if a ship does not stay on station.
     """
     if arguments.json:
         texts = {"page": str(page)}
