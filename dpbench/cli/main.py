@@ -1,7 +1,7 @@
 """The command line: parse arguments, call one public function, print, choose the exit code.
 
 Exit 0: done (a solver's failure is data). 1: a comparison shows a regression, the benchmark lost
-cells of a run by an accident of its own, or with `--strict` a ship does not hold station.
+cells of a run by an accident of its own, or with `--strict` a ship does not stay on station.
 2: bad input.
 """
 
@@ -342,9 +342,10 @@ def _compare_folders(arguments: argparse.Namespace) -> int:
         return 0
     if len(arguments.folders) != 2:
         count = len(arguments.folders)
-        given = "one folder was given" if count == 1 else f"{count} folders were given"
-        instead = "two or more --solver" if count == 1 else "--releases"
-        raise SituationError("compare", f"{given}; name two, A and B, or add {instead}")
+        given = "1 folder" if count == 1 else f"{count} folders"
+        others = "one with two or more --solver" if count == 1 else "two or more with --releases"
+        allowed = f"two, from before and after a change, or {others}"
+        raise InputError("compare", "", given, allowed)
     limits = {"margin": arguments.margin, "alpha": arguments.alpha}
     compared = compare(*arguments.folders, reference=arguments.reference, **limits)
     if arguments.html is not None:

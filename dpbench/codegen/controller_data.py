@@ -152,7 +152,12 @@ def _refuse_unsupported_controller(scenario: Scenario, controller: Controller) -
         allowed = "a controller without soft limits and without output bounds"
         raise InputError(where, "controller", found, allowed)
     if scenario.preview:
-        raise InputError(where, "reference.preview", "true", "false")
+        raise InputError(
+            where,
+            "reference.preview",
+            "true",
+            "false, as the generated code reads only the present setpoint",
+        )
     if scenario.estimation.kind != "measured":
         allowed = (
             '"measured", because the measurement of the generated code must be a state that is '

@@ -140,10 +140,10 @@ def relinearise_model_at_turned_heading(model: StateSpace, turn_rad: float) -> S
     """
     sizes = model.n_x, model.n_y
     if sizes != (SHIP_STATES, AXES):
-        raise ShapeError.from_shapes(
+        raise ShapeError(
             "relinearise_model_at_turned_heading",
             "model",
-            sizes,
+            f"{model.n_x} states and {model.n_y} outputs",
             "the 9 states and 3 outputs of a ship",
         )
     R, A, B = build_rotation_matrix(turn_rad), model.A.copy(), model.B.copy()

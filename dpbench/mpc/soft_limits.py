@@ -209,7 +209,10 @@ def build_output_constraint_blocks(
     n_y, n_x, n = problem.model.n_y, problem.model.n_x, len(matrices.E)
     if n_y != AXES:
         raise ShapeError.from_shapes(
-            "OutputBounds", "model.C", problem.model.C.shape, "3 outputs of a ship"
+            "OutputBounds",
+            "model.C",
+            problem.model.C.shape,
+            "3 rows, one for each output of a ship",
         )
     # Outputs at steps 0 … N_p as maps of the state and of the scaled plan; north and east only.
     free = np.vstack((problem.model.C, matrices.F)).reshape(-1, n_y, n_x)[:, HORIZONTAL]

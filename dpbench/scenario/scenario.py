@@ -119,7 +119,10 @@ def _require_peak_period_s(table: EstimatorTable, spec: ScenarioFile, where: str
     if table.peak_period_s is not None:
         return table.peak_period_s
     if spec.environment.waves is None:
-        allowed = "the wave peak period for the filter, as the weather of the scenario has no waves"
+        allowed = (
+            "the wave peak period [s] for the filter, as the weather of the scenario has no waves "
+            "to take it from"
+        )
         raise InputError(where, "peak_period_s", "nothing", allowed)
     return spec.environment.waves.tp_s
 
@@ -304,7 +307,7 @@ class Scenario:
         for field in fields(self):
             mine, filed = getattr(self, field.name), getattr(own, field.name)
             if field.name not in _FREE and _list_values(mine) != _list_values(filed):
-                found = f"a direct change of {field.name}, which a copy would lose"
+                found = f"a direct change to {field.name}, which a copy would lose"
                 raise InputError(where, "", found, "changes with `with_keys` and `with_horizons`")
         files = copy_documents_with_values(self.files, values, where)
         files["name"] = self.name + suffix

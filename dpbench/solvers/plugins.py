@@ -49,8 +49,8 @@ from dpbench.solvers.contract import (
 GROUP = "dpbench.solvers"
 _IMPORTABLE = "a file that can be imported"
 _INSTALL = (
-    "install its package (in its repository: `pip install .`) or set PYTHONPATH to the folder that "
-    "contains it"
+    "install the package of this module (in its repository: `pip install .`) or set PYTHONPATH to "
+    "the folder that contains it"
 )
 _PLUGIN_FILE = "a Python file that defines RECORD and open()"
 TRIAL_S = 60.0  # Time limit of a plug-in's file in `try_plugin_file_in_child`

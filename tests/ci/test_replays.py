@@ -122,8 +122,8 @@ def test_a_missing_package_of_a_plug_in_is_named(few: QPSequence, tmp_path: Path
     with pytest.raises(InputError) as same:
         load_plugin_solver_from_file(file)
     remedy = (
-        "install its package (in its repository: `pip install .`) or set PYTHONPATH to the folder "
-        "that contains it"
+        "install the package of this module (in its repository: `pip install .`) or set PYTHONPATH "
+        "to the folder that contains it"
     )
     fault = f"{file}: ModuleNotFoundError: No module named 'nowhere_at_all'; {remedy}"
     assert [str(one.value) for one in (found, same)] == [f"solver module {fault}"] * 2

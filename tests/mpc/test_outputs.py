@@ -192,7 +192,7 @@ def test_output_bounds_leave_cost_and_amplitude_rows_of_the_moves_alone(
 
 
 def test_bounds_are_for_ships() -> None:
-    with pytest.raises(ShapeError, match="3 outputs"):
+    with pytest.raises(ShapeError, match="3 rows, one for each output of a ship"):
         CondensedQP(random_problem(1, 2, 2, 9, 3), outputs=OutputBounds(SAMPLE_S, 5.0))
 
 

@@ -122,7 +122,7 @@ def test_what_a_plugin_raises_is_an_answer(sequence):
             pytest.param(*case, marks=pytest.mark.slow)
             for case in (
                 ("1/0", "ZeroDivisionError"),
-                ("from example import RECORD", "'example'; install its package"),
+                ("from example import RECORD", "'example'; install the package of this module"),
                 (TEXT.replace("open = ", "shut = "), "open: missing; required: a function"),
                 (TEXT.replace('"admm", method', '"daqp", method'), "RECORD.name.*'daqp'"),
                 (

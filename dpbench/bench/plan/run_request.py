@@ -397,16 +397,19 @@ def check_call_modes(suite: SuiteFile, solvers: Sequence[str], has_routes: bool)
     missing = {name: reason for name, reason in lacking.items() if reason}
     if lacking and len(missing) == len(lacking):
         name, (found, allowed) = next(iter(missing.items()))
-        found = f"the call mode{'s' * (', ' in found)} {found}"
+        found = f"{'routes and policies' if ', ' in found else 'route and policy'} {found}"
         argument = "`routes`" if has_routes else "`policies`"
         if len(missing) > 1:
-            found = f"{found}, which none of the {len(missing)} solvers has"
+            found = f"{found}, which none of the {len(missing)} solvers supports"
             raise PolicyError(
-                argument, "", found, f"a mode that one of them supports, such as {allowed} ({name})"
+                argument,
+                "",
+                found,
+                f"a route and policy that one of them supports, such as {allowed} ({name})",
             )
-        raise PolicyError(argument, "", f"{found}, which {name} does not have", allowed)
+        raise PolicyError(argument, "", f"{found}, which {name} does not support", allowed)
     return [
-        f'{name} does not run: it does not support the call mode "{found}"'
+        f'{name} does not run: it does not support route and policy "{found}"'
         for name, (found, _) in missing.items()
     ]
 

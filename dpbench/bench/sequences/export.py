@@ -17,7 +17,7 @@ from dpbench.arrays import Vector
 from dpbench.bench.run.exact_loop import Part
 from dpbench.bench.sequences import source
 from dpbench.bench.sequences.sequence_file import KEYS, Recorded
-from dpbench.errors import InputError, SituationError, UnknownNameError, require_type
+from dpbench.errors import InputError, UnknownNameError, require_type
 from dpbench.files.regular_files import (
     make_folder_if_missing,
     write_file_atomically,
@@ -146,7 +146,7 @@ def check_export_options(options: dict[str, Any]) -> None:
     """Raise InputError unless `dpbench export` has --all alone, or what to export with --out."""
     if not options["all"]:
         if options["what"] is None:
-            raise SituationError("export", "name the QPs to write (WHAT), or give --all")
+            raise InputError("export", "WHAT", "nothing", "the QPs to write, or --all")
         if options["out"] is None:
             _require_known_name(options["what"])
             raise InputError("export", "--out", "nothing", "the file or folder to write")

@@ -469,7 +469,8 @@ def _check_step(where: str, k: int, sequence: QPSequence, claim: Optimum, optimu
     most = claim.bound + optimum.bound + rounding
     if not apart <= most:
         found = f"a difference of {apart:.1e} from the recomputed optimum"
-        allowed = f"at most {most:.1e}, the sum of the stored and new error bounds and rounding"
+        terms = "the stored error bound, the new error bound and rounding"
+        allowed = f"at most {most:.1e}, the sum of {terms}"
         raise InputError(where, f"z[{k}]", found, allowed)
     _check_multipliers(where, k, sequence.problem(k), claim)
 

@@ -333,7 +333,7 @@ def _read_thrust(
     ahead = numbers["thrust"]
     if ahead is None:
         raise InputError(
-            WHERE, "--thrust", "nothing", "the largest force ahead [kN]; or --thrusters"
+            WHERE, "--thrust", "nothing", "the largest force ahead [kN], or --thrusters"
         )
     sway, yaw = (
         None if force is None else 1000.0 * force

@@ -351,7 +351,9 @@ class Controller(ABC):
         why = self.reason_for_no_sparse_form.removeprefix("sparse: ")
         if why or self.amplitude == "soft":
             allowed = f"'condensed_box' or 'condensed_stacked', as {why}; or 'sparse' for a "
-            allowed += "scenario with one model, hard or reachable limits, and no output bounds"
+            allowed += (
+                'scenario with one model, amplitude = "hard" or "reachable", and no output bounds'
+            )
             raise InputError(where, "formulation", "'sparse'", allowed)
         return StagedQP(self.problem, units=units, amplitude=self.amplitude)
 

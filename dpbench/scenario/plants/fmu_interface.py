@@ -169,7 +169,7 @@ class _VariableReader:
             )
         word = "variable that can be set at the start" if use == "start" else use
         names = format_allowed_names(name, fitting) if fitting else "the FMU has none"
-        raise InputError(self._where, f"plant.fmu.{key}", found, f"a real {word}: {names}")
+        raise InputError(self._where, f"plant.fmu.{key}", found, f"a real-valued {word}: {names}")
 
     def _find_factor(self, key: str, variable: Any, dimension: tuple[int, int, int]) -> float:
         """Return what 1 of a variable is in SI units; InputError for another dimension."""

@@ -115,7 +115,8 @@ class LinearMPC:
             names = tuple(given) or tuple(f"{letter}{i}" for i in range(count))
             if len(names) != count or len(set(names)) != count:
                 allowed = f"{count} different names" if count > 1 else "1 name"
-                raise InputError(self.name, key, f"{names}, {len(names)} in number", allowed)
+                found = f"{len(names)} {'name' if len(names) == 1 else 'names'}, {names}"
+                raise InputError(self.name, key, found, allowed)
             object.__setattr__(self, key, names)
         self.build_reference_table(1)
         object.__setattr__(self, "controller", self._build_controller())

@@ -42,7 +42,7 @@ def test_a_chosen_call_mode_replaces_those_of_every_table(suite: str) -> None:
     }
     assert plan.part
     assert plan.remarks[0] == (
-        'quadprog does not run: it does not support the call mode "native warm"'
+        'quadprog does not run: it does not support route and policy "native warm"'
     )
 
 
@@ -107,11 +107,13 @@ def test_a_policy_alone_keeps_the_routes_of_the_suite(suite: str) -> None:
         ({"policies": ["hot"]}, "`policies`: found 'hot'; allowed: fresh, reuse, warm"),
         (
             {"routes": ["native"], "policies": ["warm"], "solvers": ["quadprog"]},
-            "`routes`: found the call mode native warm, which quadprog does not have; allowed: ",
+            "`routes`: found route and policy native warm, which quadprog does not support; "
+            "allowed: ",
         ),
         (
             {"policies": ["warm"], "solvers": ["quadprog", "ecos"]},
-            "warm, which none of the 2 solvers has; allowed: a mode that one of them supports",
+            "warm, which none of the 2 solvers supports; allowed: a route and policy that one of "
+            "them supports",
         ),
     ],
 )

@@ -134,7 +134,10 @@ def test_all_is_said_with_nothing_beside_it(capsys: pytest.CaptureFixture[str]) 
     for arguments, message in (
         (["export", "paper"], "export: --out: missing; required: the file or folder to write"),
         (["export", "paperr"], "scenario or sequence name: found 'paperr'; allowed: paper, "),
-        (["export", "--out", "x.npz"], "export: name the QPs to write (WHAT), or give --all"),
+        (
+            ["export", "--out", "x.npz"],
+            "export: WHAT: missing; required: the QPs to write, or --all",
+        ),
     ):
         assert main(arguments) == 2
         assert message in capsys.readouterr().err

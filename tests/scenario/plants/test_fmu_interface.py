@@ -28,7 +28,7 @@ def read_changed(fmu: Path, folder: Path, old: str, new: str) -> None:
     ("old", "new", "words"),
     [
         ('surge = "Fx"', 'surge = "FX"', "inputs.surge: found 'FX', which ship2.fmu does not have"),
-        ('surge = "Fx"', 'surge = "FX"', "allowed: a real input: one of Fx, Fy, Mz"),
+        ('surge = "Fx"', 'surge = "FX"', "allowed: a real-valued input: one of Fx, Fy, Mz"),
         (
             'surge = "Fx"',
             'surge = "u"',

@@ -160,7 +160,7 @@ def test_a_reference_over_time_keeps_its_last_row() -> None:
         ({"du_max": [np.inf]}, "cart: du_max: found the value inf; allowed: finite numbers"),
         ({"inputs": "force_N"}, r"found 'force_N'; .*sequence of names, such as \('force_N',\)"),
         ({"sample_s": 0.0}, "cart: sample_s: found 0.0"),
-        ({"inputs": ("a", "b")}, r"inputs: found \('a', 'b'\), 2 in number; allowed: 1 name$"),
+        ({"inputs": ("a", "b")}, r"inputs: found 2 names, \('a', 'b'\); allowed: 1 name$"),
         ({"name": "../cart"}, "a name without a path"),
         ({"increment_weight": [-1.0]}, r"cart: increment_weight: found \[-1.0\]; .*at least 0"),
         ({"output_weight": [np.nan]}, "cart: output_weight: found the value nan; .*finite"),
