@@ -50,7 +50,7 @@ def describe_versions(
 ) -> str:
     """Return a line with the versions of solvers, all by default, of the suite's and of dpbench."""
     versions = dict.fromkeys(
-        f"{run.solver} {run.solver_version}"
+        f"{run.solver} {run.solver_version}".strip()
         for run in records.runs
         if run.solver in (solvers or (run.solver,))
     )
@@ -68,7 +68,7 @@ def describe_how_results_were_made(
     of_solver = group_by_key(runs, lambda run: run.solver)
     solvers, laws = [
         ", ".join(
-            f"`{solver}` {' '.join(dict.fromkeys(run.solver_version for run in own))}"
+            " ".join(dict.fromkeys([f"`{solver}`", *filter(None, (r.solver_version for r in own))]))
             for solver, own in of_solver.items()
             if own[0].is_baseline_law == is_law
         )
@@ -167,8 +167,8 @@ def describe_commands(runs: Sequence[RunRecord], started: str) -> str:
     ends = [run.judged_utc for run in runs if run.judged_utc]
     count = f" in {plural(len(known), 'command')}" if len(known) > 1 else ""
     unknown = any(not run.campaign_utc and run.has_steps for run in runs)
-    earlier = "; other runs are earlier, at times not recorded" if unknown else ""
-    return f"run from {_format_utc(min(known))} to {_format_utc(max(ends))}{count}{earlier}"
+    others = "; when other runs were made is not recorded" if unknown else ""
+    return f"run from {_format_utc(min(known))} to {_format_utc(max(ends))}{count}{others}"
 
 
 def describe_turns(records: Records) -> str:

@@ -21,7 +21,12 @@ from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.bench.record.cell import CapabilitySource
-from dpbench.report.commands_text import describe_commands, describe_machine_states, describe_turns
+from dpbench.report.commands_text import (
+    describe_commands,
+    describe_machine_states,
+    describe_turns,
+    describe_versions,
+)
 from dpbench.report.compare.further_tables import make_settings_table
 from dpbench.report.documents.markdown import make_report_markdown
 from dpbench.report.report import Report
@@ -223,4 +228,10 @@ def test_the_span_of_a_folder_is_from_the_first_start_to_the_last_end(records: A
     assert describe_commands(records.view().all_runs, "2026-11-28T09:30:00+00:00") == span
     records.replay("osqp", turns="", campaign_utc="", judged_utc="")
     runs = records.view().all_runs
-    assert describe_commands(runs, "") == f"{span}; other runs are earlier, at times not recorded"
+    assert describe_commands(runs, "") == f"{span}; when other runs were made is not recorded"
+
+
+def test_a_solver_without_a_version_is_named_alone(records: Any) -> None:
+    records.loop("daqp", steps=4)
+    records.loop("own", steps=4, solver_version="")
+    assert describe_versions(records.view(), {}).startswith("Versions: daqp 1.0, own; suite ")
