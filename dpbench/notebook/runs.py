@@ -60,12 +60,11 @@ from dpbench.report.verdict.findings_text import describe_caching_sign
 from dpbench.scenario.plants.contract import PlantMaker
 from dpbench.scenario.plants.linear_mpc import LinearMPC
 from dpbench.scenario.scenario import Scenario, resolve_to_scenario
-from dpbench.solvers.contract import Workspace
+from dpbench.solvers.contract import DEFAULT, Workspace
 from dpbench.solvers.open import open_workspace
 from dpbench.solvers.own_settings import encode_options_as_json, format_options_as_toml
 from dpbench.solvers.table import Availability, find_solver_availability
 
-UNNAMED = ("", "default")  # Settings that a label leaves out
 MOST_LETTERS = 100  # Letters of a reason in the text form
 
 
@@ -104,7 +103,7 @@ class Run:
         """
         row = self.summary
         words = [row["route"], row["policy"], row["settings"]]
-        return f"{row['solver']} ({', '.join(word for word in words if word not in UNNAMED)})"
+        return f"{row['solver']} ({', '.join(word for word in words if word != DEFAULT)})"
 
     @property
     def remembers(self) -> bool:
@@ -482,7 +481,7 @@ def _make_cell(workspace: Workspace, **fields: Any) -> Cell:
     settings, options = workspace.requested_settings, ""
     if not isinstance(settings, str):
         options = encode_options_as_json(settings)
-        settings = format_options_as_toml(settings) or "default"
+        settings = format_options_as_toml(settings) or DEFAULT
     fields |= {"settings": settings, "options": options}
     route, policy = workspace.route, workspace.policy
     return Cell(solver=workspace.solver, route=route, policy=policy, **fields)

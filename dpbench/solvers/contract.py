@@ -44,7 +44,7 @@ class Workspace(ABC):
         `update` (policy fresh on route native).
     matrix_updates : updates so far that brought new P, A, lb or ub.
     reopen : makes another workspace of the same solver, route, policy and settings.
-    requested_settings : those it was opened with by name; "" where it was not.
+    requested_settings : those it was opened with.
 
     Examples
     --------
@@ -64,7 +64,7 @@ class Workspace(ABC):
     matrix_updates: int = 0
     form: Form = "dense"
     reopen: "Callable[[], Workspace] | None" = None
-    requested_settings: Settings = ""
+    requested_settings: Settings = "default"
 
     def __init__(self, solver: str, route: Route, policy: Policy) -> None:
         self.solver, self.route, self.policy = solver, route, policy
@@ -73,7 +73,7 @@ class Workspace(ABC):
         settings = self.requested_settings
         if isinstance(settings, Mapping):
             settings = ", ".join(f"{key}={value!r}" for key, value in settings.items())
-        shown = "" if settings in ("", "default") else f", {settings}"
+        shown = "" if settings in ("", DEFAULT) else f", {settings}"
         return f"<Workspace of {self.solver} ({self.route}, {self.policy}{shown})>"
 
     @abstractmethod

@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Callable
 from typing import Concatenate
 
-from dpbench.errors import InputError, shorten_found
+from dpbench.errors import InputError, require_type, shorten_found
 from dpbench.qp.program import QPStep, QuadraticProgram, Refresh
 from dpbench.qp.solution import Solution, Status, copy_checked_answer
 from dpbench.solvers.contract import (
@@ -15,6 +15,9 @@ from dpbench.solvers.contract import (
     describe_exception_unless_interrupt,
     make_error_for_missing_setup,
 )
+from dpbench.solvers.own_settings import convert_numbers_of_numpy
+from dpbench.solvers.plugins import refuse_bad_or_taken_name
+from dpbench.solvers.table import BUILT_IN
 
 Solve = Callable[Concatenate[QuadraticProgram, ...], Solution]
 
@@ -26,6 +29,7 @@ class FunctionWorkspace(Workspace):
         super().__init__(name, "native", policy)
         self.setup_every_step = True
         self._function, self._options = solve, dict(options)
+        self.requested_settings = convert_numbers_of_numpy(options)
         self._qp: QuadraticProgram | None = None
         self._solution: Solution | None = None
 
@@ -82,7 +86,11 @@ def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:
     """Return a plug-in solver's `open(policy, options)`, from a function that solves one QP.
 
     The only policy is "fresh"; options are keyword arguments of the function. `open` raises
-    InputError for others, and for what is no function.
+    InputError for others.
+
+    Raises
+    ------
+    InputError : for what is no function, or a name with a path or of a solver of dpbench.
 
     Examples
     --------
@@ -93,13 +101,15 @@ def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:
     ...     return Solution(Status.SOLVED, z, np.full(qp.m, np.nan), np.full(qp.n, np.nan))
     >>> workspace = opener("newton", minimise_without_limits)("fresh", {"scale": 0.9})
     >>> replay("paper-30-5", workspace, repeats=1).label
-    'newton (native, fresh)'
+    'newton (native, fresh, scale=0.9)'
     """
+    require_type("name", name, str, "the name of the solver")
+    refuse_bad_or_taken_name("opener", "name", name, BUILT_IN)
+    where = f"solver {name}"
+    if not callable(solve):
+        raise InputError(where, "", shorten_found(solve), "a function of one QP")
 
     def open_function(policy: Policy, options: Options) -> Workspace:
-        where = f"solver {name}"
-        if not callable(solve):
-            raise InputError(where, "", shorten_found(solve), "a function of one QP")
         if policy != "fresh":
             raise InputError(where, "policy", repr(policy), "'fresh', as for every function")
         try:

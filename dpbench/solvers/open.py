@@ -4,8 +4,6 @@ import warnings
 from collections.abc import Mapping
 from functools import partial
 
-import numpy as np
-
 from dpbench.errors import PolicyError, UnknownNameError, require_type
 from dpbench.solvers.contract import (
     POLICIES,
@@ -16,7 +14,11 @@ from dpbench.solvers.contract import (
     SolverRecord,
     Workspace,
 )
-from dpbench.solvers.own_settings import parse_options_of_choice, split_into_solver_and_options_text
+from dpbench.solvers.own_settings import (
+    convert_numbers_of_numpy,
+    parse_options_of_choice,
+    split_into_solver_and_options_text,
+)
 from dpbench.solvers.settings import resolve_settings_to_options
 from dpbench.solvers.table import (
     find_solver_record,
@@ -66,10 +68,7 @@ def open_workspace(
     for option in () if isinstance(settings, str) else settings:
         require_type("settings", option, str, "names of options")
     if not isinstance(settings, str):
-        settings = {
-            option: value.item() if isinstance(value, np.generic) else value
-            for option, value in settings.items()
-        }
+        settings = convert_numbers_of_numpy(settings)
     name, brackets = split_into_solver_and_options_text(solver)
     if brackets:
         options = parse_options_of_choice(solver)

@@ -13,6 +13,8 @@ from functools import cache
 from itertools import product
 from math import isfinite
 
+import numpy as np
+
 from dpbench.errors import InputError, ResultsError
 from dpbench.files.regular_files import parse_json
 from dpbench.solvers.contract import Options
@@ -87,6 +89,14 @@ def expand_option_grid(options: Options, where: str) -> list[Options]:
     return [
         _nest_dotted_option_names(dict(zip(keys, point, strict=True))) for point in product(*axes)
     ]
+
+
+def convert_numbers_of_numpy(options: Options) -> Options:
+    """Return options with the numbers of NumPy among them as numbers of Python."""
+    return {
+        option: value.item() if isinstance(value, np.generic) else value
+        for option, value in options.items()
+    }
 
 
 def format_options_as_toml(options: Options) -> str:

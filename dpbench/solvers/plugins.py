@@ -182,6 +182,8 @@ def _import_plugin_file(where: str, file: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except KeyboardInterrupt:
         raise
+    except InputError as error:
+        raise SituationError(where, str(error)) from error
     except BaseException as error:  # a stranger's code may raise anything; it becomes an InputError
         if isinstance(error, OSError) and error.filename == str(file):
             fault = error.strerror or "an unreadable file"
@@ -234,6 +236,14 @@ def list_plugin_names() -> set[str]:
     return {*_LOADED, *_find_plugin_entry_points()}
 
 
+def refuse_bad_or_taken_name(where: str, key: str, name: str, taken: Collection[str]) -> None:
+    """Raise InputError for a new solver's name that has a path, or is one of dpbench's `taken`."""
+    if not is_plain_file_name(name):
+        raise InputError(where, key, repr(name), "a name without a path")
+    if name in taken:
+        raise InputError(where, key, repr(name), "a name that no solver of dpbench has")
+
+
 def _check_and_register_plugin(
     where: str, module: Any, version: str, origin: str, taken: Collection[str] = ()
 ) -> Plugin:
@@ -245,12 +255,10 @@ def _check_and_register_plugin(
     if not callable(opener):
         found = "nothing" if opener is None else repr(opener)
         raise InputError(where, "open", found, "a function of (policy, options)")
-    if not is_plain_file_name(record.name):
-        raise InputError(where, "RECORD.name", repr(record.name), "a name without a path")
+    refuse_bad_or_taken_name(where, "RECORD.name", record.name, taken)
     other = _LOADED.get(record.name)
-    if record.name in taken or (other is not None and other.origin != origin):
-        owner = "of dpbench" if other is None else f"in {other.origin}"
-        allowed = f"a name that no solver {owner} has"
+    if other is not None and other.origin != origin:
+        allowed = f"a name that no solver in {other.origin} has"
         raise InputError(where, "RECORD.name", repr(record.name), allowed)
     if set(record.routes) != {"native"}:
         raise InputError(where, "RECORD.routes", sorted(record.routes), "route native only")

@@ -38,6 +38,8 @@ TABLE: dict[str, SolverRecord] = {
     for name in sorted({*_ON_NATIVE, *THROUGH_QPSOLVERS})
 }
 """The own solvers and the libraries with an adapter, in alphabetical order."""
+BUILT_IN: dict[str, SolverRecord] = {**TABLE, **CALIBRATION}
+"""All solvers of dpbench; no other solver may have the name of one."""
 CONTROLLER_SOLVERS = ("paper_active_set", "osqp", "daqp")
 """Solvers that `dpbench codegen` can include in the C code of a controller."""
 # Libraries that qpsolvers looks for and that are not in the table.
@@ -79,7 +81,7 @@ def list_all_solver_names() -> tuple[str, ...]:
 
 def find_solver_record(name: str) -> SolverRecord:
     """Return the facts about a solver by its name; UnknownNameError if there is none."""
-    row = TABLE.get(name) or CALIBRATION.get(name)
+    row = BUILT_IN.get(name)
     if row is not None:
         return row
     plugin = plugins.find_plugin(name)
@@ -156,11 +158,11 @@ def load_plugin_solver_from_file(path: str | Path, *, tried: bool = False) -> So
     """Load a plug-in solver from a Python file into this process; return the facts about it.
 
     tried : whether the file is known not to end the process that runs it, or may do so.
-    InputError : the file is missing, fails when run, is no plug-in, or takes a name of the table.
+    InputError : the file is missing, fails when run, is no plug-in, or takes a name of `BUILT_IN`.
     """
     if not tried:
         plugins.try_plugin_file_in_child(path)
-    return plugins.load_solver_from_file(path, {**TABLE, **CALIBRATION})
+    return plugins.load_solver_from_file(path, BUILT_IN)
 
 
 def list_plugin_files(solver_module: PluginFiles) -> list[str]:

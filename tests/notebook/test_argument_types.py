@@ -34,6 +34,7 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "values": (lambda: load_scenario("paper").with_keys(5), "values: found 5; allowed: a mapping"),
     "policy": (lambda: dpbench.open_workspace("daqp", policy=["warm"]), "policy: found ['warm']"),
     "option": (lambda: dpbench.open_workspace("daqp", settings={5: 1}), "settings: found 5; all"),
+    "a name": (lambda: dpbench.opener(3, len), "name: found 3; allowed: the name of the solver"),
     "slowdown": (
         lambda: dpbench.run_closed_loop("paper", "daqp", steps=2, slowdown="10"),
         "closed loop: slowdown: found '10'; allowed: 0 (off), or 1 to 1e+09",

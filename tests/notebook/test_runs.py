@@ -140,7 +140,6 @@ def test_names_are_taken_where_objects_are(loop: Run, replayed: Run) -> None:
 @pytest.mark.parametrize(
     ("function", "policy", "options", "words"),
     [
-        (3, "fresh", {}, "found 3; allowed: a function of one QP"),
         (len, "banana", {}, "policy: found 'banana'; allowed: 'fresh', as for every function"),
         (len, "warm", {}, "policy: found 'warm'; allowed: 'fresh', as for every function"),
         (lambda qp, tol=1: tol, "fresh", {"tl": 1}, "options: found {'tl': 1}; allowed: tol"),
@@ -156,6 +155,32 @@ def test_a_function_is_opened_with_what_it_has(
     assert opener("any", lambda qp, **others: qp)("fresh", {"a": 1}).policy == "fresh"
     with pytest.raises(TypeError, match=r"for your own function, use `opener\(name, function\)\("):
         replay("paper-30-5", function)
+
+
+@pytest.mark.parametrize(
+    ("name", "function", "words"),
+    [
+        ("mine", 3, "solver mine: found 3; allowed: a function of one QP"),
+        ("daqp", len, "opener: name: found 'daqp'; allowed: a name that no solver of dpbench has"),
+        ("no_op", len, "opener: name: found 'no_op'; allowed: a name that no solver of dpbench"),
+        ("a/b", len, "opener: name: found 'a/b'; allowed: a name without a path"),
+    ],
+)
+def test_a_function_or_name_that_cannot_be_is_refused_at_once(
+    name: str, function: Any, words: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        opener(name, function)
+    assert str(caught.value).startswith(words)
+
+
+def test_a_function_shows_its_options() -> None:
+    opened = opener("mine", lambda qp, tol=1.0: qp)
+    shown = [repr(opened("fresh", options)) for options in ({}, {"tol": np.float64(1e-2)})]
+    assert shown == [
+        "<Workspace of mine (native, fresh)>",
+        "<Workspace of mine (native, fresh, tol=0.01)>",
+    ]
 
 
 def test_a_run_carries_the_settings_of_its_solver() -> None:

@@ -123,6 +123,10 @@ def test_what_a_plugin_raises_is_an_answer(sequence):
             for case in (
                 ("1/0", "ZeroDivisionError"),
                 ("from example import RECORD", "'example'; install the package of this module"),
+                (
+                    TEXT.replace('opener("admm"', 'opener("daqp"'),
+                    r"mine\.py: opener: name: found 'daqp'; allowed: a name that no .* has$",
+                ),
                 (TEXT.replace("open = ", "shut = "), "open: missing; required: a function"),
                 (TEXT.replace('"admm", method', '"daqp", method'), "RECORD.name.*'daqp'"),
                 (
