@@ -25,7 +25,8 @@ def add_runs(out: str | Path, runs: Sequence[Run]) -> Path:
     """Add closed loops to a result folder, write its report again and return its page.
 
     The folder is one of `run_campaign`, such as that of the sequence of a `LinearMPC`. A run that
-    is there already is replaced. The next campaign in the folder removes what was added.
+    is there already is replaced; of equal runs, the last is added. The next `run_campaign` in the
+    folder raises InputError, or with `fresh=True` removes what was added.
 
     Raises
     ------
@@ -52,14 +53,14 @@ def add_runs(out: str | Path, runs: Sequence[Run]) -> Path:
         stored = load_results(folder)
         _refuse_other_lengths(runs, stored.runs, folder)
         placed = [_place_run(run, stored.runs, stored.machine["id"]) for run in runs]
-        new = {str(row["run_id"]) for row, _ in placed}
+        new = {str(row["run_id"]): (row, steps) for row, steps in placed}
         kept_runs = stored.runs[~stored.runs["run_id"].isin(new)]
         kept_steps = stored.steps[~stored.steps["run_id"].isin(new)]
-        rows = pd.DataFrame([row for row, _ in placed])
+        rows = pd.DataFrame([row for row, _ in new.values()])
         table = pd.concat([kept_runs, rows], ignore_index=True)
-        count = _write_tables(folder, table, [kept_steps, *(steps for _, steps in placed)])
+        count = _write_tables(folder, table, [kept_steps, *(steps for _, steps in new.values())])
         suite = json.loads((folder / "suite.json").read_text(encoding="utf-8"))
-        added = sorted(new.union(suite.get("added_runs", [])))
+        added = sorted({*new, *suite.get("added_runs", [])})
         changes = {"run_rows": len(table), "step_rows": count, "added_runs": added}
         write_json(folder / "suite.json", suite | changes)
     return write_report(folder)

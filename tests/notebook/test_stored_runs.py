@@ -2,13 +2,19 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from dpbench import (
     InputError,
+    QuadraticProgram,
+    Solution,
+    Status,
     add_runs,
     load_results,
+    opener,
     record_sequence,
     replay,
     run_campaign,
@@ -18,6 +24,38 @@ from dpbench import (
 from dpbench.report.page.live import _draw_empty_step_charts
 from dpbench.report.report import Report
 from tests.scenario.plants.test_linear_mpc import GIVEN, Cart, LinearMPC
+
+
+def _solve_without_limits(qp: QuadraticProgram, scale: float = 1.0) -> Solution:
+    z = -scale * np.linalg.solve(qp.P, qp.q)
+    return Solution(Status.SOLVED, z, np.full(qp.m, np.nan), np.full(qp.n, np.nan))
+
+
+def test_of_equal_runs_the_last_is_added(records: Any, tmp_path: Path) -> None:
+    records.loop("daqp", steps=4)
+    out = records.write(tmp_path / "out")
+    first, last = (run_closed_loop("paper", "quadprog", steps=4) for _ in range(2))
+    add_runs(out, [first, last])
+    results = load_results(out)
+    (row,) = results.runs[results.runs["solver"] == "quadprog"].to_dict("records")
+    steps = results.steps[results.steps["run_id"] == row["run_id"]]
+    assert steps["total_ns"].tolist() == last.steps["total_ns"].tolist()
+    assert "twice" not in (out / "report.md").read_text(encoding="utf-8")
+
+
+def test_the_report_names_the_options_of_a_function(records: Any, tmp_path: Path) -> None:
+    records.loop("daqp", steps=4, campaign_utc="2026-11-28T08:00:00+00:00", judged_utc="2026-11-29")
+    out, open_own = records.write(tmp_path / "out"), opener("own", _solve_without_limits)
+    options: list[dict[str, object]] = [{}, {"scale": 0.5}, {"scale": 0.9}]
+    runs = [run_closed_loop("paper", open_own("fresh", given), steps=4) for given in options]
+    add_runs(out, runs)
+    results = load_results(out)
+    rows = results.verdict().query("solver == 'own'")
+    assert sorted(rows["settings"]) == ["default", "scale=0.5", "scale=0.9"]
+    text = (out / "report.md").read_text(encoding="utf-8")
+    assert "| own | native fresh |" in text and "| own | native fresh, scale=0.5 |" in text
+    assert "Settings: `default`, `scale=0.5`, `scale=0.9`. Solvers: `daqp` 1.0, `own`. " in text
+    assert "UTC; when other runs were made is not recorded. It has 4 runs" in text
 
 
 @pytest.mark.slow
