@@ -122,4 +122,18 @@ def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:
             pass  # A function in C may have no signature.
         return FunctionWorkspace(name, policy, solve, options)
 
+    # Read when a plug-in is loaded.
+    open_function.option_names = _list_option_names(solve)  # type: ignore[attr-defined]
     return open_function
+
+
+def _list_option_names(solve: Callable[..., object]) -> list[str] | None:
+    """Return the names of a function's options; None where it has no signature or takes any."""
+    try:
+        parameters = [*inspect.signature(solve).parameters.values()][1:]
+    except (TypeError, ValueError):
+        return None  # It is not callable, or written in C.
+    if any(one.kind is one.VAR_KEYWORD for one in parameters):
+        return None
+    named = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
+    return [one.name for one in parameters if one.kind in named]

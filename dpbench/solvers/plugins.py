@@ -271,7 +271,11 @@ def _check_and_register_plugin(
     row = replace(
         record, extra="plugin", levels=_read_tolerance_levels_of_plugin(where, module, record)
     )
-    plugin = Plugin(NativeAdapter(row, _wrap_opener_to_check_result(opener), None), version, origin)
+    # `opener` states the option names of its function; those of another open() are unknown.
+    names: list[str] | None = getattr(opener, "option_names", None)
+    list_options = None if names is None else lambda: names
+    adapter = NativeAdapter(row, _wrap_opener_to_check_result(opener), list_options)
+    plugin = Plugin(adapter, version, origin)
     _LOADED[row.name] = plugin
     return plugin
 

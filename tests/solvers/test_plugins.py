@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import qpsolvers
 
+from dpbench import list_solvers
 from dpbench.errors import (
     InputError,
     PolicyError,
@@ -98,9 +99,27 @@ def test_a_plugin_of_yesterday_is_read(tmp_path):
     assert row.state_why_policy_is_unavailable("native", "reuse") == "not offered"
 
 
+def test_the_options_of_a_plugins_function_are_listed():
+    load_plugin_solver_from_file(EXAMPLE)
+    assert list_solvers().options("admm") == {"native": ["tolerance"]}
+
+
+@pytest.mark.parametrize("function", ["lambda qp, **options: None", "min"])
+def test_unknown_options_of_a_function_are_not_refused(tmp_path, function):
+    """A function may take any option, or have no signature."""
+    file = tmp_path / "own.py"
+    file.write_text(
+        "from dpbench import opener\nfrom dpbench.solvers.plugins import solver_record\n"
+        f'RECORD = solver_record("own", method="any")\nopen = opener("own", {function})\n'
+    )
+    load_plugin_solver_from_file(file, tried=True)
+    assert list_solvers().options("own") == {"native": []}
+    open_workspace("own", settings={"key": 1})
+
+
 def test_what_a_plugin_raises_is_an_answer(sequence):
     load_plugin_solver_from_file(EXAMPLE)
-    with pytest.raises(InputError, match=r"admm: options: found .*; allowed: tolerance$"):
+    with pytest.raises(SettingsError, match=r"found an unknown option; allowed: tolerance$"):
         open_workspace("admm", settings={"tolerances": 1.0})
     workspace = open_workspace("admm", settings={"tolerance": None})
     workspace.setup(sequence.base)
