@@ -13,7 +13,11 @@ from dpbench.errors import (
     format_key_path,
 )
 from dpbench.solvers import table
-from dpbench.solvers.table import Availability, require_solver_available
+from dpbench.solvers.table import (
+    Availability,
+    require_any_solver_available,
+    require_solver_available,
+)
 
 NAMES = ("calm", "rough", "squall", "swell", "turn", "turning", "waves")
 
@@ -93,6 +97,23 @@ def test_a_missing_solver_is_named_with_its_remedy(
     )
     with pytest.raises(SolverUnavailableError, match=f"^solver osqp: {text}$"):
         require_solver_available("osqp")
+
+
+def test_solvers_are_missing_only_if_none_can_be_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each reason is given once."""
+    reasons = {"hpipm": "no casadi", "hpipm_ocp": "no casadi", "qpax": "no qpax", "osqp": ""}
+    monkeypatch.setattr(
+        table,
+        "find_solver_availability",
+        lambda name: Availability(not reasons[name], reason=reasons[name]),
+    )
+    require_any_solver_available([])
+    require_any_solver_available(["qpax", "osqp"])
+    with pytest.raises(SolverUnavailableError) as error:
+        require_any_solver_available(["hpipm", "hpipm_ocp", "qpax"])
+    assert str(error.value) == (
+        "solvers hpipm, hpipm_ocp, qpax: no casadi; pip install casadi; no qpax; pip install qpax"
+    )
 
 
 def test_a_path_of_keys_reads_as_in_its_file() -> None:

@@ -356,6 +356,7 @@ def run_campaign(
     ------
     InputError : for a bad suite, scenario, solver, job count or engine, or a folder with finished
         runs that are not requested, before anything runs.
+    SolverUnavailableError : none of the selected `solvers` can be used here.
     TypeError : for a suite or sequence that is neither a name nor a path, or a name for a list.
     dpbench.locks.BusyError : the machine was busy longer than `wait_s`; finished cells are kept.
 
@@ -389,6 +390,7 @@ def run_campaign(
     require_type("wait_s", wait_s, Real | None, "a number of seconds, 0 or more")
     patience = WaitLimit(wait_s)
     plan, some = asked.make_plan(), Shard.from_text(shard)
+    plan.require_available_solver()
     designs = plan_stability_studies(plan) if some.index == 1 else []
     counts = plan_embedded_counts(plan) if some.index == 1 else []
     folder = choose_result_folder(plan, out)

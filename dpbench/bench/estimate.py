@@ -353,6 +353,7 @@ def estimate_campaign(
     if engine != "local":
         raise InputError("--dry-run", "", f"--engine {engine}", "--engine local")
     plan = RunRequest(None if suite is None else str(suite), **asked).make_plan()
+    plan.require_available_solver()
     return estimate_plan(plan, choose_result_folder(plan, out), slots, fresh=fresh)
 
 

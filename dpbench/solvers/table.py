@@ -217,10 +217,20 @@ def find_solver_availability(name: str, *, imported: bool = True) -> Availabilit
 
 def require_solver_available(name: str) -> None:
     """Raise SolverUnavailableError, with the install command, if a solver cannot be used."""
-    here, remedy = find_solver_availability(name), find_solver_record(name).install_command
-    if not here.ok:
-        advice = "" if remedy in here.reason else f"; {remedy}"
-        raise SolverUnavailableError(f"solver {name}", f"{here.reason}{advice}")
+    require_any_solver_available([name])
+
+
+def require_any_solver_available(names: Sequence[str]) -> None:
+    """Raise SolverUnavailableError, with all reasons, if none of the named solvers can be used."""
+    faults: dict[str, None] = {}
+    for name in names:
+        here, remedy = find_solver_availability(name), find_solver_record(name).install_command
+        if here.ok:
+            return
+        faults[here.reason if remedy in here.reason else f"{here.reason}; {remedy}"] = None
+    if names:
+        where = f"solver{'s' * (len(names) > 1)} {', '.join(names)}"
+        raise SolverUnavailableError(where, "; ".join(faults))
 
 
 def _find_qpsolvers_availability(row: SolverRecord) -> Availability:

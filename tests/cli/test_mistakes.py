@@ -6,9 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from dpbench import InputError, export_sequence, load_results, run_campaign
+from dpbench import (
+    InputError,
+    SolverUnavailableError,
+    export_sequence,
+    load_results,
+    run_campaign,
+)
 from dpbench.cli.main import main
 from dpbench.scenario.problem_files import find_folder_of_shipped_problems, find_problem_path
+from dpbench.solvers import plugins, table
+from dpbench.solvers.table import Availability
 from tests.cli.conftest import Say
 
 VESSEL = find_problem_path("vessels", "supply_mss").read_text(encoding="utf-8")
@@ -225,3 +233,28 @@ def test_a_mistake_in_the_words_has_the_form_of_others(
         main(words)
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"dpbench: {said}") and line.endswith(" --help)")
+
+
+@pytest.mark.parametrize("words", [[], ["--dry-run"]])
+def test_a_run_of_missing_solvers_alone_is_refused(
+    words: list[str], refuse: Say, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same in Python, and before the result folder is made."""
+    missing = Availability(False, reason="not installed")
+    monkeypatch.setattr(table, "find_solver_availability", lambda solver: missing)
+    line = refuse("run", "smoke", "--solver", "quadprog", "--out", "out", *words)
+    assert line.endswith("solver quadprog: not installed; pip install quadprog")
+    with pytest.raises(SolverUnavailableError):
+        run_campaign("smoke", "out", solvers=["quadprog"])
+    assert not Path("out").exists()
+
+
+def test_wrong_options_of_a_plug_in_are_refused_before_the_run(
+    refuse: Say, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plugins, "_LOADED", {})
+    plug_in = str(Path(__file__).parents[1] / "solvers" / "example_plugin.py")
+    words = "--solver", "admm[tol=1]", "--solver-module", plug_in, "--out", "out"
+    found = "--solver: admm[tol]: found an unknown option; allowed: tolerance"
+    assert refuse("run", "smoke", *words).endswith(found)
+    assert not Path("out").exists()

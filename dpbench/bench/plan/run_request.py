@@ -11,7 +11,11 @@ from typing import Any, get_args
 
 from dpbench.bench.judge.rules import LEAST_STRETCH, has_enough_samples_for_percentile
 from dpbench.bench.plan.cells import PlannedCell
-from dpbench.bench.plan.configurations import BASELINE_LAW, choose_solvers
+from dpbench.bench.plan.configurations import (
+    BASELINE_LAW,
+    choose_solvers,
+    name_solvers_of_suite,
+)
 from dpbench.bench.plan.plan import plan_suite
 from dpbench.bench.plan.study_points import RouteName
 from dpbench.bench.plan.suite import (
@@ -32,7 +36,12 @@ from dpbench.solvers.own_settings import (
     split_into_solver_and_options_text,
 )
 from dpbench.solvers.settings import has_preset_or_tolerance
-from dpbench.solvers.table import PluginFiles, find_solver_record, load_plugin_solvers
+from dpbench.solvers.table import (
+    PluginFiles,
+    find_solver_record,
+    load_plugin_solvers,
+    require_any_solver_available,
+)
 
 NO_P99 = "too few for a p99"
 """Beginning of a remark on a plan, of which a search that ranks by other percentiles has no use."""
@@ -62,6 +71,10 @@ class Plan:
     remarks: Sequence[str]
     solvers: Sequence[str] = ()
     scenarios: Sequence[str] = ()
+
+    def require_available_solver(self) -> None:
+        """Raise SolverUnavailableError if solvers are selected and none can be used here."""
+        require_any_solver_available(name_solvers_of_suite(self.solvers))
 
     def format_suite(self, folder: Path) -> str:
         """Return the suite as TOML that runs it again from `folder`; keys at defaults are left out.
