@@ -310,6 +310,11 @@ def explain_no_recommendation(
     view: Records, verdicts: Verdicts, recommendation: SolverChoice
 ) -> str:
     """Return why no solver is recommended, as text: none deployable, none timed, none passes."""
+    refused = [run.outcome_message for run in view.runs if run.outcome == "refused"]
+    if refused and len(refused) == len(view.runs):
+        [(reason, count)] = Counter(refused).most_common(1)
+        rest = f"; {len(refused) - count} for other reasons" * (count < len(refused))
+        return f"Nothing is recommended, because every run was refused ({reason}{rest})."
     solved = [run for run in view.runs if run.has_steps and not run.is_baseline_law]
     if solved and all(run.has_no_optimum for run in solved):
         return _explain_lack_of_optima(solved, verdicts.requirements)

@@ -228,7 +228,10 @@ CRASHED = {"done": 0, "outcome": "crashed", "outcome_detail": "signal 11"}
 NO_SOLVER = "No solver was run, so there is nothing to judge."
 PARTIAL: list[tuple[Callable[[Any], Any], str]] = [
     (lambda _: None, NO_SOLVER),
-    (lambda records: records.refused("qpax", "not installed"), "Nothing is recommended"),
+    (
+        lambda records: records.refused("qpax", "not installed"),
+        "Nothing is recommended, because every run was refused (not installed).",
+    ),
     (_single_step, "Use daqp (qpsolvers fresh, default)"),
     (lambda records: _all_failed(records, **CRASHED), "Nothing is recommended"),
     (
