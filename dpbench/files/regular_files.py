@@ -176,10 +176,17 @@ def is_plain_file_name(text: str) -> bool:
 
 
 def make_folder_if_missing(path: Path) -> Path:
-    """Make a folder unless it exists and return its path; InputError if a link has its name."""
+    """Make a folder unless it exists and return its path.
+
+    InputError if a link or a file has its name, or the folder around it is missing.
+    """
     if path.is_symlink():
         raise InputError(str(path), "", "a link", "a folder, as nothing is written through a link")
-    path.mkdir(exist_ok=True)
+    try:
+        path.mkdir(exist_ok=True)
+    except (FileExistsError, NotADirectoryError, FileNotFoundError) as error:
+        allowed = "a folder, or a new name in an existing folder"
+        raise InputError(str(path), "", error.strerror, allowed) from error
     return path
 
 

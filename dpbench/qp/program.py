@@ -438,6 +438,8 @@ class QPSequence:
     def step(self, k: int) -> QPStep:
         """Return a copy of the QP data of step k that change along the sequence.
 
+        IndexError for a step that the sequence does not have.
+
         Examples
         --------
         >>> qp = QuadraticProgram([[1]], [-1.0])
@@ -445,14 +447,17 @@ class QPSequence:
         >>> two.step(1).q
         array([2.])
         """
-        step = QPStep(self.q[k].copy(), self.l[k].copy(), self.u[k].copy())
+        try:
+            step = QPStep(self.q[k].copy(), self.l[k].copy(), self.u[k].copy())
+        except IndexError:
+            raise IndexError(f"step: found {k}; allowed: 0 to {len(self) - 1}") from None
         for name in CONSTANT:
             if (array := getattr(self, name)) is not None:
                 setattr(step, name, array[k].copy())
         return step
 
     def problem(self, k: int) -> QuadraticProgram:
-        """Return the complete QP of step k.
+        """Return the complete QP of step k; IndexError as for `step`.
 
         Examples
         --------

@@ -132,3 +132,17 @@ def test_what_is_put_in_its_place_is_on_the_disk(
     monkeypatch.setattr(os, "fsync", watched)
     rename_durably(part, tmp_path / "a")
     assert synced == [(str(part), False), (str(tmp_path), True)]
+
+
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("table.csv", "file exists"),
+        ("table.csv/inside", "not a directory"),
+        ("missing/inside", "no such file or directory"),
+    ],
+)
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path, name: str, fault: str) -> None:
+    (tmp_path / "table.csv").touch()
+    with pytest.raises(InputError, match=f"{name}: {fault}; required: a folder"):
+        make_folder_if_missing(tmp_path / name)

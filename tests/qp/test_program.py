@@ -37,6 +37,11 @@ def sequence(problems: list[QuadraticProgram], *matrices: str) -> QPSequence:
     return QPSequence(name="random", base=problems[0], **stacked)
 
 
+def test_a_step_that_a_sequence_does_not_have_is_named() -> None:
+    with pytest.raises(IndexError, match=r"^step: found 4; allowed: 0 to 3$"):
+        sequence([program(k) for k in range(K)]).problem(K)
+
+
 @pytest.mark.parametrize("matrices", [(), ("P",), ("A",), ("P", "A")], ids="".join)
 def test_a_sequence_replays_the_problem_of_every_step(matrices: tuple[str, ...]) -> None:
     problems = [program(k) for k in range(K)]
