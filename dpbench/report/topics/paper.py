@@ -153,7 +153,9 @@ def _make_stability_table(records: Records, designs: Designs) -> Table:
     absent = "" if is_run else " (not in this suite)"
     untested = [record.controller for record in designs.records if not record.held]
     remedy = "".join(
-        f" `dpbench check {name}` computes the ranges shown as –." for name in untested[:1]
+        f" A dash (–) is a range that was not computed: `dpbench check {name}` computes that in "
+        f"{STILL}, and a suite with a table `[design]` computes both."
+        for name in untested[:1]
     )
     return Table(
         (
