@@ -159,18 +159,25 @@ def _describe_solver(name: str, *, with_options: bool = False) -> str:
 
 
 def list_tables_of_folder(folder: Path) -> list[str]:
-    """Return a line on each table of a result folder that has rows, and on how to get it."""
-    from dpbench.notebook.results import load_results
-    from dpbench.report.report import TABLES
+    """Return a line on each table of a result folder that has rows, and on how to get it.
 
-    known = {name: len(table) for name, table in load_results(folder).tables.items() if len(table)}
+    Until a report has written them, the line on CSV names the command that does.
+    """
+    from dpbench.notebook.results import load_results
+    from dpbench.report.report import LEGEND, describe_table
+
+    tables = load_results(folder).tables.items()
+    files, legend = folder / "tables", folder / "tables" / LEGEND
+    csv = f"`dpbench report {folder}` writes the tables to {files}"
+    if legend.is_file():
+        csv = f"{files} (columns described in {legend})"
     return [
         *(
-            f"{name} ({plural(rows, 'row')}): "
-            f"{TABLES.get(name, 'Data of the section of the page with this name.')}"
-            for name, rows in known.items()
+            f"{name} ({plural(len(table), 'row')}): {describe_table(name, table)}"
+            for name, table in tables
+            if len(table)
         ),
-        f"CSV: {folder / 'tables'} (columns described in {folder / 'tables' / 'README.md'})",
+        f"CSV: {csv}",
         f"LaTeX: dpbench report {folder} --latex NAME",
         f'Python: load_results("{folder}").tables["NAME"]',
     ]

@@ -274,7 +274,8 @@ class Results(result_folder.Results):
     ) -> str:
         """Return a table of the report as a LaTeX `tabular`, numbers to three digits.
 
-        The document needs the package `booktabs`. A ratio of one run to itself is an empty cell. If
+        An estimate and its interval have a fourth digit where three do not distinguish them. The
+        document needs the package `booktabs`. A ratio of one run to itself is an empty cell. If
         all rows have one `unit`, it is in the heads of the values. For a table of the report, or
         rows of one, the last line is a comment with a caption: contents, and rounds and steps of
         the replays. For step time ratios it defines the ratio and its interval.
@@ -338,9 +339,9 @@ class Results(result_folder.Results):
     def _describe_table(self, name: str) -> str:
         """Return a caption of a table: its contents, and how step times were measured."""
         # The report draws, and Altair takes its time.
-        from dpbench.report.report import TABLES
+        from dpbench.report.report import describe_table
 
-        caption = TABLES.get(name, "")
+        caption = describe_table(name, self.tables[name])
         if name == "study_excess":
             studies = find_studies(Records(self))
             caption = " ".join([caption, EXCESS_NOTE, *_describe_studies(studies)])
@@ -461,9 +462,9 @@ class _StoredTables(_Tables):
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        from dpbench.report.report import read_table
+        from dpbench.report.report import read_tables
 
-        super().__init__((path.stem, read_table(path)) for path in sorted(folder.glob("*.csv")))
+        super().__init__(read_tables(folder))
 
     def __missing__(self, name: str) -> pd.DataFrame:
         """Raise ResultsError that names the table and those that are there."""

@@ -3,7 +3,8 @@
 The tables are written as `tables/*.csv` with a legend, and read again.
 """
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -43,7 +44,12 @@ from dpbench.files.regular_files import write_file_set_into_folder
 from dpbench.report.charts.render import NOT_DRAWN, can_draw
 from dpbench.report.commands_text import describe_machine_states
 from dpbench.report.embedded_text import yield_uncounted_sentences
-from dpbench.report.formats import Table, escape_markdown, strip_markdown
+from dpbench.report.formats import (
+    Table,
+    escape_markdown,
+    escape_markdown_paragraph,
+    strip_markdown,
+)
 from dpbench.report.own_settings_text import describe_own_settings, describe_own_settings_in_si
 from dpbench.report.page.data import PageData
 from dpbench.report.page.live import (
@@ -196,6 +202,8 @@ class Report:
 
 LEGEND = "README.md"
 TABLES: dict[str, str] = read_words(__file__)["tables"]
+DESCRIPTION = "description"
+"""Key of a data frame's `attrs`: the description of a table that is not in `TABLES`."""
 COLUMNS: dict[str, str] = read_words(__file__)["columns"]
 _TEXT_COLUMNS = [name for name, (kind, _) in RUN_COLUMNS.items() if kind == "str"]
 _ARMED = r"^'(?=[-=+@])"
@@ -235,9 +243,15 @@ def build_tables(
         for i, small in enumerate(topic.tables):
             name = topic.id if i == 0 else f"{topic.id}_{i + 1}"
             tables[name] = convert_to_frame(small)
+            tables[name].attrs[DESCRIPTION] = f"{small.title or topic.title}."
     if data.counts.sequences:
         tables["embedded"] = tabulate_counts(data.counts)
     return tables
+
+
+def describe_table(name: str, table: pd.DataFrame) -> str:
+    """Return the description of a table; of a table of a topic, its title; "" without one."""
+    return TABLES.get(name) or str(table.attrs.get(DESCRIPTION, ""))
 
 
 def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
@@ -252,7 +266,7 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
     known = {name: of_runs.get(name, COLUMNS) for name in written}
     wording = {
         escape_markdown(name): (
-            TABLES.get(name, "A table of a part of the page."),
+            TABLES.get(name) or escape_markdown_paragraph(describe_table(name, table)),
             {column: known[name][column] for column in table if column in known[name]},
         )
         for name, table in written.items()
@@ -273,6 +287,17 @@ def copy_tables(stored: Path, folder: Path) -> None:
     write_file_set_into_folder(
         folder, {name: partial(bytes, content) for name, content in contents.items()}
     )
+
+
+def read_tables(folder: Path) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Yield the tables that `write_tables` wrote into a folder, each with its name."""
+    legend = folder / LEGEND
+    text = legend.read_text(encoding="utf-8", errors="replace") if legend.is_file() else ""
+    described = dict(re.findall(r"^## (.+)\.csv\n\n(.+)$", text, flags=re.MULTILINE))
+    for path in sorted(folder.glob("*.csv")):
+        table = read_table(path)
+        table.attrs[DESCRIPTION] = described.get(path.stem, "")
+        yield path.stem, table
 
 
 def read_table(path: Path) -> pd.DataFrame:

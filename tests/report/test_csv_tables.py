@@ -16,7 +16,7 @@ from dpbench.files.regular_files import write_file_set_into_folder
 from dpbench.report.formats import Table
 from dpbench.report.page.recommendation import Recommendation
 from dpbench.report.page.section import Topic
-from dpbench.report.report import TABLES, Report, build_tables
+from dpbench.report.report import TABLES, Report, build_tables, describe_table, read_tables
 from dpbench.report.write import write_report
 from tests.result_folder import write_results
 
@@ -137,6 +137,8 @@ def test_the_command_names_every_table_and_prints_one_in_latex(
     named = re.findall(r"^(\w+) \(\d+ rows?\): \S", text, flags=re.MULTILINE)
     assert named == [name for name, table in tables.items() if len(table)]
     assert f"dpbench report {tmp_path} --latex NAME" in " ".join(text.split())
+    csv = f"CSV: `dpbench report {tmp_path}` writes the tables to {tmp_path / 'tables'} LaTeX:"
+    assert csv in " ".join(text.split())
     assert main(["report", str(tmp_path), "--latex", "verdicts"]) == 0
     assert capsys.readouterr().out.startswith("\\begin{tabular}")
     words = ["report", str(tmp_path), "--latex", "verdicts", "--columns", "solver, p50_us"]
@@ -170,6 +172,28 @@ def test_tables_of_topics_are_files_too(written: Any) -> None:
     table = _table(written.folder, "paper")
     assert list(table.columns) == list(shown.tables[0].heads)
     assert [tuple(row) for row in table.to_numpy()] == list(shown.tables[0].rows)
+
+
+def test_a_table_of_a_topic_is_described_by_its_title(
+    written: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the list, the legend and the caption; with the legend alone, without the steps too."""
+    title = "Assumptions where the paper is incomplete."
+    legend = written.folder / "tables" / "README.md"
+    assert f"## paper_2.csv\n\n{title}\n" in legend.read_text(encoding="utf-8")
+    assert main(["report", str(written.folder), "--tables"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert re.search(rf"paper_2 \(\d+ rows\): {title}", text)
+    assert f"CSV: {legend.parent} (columns described in {legend}) LaTeX:" in text
+    latex = dpbench.load_results(written.folder).to_latex("paper_2")
+    assert latex.endswith(f"\n% Caption: {title}\n")
+    stored = dict(read_tables(legend.parent))["paper_2"]
+    assert describe_table("paper_2", stored) == title
+
+
+def test_every_table_has_a_description(written: Any) -> None:
+    for name, table in written.report.tables.items():
+        assert len(describe_table(name, table)) > 1, name
 
 
 def test_the_legend_explains_every_table_and_column(written: Any) -> None:
