@@ -7,7 +7,7 @@ from numbers import Integral, Real
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
-from dpbench.report.formats import format_rounded_down
+from dpbench.report.formats import as_float, count_digits_of_estimate, format_rounded_down
 
 _SPECIAL = {sign: f"\\{sign}" for sign in "&%$#_{}"} | {
     "\\": r"\textbackslash{}",
@@ -59,6 +59,12 @@ _ESCAPES = str.maketrans(_SPECIAL | {sign: f"${math}$" for sign, math in _MATH.i
 _NUMBER = re.compile(r"(?<![\w.)])-?\d+(?:\.\d+)?e[+-]?\d+(?!\w)|(?<![\w.)])-(?=\d)")
 """A number with an exponent, or the minus of another one."""
 _DIGITS = 3
+_LONG_CELL = 30
+"""Characters of a text above which the cells of its column have several lines."""
+_LINE = 80
+"""Characters of a line of the document, by which the widths of columns are estimated."""
+_GAP = 3
+"""Characters that the space between two columns takes."""
 _COLUMN_NAME = re.compile(r"[a-z][\w.]*", re.ASCII)
 _UNITS = {unit: unit for unit in ("ns", "ms", "s", "m", "cm", "N", "kN", "mps", "J")} | {
     "us": "µs",
@@ -77,11 +83,12 @@ _HEAD_NAMES = {"p_differs": "p-value"}
 def make_tabular(table: pd.DataFrame) -> str:
     r"""Return a table as a LaTeX `tabular` with the rules of `booktabs`, one line a row.
 
-    Numbers have three digits, with trailing zeros, and stand to the right; a column of whole
-    numbers has no decimals. If one number of a column needs a power of ten, all have one, and so
-    have the ends of its interval. The values of a solver's options have no trailing zeros. Speed
-    margins are rounded down, as on the page. A missing value is an empty cell. Heads are column
-    names with spaces and the unit in brackets.
+    Numbers have three digits, with trailing zeros, and stand to the right; an estimate and the ends
+    of its interval have a fourth where three do not distinguish them. A column of whole numbers has
+    no decimals. If one number of a column needs a power of ten, all have one, and so have the ends
+    of its interval. The values of a solver's options have no trailing zeros. Speed margins are
+    rounded down, as on the page. A missing value is an empty cell. Heads are column names with
+    spaces and the unit in brackets. A column of long texts has a width, so that its lines break.
 
     Examples
     --------
@@ -95,7 +102,7 @@ def make_tabular(table: pd.DataFrame) -> str:
     \end{tabular}
     <BLANKLINE>
     """
-    align = "".join("r" if _has_only_numbers(table[name]) else "l" for name in table)
+    align = "".join(_choose_column_types(table))
     heads = (escape_latex(make_table_head(str(name))) for name in table)
     whole = [_has_only_whole_numbers(table[name]) for name in table]
     has_powers = _find_columns_in_powers(table)
@@ -112,16 +119,68 @@ def make_tabular(table: pd.DataFrame) -> str:
                 if is_option and isinstance(value, float) and pd.notna(value)
                 else value,
                 in_powers=in_powers,
+                digits=digits,
             )
-            for value, is_whole, is_margin, in_powers, is_option in zip(
-                row, whole, are_margins, has_powers, are_options, strict=True
+            for value, is_whole, is_margin, in_powers, is_option, digits in zip(
+                row, whole, are_margins, has_powers, are_options, digits_of_row, strict=True
             )
         ]
-        for row in table.itertuples(index=False, name=None)
+        for row, digits_of_row in zip(
+            table.itertuples(index=False, name=None), _count_digits(table), strict=True
+        )
     ]
     head, *body = (" & ".join(cells) + r" \\" for cells in (heads, *rows))
     lines = [r"\toprule", head, r"\midrule", *body, r"\bottomrule"]
     return "\n".join((f"\\begin{{tabular}}{{{align}}}", *lines, r"\end{tabular}", ""))
+
+
+def _choose_column_types(table: pd.DataFrame) -> list[str]:
+    """Return `r` for a column of numbers, `l` for short texts, `p` with a width for long ones.
+
+    Columns of long texts divide the space that the others leave by the length of their longest
+    cells, but none is narrower than its longest word. Together they are at most as wide as the
+    line.
+    """
+    types: list[str] = []
+    lengths: dict[int, int] = {}
+    words: dict[int, int] = {}
+    taken = _GAP * table.shape[1]
+    for i, name in enumerate(table):
+        head, column = make_table_head(str(name)), table.iloc[:, i]
+        is_number = _has_only_numbers(column)
+        texts = [] if is_number else [str(value) for value in column.dropna()]
+        longest = max(map(len, texts), default=0)
+        types.append("r" if is_number else "l")
+        if longest > _LONG_CELL:
+            lengths[i] = longest
+            words[i] = max(len(word) for text in [head, *texts] for word in text.split())
+        else:
+            taken += max(longest, len(head))
+    free, needed = max(0, _LINE - taken), sum(words.values())
+    shares = {i: free * length / sum(lengths.values()) for i, length in lengths.items()}
+    more = {i: max(0.0, share - words[i]) for i, share in shares.items()}
+    scale = max(0, free - needed) / (sum(more.values()) or 1.0)
+    line = max(_LINE, needed)
+    for i in lengths:
+        width = words[i] + scale * more[i]
+        types[i] = f"p{{{math.floor(100 * width / line) / 100:.2f}\\linewidth}}"
+    return types
+
+
+def _count_digits(table: pd.DataFrame) -> list[list[int]]:
+    """Return the digits of each cell, by row: more than usual where an interval is narrow."""
+    names = [str(name).partition(" [")[0] for name in table]
+    digits = [[_DIGITS] * len(names) for _ in range(len(table))]
+    for place, name in enumerate(names):
+        ends = ("low", "high") if name in ("effect", "ratio") else (f"{name}_low", f"{name}_high")
+        if not {*ends} <= {*names}:
+            continue
+        places = [place, *map(names.index, ends)]
+        for row, of_row in zip(table.itertuples(index=False, name=None), digits, strict=True):
+            value, low, high = (as_float(row[i]) for i in places)
+            for i in places:
+                of_row[i] = count_digits_of_estimate(value, low, high, _DIGITS)
+    return digits
 
 
 def _round_margin_down(value: object) -> object:
@@ -203,12 +262,12 @@ def _format_option(value: float, in_powers: bool) -> str:
     return f"{float(mantissa):g}e{exponent}" if in_powers else f"{value:g}"
 
 
-def format_latex_cell(value: object, *, in_powers: bool = False) -> str:
-    """Format a value as a cell of LaTeX: a float to three digits, anything else as text."""
+def format_latex_cell(value: object, *, in_powers: bool = False, digits: int = _DIGITS) -> str:
+    """Format a value as a cell of LaTeX: a float to so many digits, anything else as text."""
     if value is None or value is pd.NA or value != value:  # NaN alone differs from itself
         return ""
     if isinstance(value, Real) and not isinstance(value, Integral):
-        return _format_number(float(value), in_powers=in_powers)
+        return _format_number(float(value), in_powers=in_powers, digits=digits)
     return escape_latex(str(value))
 
 
@@ -222,8 +281,8 @@ def escape_latex(text: str) -> str:
     return "".join((*parts, text[end:].translate(_ESCAPES)))
 
 
-def _format_number(value: float, *, in_powers: bool = False) -> str:
-    """Return a number as LaTeX of three digits; 0 as it is.
+def _format_number(value: float, *, in_powers: bool = False, digits: int = _DIGITS) -> str:
+    """Return a number as LaTeX of so many digits; 0 as it is.
 
     It has no exponent from 1e-4 to 1e7, unless it stands `in_powers` of ten.
     """
@@ -231,10 +290,10 @@ def _format_number(value: float, *, in_powers: bool = False) -> str:
         return r"$\infty$" if value > 0.0 else r"$-\infty$"
     if value == 0.0:
         return "0"
-    rounded = float(f"{value:.{_DIGITS}g}")
+    rounded = float(f"{value:.{digits}g}")
     if in_powers or not 1e-4 <= abs(rounded) < 1e7:
-        return _format_power_of_ten(f"{value:.{_DIGITS - 1}e}")
-    decimals = max(0, _DIGITS - 1 - math.floor(math.log10(abs(rounded))))
+        return _format_power_of_ten(f"{value:.{digits - 1}e}")
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(rounded))))
     text = f"{rounded:.{decimals}f}"
     return f"${text}$" if rounded < 0.0 else text
 

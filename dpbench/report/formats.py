@@ -156,11 +156,24 @@ def format_estimate_with_bounds(value: float, low: float, high: float) -> tuple[
     >>> format_estimate_with_bounds(0.0312, 0.0308, 0.0345)
     ('0.0312', '0.0308', '0.0345')
     """
-    for digits in (2, 3, 4):
+    digits = count_digits_of_estimate(value, low, high)
+    middle, least, most = (significant(number, digits) for number in (value, low, high))
+    return middle, least, most
+
+
+def count_digits_of_estimate(value: float, low: float, high: float, fewest: int = 2) -> int:
+    """Return the digits, at most four, in which an estimate differs from the ends of its interval.
+
+    Examples
+    --------
+    >>> count_digits_of_estimate(299.3, 298.9, 299.4)
+    4
+    """
+    for digits in range(fewest, 4):
         middle, least, most = (significant(number, digits) for number in (value, low, high))
         if (middle != least or value == low) and (middle != most or value == high):
-            break
-    return middle, least, most
+            return digits
+    return 4
 
 
 def format_interval(low: float, high: float) -> str:

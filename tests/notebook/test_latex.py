@@ -115,3 +115,33 @@ def test_an_estimate_and_its_interval_have_one_notation(names: tuple[str, str]) 
     table = pd.DataFrame({names[0]: [2e-5], names[1]: [0.25], "p50_us": [0.25]})
     row = make_tabular(table).splitlines()[4]
     assert row == r"$2.00\cdot 10^{-5}$ & $2.50\cdot 10^{-1}$ & 0.250 \\"
+
+
+@pytest.mark.parametrize(
+    ("names", "bounds"),
+    [
+        (("effect [cm]", "low [cm]", "high [cm]"), "299.3 & 298.9 & 299.4"),
+        (("ratio", "low", "high"), "299.3 & 298.9 & 299.4"),
+        (("error_cm", "error_cm_low", "error_cm_high"), "299.3 & 298.9 & 299.4"),
+        (("error_cm", "low", "high"), "299 & 299 & 299"),
+    ],
+)
+def test_an_interval_keeps_its_width(names: tuple[str, str, str], bounds: str) -> None:
+    """By a fourth digit, in its row and for its estimate alone."""
+    rows = [[299.31, 298.87, 299.42, 299.31], [274.12, 253.4, 285.1, 1.0]]
+    table = pd.DataFrame(rows, columns=[*names, "median"])
+    assert make_tabular(table).splitlines()[4:6] == [
+        rf"{bounds} & 299 \\",
+        r"274 & 253 & 285 & 1.00 \\",
+    ]
+
+
+def test_columns_of_long_texts_share_the_line() -> None:
+    """Short texts and numbers keep their columns; a narrow width holds the longest word."""
+    table = pd.DataFrame({"a": ["word " * 7], "b": ["word " * 14], "c": ["short"], "n": [1.5]})
+    types = make_tabular(table).splitlines()[0]
+    assert types == r"\begin{tabular}{p{0.25\linewidth}p{0.51\linewidth}lr}"
+    many = pd.DataFrame({name: ["word " * 7, "x" * 40] for name in "abcde"})
+    assert make_tabular(many).splitlines()[0].count(r"p{0.20\linewidth}") == 5
+    table = pd.DataFrame({"a": ["x" * 20 + " and more text"], "b": ["word " * 100]})
+    assert r"{p{0.25\linewidth}p{0.67\linewidth}}" in make_tabular(table)
