@@ -70,8 +70,8 @@ CALL_MODES = (
 )
 FAILED_STEPS = (
     "The failed steps of all closed loops, replays and windows are added up: a step counts once "
-    "in each run in which it fails. In a replay or window, a step that fails in any round "
-    "counts, warm-up included."
+    "in each run in which it fails. In a replay or window, a step counts if it fails in any round "
+    "or in the warm-up."
 )
 TERMS = "Terms: `docs/glossary.md` of dpbench."
 
@@ -229,8 +229,8 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
         for _, m in timed
     )
     scaled = (
-        " Both are scaled up if the closed loop takes more iterations than the replay or window."
-        * is_scaled
+        " The p99 is scaled up if the p99 of iterations is larger in the closed loop, and the "
+        "longest step if the largest number of iterations is." * is_scaled
     )
     without = " (without a p99: longest step)" * any(math.isnan(v.p99_ns) for v, _ in timed)
     return (
@@ -338,7 +338,7 @@ def _locate_times(time: str, names: Mapping[str, str], preposition: str) -> str:
     Examples
     --------
     >>> _locate_times("longest step", {"daqp": "turn", "osqp": "turn", "piqp": "rough"}, "in")
-    'The longest step is in turn, except that of piqp (in rough).'
+    'The longest step is in turn, with one exception: for piqp, it is in rough.'
     """
     of_name = group_by_key(names, lambda label: names[label])
     most, *others = sorted(of_name, key=lambda name: -len(of_name[name]))
@@ -349,12 +349,9 @@ def _locate_times(time: str, names: Mapping[str, str], preposition: str) -> str:
         counts = [f"{preposition} {name} for {len(of_name[name])}" for name in others]
         first = f"{lead} for {len(of_name[most])} of the {len(names)} configurations"
         return f"{join_with_and([first, *counts])}."
-    clauses = [
-        f"{'that' if len(of_name[name]) == 1 else 'those'} of {join_with_and(of_name[name])} "
-        f"({preposition} {name})"
-        for name in others
-    ]
-    return f"{lead}, except {join_with_and(clauses)}."
+    clauses = [f"for {join_with_and(of_name[name])}, it is {preposition} {name}" for name in others]
+    exceptions = "one exception" if len(others) == 1 else f"{len(others)} exceptions"
+    return f"{lead}, with {exceptions}: {'; '.join(clauses)}."
 
 
 def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[str, ...]]:

@@ -351,7 +351,7 @@ COLUMNS = {
     **RUN_COLUMNS,
     "scaled_p99_ns": (
         "float64",
-        "p99, scaled up if the steps of the closed loop take more iterations; the largest of a "
+        "p99, scaled up if the p99 of iterations is larger in the closed loop; the largest of a "
         "configuration is its limiting p99",
     ),
 }

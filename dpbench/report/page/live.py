@@ -68,8 +68,8 @@ def _explain_step_times(data: PageData) -> str:
     names = _mark_names(v.configuration.solver for v in untimed if not v.timed_on)
     is_are, its = ("is", "its") if len(names) == 1 else ("are", "their")
     absent = (
-        f" {join_with_and(names)} {is_are} absent, because {its} replays, windows not counted, "
-        "were not timed completely."
+        f" {join_with_and(names)} {is_are} absent, because {its} replays (excluding windows) were "
+        "not timed completely."
     ) * bool(names)
     left_out = len(list_best_verdict_of_own_settings(data.verdicts)) - MOST_OWN
     more = f" {left_out} more custom settings: `tables/verdicts.csv`." * (left_out > 0)
@@ -83,8 +83,8 @@ def _explain_step_times(data: PageData) -> str:
 
 BARS = (
     "The call overhead is the time of a call from Python that copies its data but solves nothing. "
-    "If the p50 of a solver is smaller than this time, its grey bar ends at the p50. Differences "
-    "between step times below 5 µs may be due to the interfaces, not the algorithms."
+    "If the p50 of a solver is smaller than this time, its grey bar ends at the p50. If step times "
+    "are below 5 µs, their differences may be due to the interfaces, not the algorithms."
 )
 
 

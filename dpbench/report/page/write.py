@@ -197,8 +197,8 @@ _STATES = ("var(--good)", "var(--near)", "var(--warn)", "var(--late)", "var(--ba
 _HUES = [hue for hue in style.FAMILY_COLOURS.values() if hue not in style.STATE_COLOURS]
 FILES = {
     "runs.parquet": "one row per run",
-    "steps.parquet": "one row per step; may be missing from published copies",
-    "embedded.parquet": "one row per step of C code compiled for an embedded core and emulated",
+    "steps.parquet": "one row per step and round; may be missing from published copies",
+    "embedded.parquet": "one row per step solved by C code for an embedded core in an emulator",
     "capability.parquet": "one row per QP at the edge of the capability plot",
     "machine.json": "description of the machine and versions of its software",
     "suite.json": "the suite that was run, its start and duration, and the revision of dpbench",

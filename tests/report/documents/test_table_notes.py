@@ -33,8 +33,8 @@ def test_rows_of_other_replays_and_own_options_are_named() -> None:
     own = _verdict("osqp", "squall", settings="mine", options='{"rho": 1.6}')
     notes = list(yield_table_remarks([_verdict("daqp", "move"), own, _verdict("piqp", "move")]))
     assert notes == [
-        "The p50 is from the replay of `move`, except that of `osqp` (native warm, mine) (from the "
-        "replay of `squall`).",
+        "The p50 is from the replay of `move`, with one exception: for `osqp` (native warm, mine), "
+        "it is from the replay of `squall`.",
         "Custom settings: `osqp` mine: rho=1.6.",
     ]
 
@@ -71,13 +71,13 @@ def test_the_replays_of_worst_p99_and_hardest_step_are_named() -> None:
             ]
         )
     )
-    turn = "in the window of `turn`, except that of `scs` (native warm) (in the replay of `move`)"
-    rough = "that of `piqp` (native warm) (in the window of `rough`)"
+    scs = "for `scs` (native warm), it is in the replay of `move`"
+    piqp = "for `piqp` (native warm), it is in the window of `rough`"
     assert notes == [
         "A limiting p99 from a window has no confidence interval, as a window is only a part of "
         "the scenario.",
-        f"The limiting p99 is {turn}.",
-        f"The longest step is {turn} and {rough}.",
+        f"The limiting p99 is in the window of `turn`, with one exception: {scs}.",
+        f"The longest step is in the window of `turn`, with 2 exceptions: {scs}; {piqp}.",
     ]
 
 

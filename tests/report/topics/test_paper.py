@@ -177,7 +177,7 @@ def test_the_words_of_the_paper_are_beside_the_results(records: Any) -> None:
         "not stated in the text"
         in stated["The constrained law has a smaller heading error (Fig. 5)"]
     )
-    assert "depend on these values; the documentation page on the paper" in table.note
+    assert "depend on these values. The documentation page on the paper" in table.note
 
 
 @pytest.mark.slow
