@@ -1,9 +1,11 @@
 """Sentences of `dpbench init --thrusters` on assumed values and on the side of the weather."""
 
+from pathlib import Path
+
 import pytest
 
 from dpbench.bench.capability.frontier import INTACT, WindLimit
-from dpbench.cli.ship.own_thrusters import _explain_side
+from dpbench.cli.ship.own_thrusters import WeakSide, _explain_side
 from dpbench.scenario.own_thrusters import (
     Berth,
     complete_thruster_values,
@@ -54,3 +56,9 @@ def test_losses_that_leave_the_same_wind_on_both_sides_are_named(
         f"weather from starboard (30°): there the ship holds less, {winds[0]} m/s without {case}, "
         f"than from port (330°), {winds[1]} m/s without {case}.{alike}"
     )
+
+
+def test_the_command_for_a_weak_side_that_is_not_held_names_the_file_in_its_folder() -> None:
+    none = WindLimit(0.0, 0)
+    said = WeakSide(90.0, none, "A", (90.0, none)).describe(1, Path("bar/own_weak_side.toml"))
+    assert "dpbench run smoke --scenario bar/own_weak_side.toml" in said

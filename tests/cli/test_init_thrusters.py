@@ -510,6 +510,19 @@ def test_of_equal_half_turns_the_middle_one_is_taken_and_the_tie_printed(
     assert "270° to 90°, 210° to 30° and 330° to 150° are equal within 0.1 m/s. Ties" in said
 
 
+def test_printed_commands_name_the_files_in_the_output_folder(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """An azimuth with a barred zone adds a command for its half turn."""
+    rows = TABLE.replace("power_kW,group", "power_kW,group,barred_from_deg,barred_to_deg")
+    small = rows.rstrip("\n").replace("-30,0,1200,board B", "-30,0,0.01,board B,150,210")
+    assert init(small, "--out", "bar") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "dpbench capability bar/my_ship.toml --planned" in said
+    files = re.findall(r"dpbench \w+ (?:smoke --scenario )?([\w/]+\.toml)", said)
+    assert len(files) >= 3 and all(Path(file).is_file() for file in files)
+
+
 @pytest.mark.parametrize("of_race", [False, True])
 def test_a_zone_that_bars_the_push_towards_a_thruster_but_not_the_race_is_warned_of(
     of_race: bool, capsys: pytest.CaptureFixture[str]

@@ -179,7 +179,7 @@ def write_own_ship(options: argparse.Namespace) -> list[str]:
         files = _name_loss_files(stem, held, number)
         paths = {group: folder / file for group, file in files.items()}
         remarks += describe_losses(held, number, _find_time_of_loss(vessel), paths)
-        remarks.append(held.weak_side.describe(number, _name_weak_side_file(stem)))
+        remarks.append(held.weak_side.describe(number, folder / _name_weak_side_file(stem)))
         if _name_intact_file(stem) in texts:
             remarks.append(held.describe_intact_sea(_name_intact_file(stem)))
     harder = _suggest_harder_sea(folder, vessel, number, held)
@@ -284,7 +284,9 @@ def _scale_new_ship(options: argparse.Namespace, numbers: dict[str, float | None
     vessel = scaling.scale_library_vessel_to_own_ship(like, own, thrust, options.name)
     if own_thrusters is not None:
         vessel = own_thrusters.make_fitted_vessel(vessel)
-        own_thrusters = own_thrusters.choose_half_turns(vessel)
+        own_thrusters = own_thrusters.choose_half_turns(
+            vessel, Path(options.out) / f"{options.name}.toml"
+        )
         vessel = replace(vessel, thrusters=own_thrusters.thrusters)
     if hull is not None:
         vessel = replace(vessel, M=hull.M, D=hull.D, where=hull_file)

@@ -111,8 +111,10 @@ class OwnThrusters:
         rate = self.thrusters.largest_force_rate_by_axis()
         return replace(vessel, thrusters=self.thrusters, tau_min=low, tau_max=high, rate_max=rate)
 
-    def choose_half_turns(self, vessel: Vessel) -> "OwnThrusters":
+    def choose_half_turns(self, vessel: Vessel, file: Path) -> "OwnThrusters":
         """Return the thrusters with half turns that controllers plan with for wider sectors.
+
+        file : that the vessel will be written to, for the lines.
 
         Of three for each azimuth that with which the fitted vessel holds the most wind off the bow,
         after the loss that leaves least, then the next, at last intact; the first in the order of
@@ -140,7 +142,7 @@ class OwnThrusters:
         thrusters = replace(self.thrusters, thrusters=tuple(t.build_thruster() for t in tables))
         lines = [line for of_one in lines_by_azimuth.values() for line in of_one]
         if lines:
-            command = f"dpbench capability {vessel.id}.toml --planned"
+            command = f"dpbench capability {file} --planned"
             lines += ["To show the wind lost through these half turns, run:", f"  {command}"]
         return replace(self, tables=tuple(tables), thrusters=thrusters, half_turns=tuple(lines))
 
@@ -315,7 +317,7 @@ class WeakSide:
             return f"the smallest, as the thrusters hold none {where}. {why}"
         return f"the largest up to number {number} that the thrusters hold {where}. {why}"
 
-    def describe(self, number: int, file: str) -> str:
+    def describe(self, number: int, path: Path) -> str:
         """Return a sentence on the scenario of a file with a sea up to a DP capability number."""
         from_deg, limit = self.intact
         winds = [f"{format_wind_held(limit.wind_mps)} from {from_deg:g}° intact"]
@@ -324,11 +326,11 @@ class WeakSide:
             winds.append(f"{wind} from {self.from_deg:g}° {self.when}")
         sea = f"DP capability number {self.find_number(number)}"
         if not self.is_held:
-            sea += f", not held and not in the suite: dpbench run smoke --scenario {file}"
+            sea += f", not held and not in the suite: dpbench run smoke --scenario {path}"
         what = "direction of least wind held"
         if self.has_half_turns:
             what += " with the half turns of controllers; the capability plot has all directions"
-        return f"weak side ({what}): {', '.join(winds)} ({file}, {sea})"
+        return f"weak side ({what}): {', '.join(winds)} ({path.name}, {sea})"
 
 
 @dataclass(frozen=True)
