@@ -355,8 +355,8 @@ def add_init_options(init: Command) -> None:
         init.add_argument_group("weather"),
         "--sea",
         "N",
-        "sea with this DP capability number of DNV-ST-0111, 1 to 9 (default: the highest at which "
-        "the ship holds station)",
+        "DP capability number of the sea, 1 to 9 (default: the highest held; with --thrusters, "
+        "after the worst loss)",
     )
     output = init.add_argument_group("output")
     _option(output, "--out", "DIR", "folder to write to (default: current folder)", default=".")

@@ -416,11 +416,13 @@ def _suggest_harder_sea(
         f"(more wind from the same direction: {wind_mps:g} m/s from {from_deg:g}°; mean force of "
         f"level 1: {100 * share:.0f} % of {whole}"
     )
-    lost = held is not None and held.list_groups_not_held(harder)
-    about += "; not held after some losses)" if lost else ")"
+    if held is not None and (lost := held.list_groups_not_held(harder)):
+        about += (
+            f"; not held after {'any loss' if len(lost) == len(held.losses) else 'some losses'}"
+        )
     return [
         f"harder: dpbench init {vessel.id} --sea {harder}{where}",
-        *textwrap.wrap(about, WIDTH, initial_indent="      ", subsequent_indent="      "),
+        *textwrap.wrap(f"{about})", WIDTH, initial_indent="      ", subsequent_indent="      "),
     ]
 
 

@@ -550,6 +550,8 @@ def describe_losses(
             f"{format_wind_held(held.intact_mps)} that the thrusters hold from "
             f"{held.from_deg:g}° {held.method}."
         )
+        if scaling.DP_NUMBERS[1][0] <= held.intact_mps:
+            lines.append(_suggest_smaller_sea(held.intact_number, "intact"))
     # In the sea that is held, not where each loss is simulated whatever it leaves.
     held_after = choose_loss(held, number) if held.lost != next(iter(held.losses)) else None
     notes = {held_after: ", the worst after which a sea is held"}
@@ -578,11 +580,13 @@ def _describe_losses_not_held(held: HeldSea, number: int) -> list[str]:
         return []
     without = _name_groups_lost_one_by_one(weak)
     lines = [f"CAUTION: {held.method}, the thrusters do not hold this sea {without}."]
+    by_sea: dict[int, list[str]] = {}
     for group in weak:
-        if smaller := held.losses[group]:
-            held_sea = f"DP capability number {smaller}"
-            lines.append(f"{held_sea} is held without {group}: --sea {smaller}.")
-    if none := [group for group in weak if not held.losses[group]]:
+        by_sea.setdefault(held.losses[group], []).append(group)
+    none = by_sea.pop(0, [])
+    for smaller, groups in by_sea.items():
+        lines.append(_suggest_smaller_sea(smaller, _name_groups_lost_one_by_one(groups)))
+    if none:
         wind = f"a wind of {scaling.DP_NUMBERS[1][0]:g} m/s from {held.from_deg:g}°"
         lines.append(
             f"Not even DP capability number 1, {wind}, is held "
@@ -592,6 +596,11 @@ def _describe_losses_not_held(held: HeldSea, number: int) -> list[str]:
         )
         lines += [f"After the loss of {group}: {held.remedies[group]}." for group in none]
     return lines
+
+
+def _suggest_smaller_sea(number: int, when: str) -> str:
+    """Return a sentence on the option for a DP capability number that is held."""
+    return f"DP capability number {number} is held {when}: --sea {number}."
 
 
 def _name_groups_lost_one_by_one(groups: Sequence[str]) -> str:
