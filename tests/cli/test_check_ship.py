@@ -21,6 +21,7 @@ from dpbench.cli.ship import check_ship
 from dpbench.scenario.own_ship import compute_mean_force_of_dp_number
 from dpbench.scenario.problem_files import find_problem_path, list_shipped_problem_names
 from dpbench.scenario.scenario import Scenario, load_scenario, load_vessel
+from dpbench.scenario.variation import copy_scenario_with_values
 from dpbench.ship.characteristics import compute_mean_weather_force
 from dpbench.ship.thrusters import Thruster, ThrusterSet
 
@@ -194,9 +195,29 @@ def test_the_load_is_compared_with_the_thrust_left_after_a_loss() -> None:
         f"load needs {100 * share:.0f} % (simulated) or 61 % (level 1) of the remaining "
         "thrust."
     ) in " ".join(lines.split())
-    larger = check_ship._describe_shares_after_losses(scenario, {"simulated": 10.0 * load})
+    larger, cautions = check_ship._describe_shares_after_losses(
+        scenario, {"simulated": 10.0 * load}
+    )
+    assert not cautions and "CAUTION: after the loss" not in lines
     assert "needs more than 100 % (simulated) of the remaining thrust. The ship then" in larger
     assert larger.endswith("cannot hold the mean load (simulated).") and "cannot" not in lines
+
+
+def test_a_load_above_the_share_of_level_1_after_a_loss_has_a_caution() -> None:
+    """Its wind of 13.8 m/s needs 61 % of the thrust left, one of 17 m/s 74 %."""
+    scenario = load_scenario("thrusters_loss")
+    said = []
+    for wind_mps in (13.8, 17.0, 60.0):
+        values = {"environment.wind.speed_mps": wind_mps}
+        lines = check_ship.compare_with_level_1(copy_scenario_with_values(scenario, values, "wind"))
+        said.append(" ".join(lines).partition("CAUTION: after the loss of board A at 90 s, ")[2])
+    assert said[0] == ""
+    needs = re.match(
+        r"the level-1 load needs (\S+) % of the remaining thrust; at most 72 % is allowed\.",
+        said[1],
+    )
+    assert needs is not None and 72.0 < float(needs[1]) < 100.0
+    assert said[2].startswith("the level-1 load needs more than 100 % of the remaining thrust;")
 
 
 def test_thrusters_show_what_they_make_together(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,6 +51,7 @@ _SAME = 1e-3
 """Relative difference of forces that counts as none: azimuths are polygons in a sector."""
 _WIDTHS = (22, 19, 19, 19)
 LEVEL_1 = "DNV-ST-0111, level 1"
+_MOST_OF_LEVEL_1 = f"; at most {100 * SPARE:.0f} % is allowed."
 FACTOR = 2.0
 """Ratio of a mean load in simulation to that of level 1 beyond which a caution is printed."""
 MATTERS = 0.05
@@ -225,17 +226,22 @@ def _describe_weather_load(scenario: Scenario) -> str:
     if vessel.thrusters is not None:
         together = f", {100 * most:.0f} % of the thrust"
     over = "; the ship cannot hold it" if most > 1.0 else ""
-    after = _describe_shares_after_losses(scenario, {"simulated": load})
+    after, _ = _describe_shares_after_losses(scenario, {"simulated": load})
     return f"mean force: {shares} of the limits{together}{over}{'.' if after else ''}{after}"
 
 
-def _describe_shares_after_losses(scenario: Scenario, loads: Mapping[str, Vector]) -> str:
-    """Return sentences on the thrust that loads need after each loss; "" without one."""
+def _describe_shares_after_losses(
+    scenario: Scenario, loads: Mapping[str, Vector]
+) -> tuple[str, list[str]]:
+    """Return sentences on the thrust that loads need after each loss, and cautions on level 1.
+
+    "" and no caution without a loss.
+    """
     faults = scenario.files["scenario"].get("faults") or []
     losses = sorted((one for one in faults if one.get("lost")), key=lambda one: one["at_s"])
     if scenario.vessel.thrusters is None or not losses:
-        return ""
-    reach, lost = ThrusterReach(scenario.vessel.thrusters), set[int]()
+        return "", []
+    reach, lost, cautions = ThrusterReach(scenario.vessel.thrusters), set[int](), list[str]()
     text = " These shares are those of the intact ship."
     for loss in losses:
         names, at_s = loss["lost"], loss["at_s"]
@@ -246,11 +252,17 @@ def _describe_shares_after_losses(scenario: Scenario, loads: Mapping[str, Vector
             percent = f"{100 * share:.0f}" if share <= 1.0 else "more than 100"
             needed.append(f"{percent} % ({model})")
             too_large += [model] * (share > 1.0)
+            if name == LEVEL_1 and share > SPARE:
+                exact = significant(100.0 * share) if share <= 1.0 else percent
+                cautions.append(
+                    f"CAUTION: after the loss of {join_with_and(names)} at {at_s:g} s, the level-1 "
+                    f"load needs {exact} % of the remaining thrust{_MOST_OF_LEVEL_1}"
+                )
         text += f" After the loss of {join_with_and(names)} at {at_s:g} s, the mean load needs "
         text += f"{' or '.join(needed)} of the remaining thrust."
         if too_large:
             text += f" The ship then cannot hold the mean load ({' or '.join(too_large)})."
-    return text
+    return text, cautions
 
 
 def compare_with_level_1(scenario: Scenario) -> list[str]:
@@ -298,10 +310,9 @@ def compare_with_level_1(scenario: Scenario) -> list[str]:
             f"or {100 * taken[LEVEL_1]:.0f} % (level 1, which allows at most {100 * SPARE:.0f} %)."
         )
     about += " The ship cannot hold the simulated mean load." if most > 1.0 else ""
-    about += _describe_shares_after_losses(scenario, loads)
-    over = f"CAUTION: the level-1 load needs {significant(100.0 * needed)} % of the {whole}; "
-    over += f"at most {100 * SPARE:.0f} % is allowed."
-    notes = [about, *[over] * (needed > SPARE)]
+    after, cautions = _describe_shares_after_losses(scenario, loads)
+    over = f"CAUTION: the level-1 load needs {significant(100.0 * needed)} % of the {whole}"
+    notes = [about + after, *[over + _MOST_OF_LEVEL_1] * (needed > SPARE), *cautions]
     notes += _caution_on_difference(loads, shares, has_current=weather.current is not None)
     wrapped = (line for note in notes for line in textwrap.wrap(note, WIDTH))
     return [*(line.rstrip() for line in lines), *wrapped]

@@ -417,9 +417,8 @@ def _suggest_harder_sea(
         f"level 1: {100 * share:.0f} % of {whole}"
     )
     if held is not None and (lost := held.list_groups_not_held(harder)):
-        about += (
-            f"; not held after {'any loss' if len(lost) == len(held.losses) else 'some losses'}"
-        )
+        which = "any loss" if len(lost) == len(held.losses) else "some losses"
+        about += f"; not held after {which}"
     return [
         f"harder: dpbench init {vessel.id} --sea {harder}{where}",
         *textwrap.wrap(f"{about})", WIDTH, initial_indent="      ", subsequent_indent="      "),
