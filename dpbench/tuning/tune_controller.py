@@ -7,6 +7,7 @@ controller meets the same seas: common random numbers.
 
 import hashlib
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -30,7 +31,7 @@ from dpbench.report.charts.render import save_figure
 from dpbench.report.charts.study import draw_tuning_front
 from dpbench.report.formats import join_with_and, plural, significant
 from dpbench.report.words import render_document
-from dpbench.scenario.own_ship import DP_NUMBERS, make_environment_of_dp_number
+from dpbench.scenario.own_ship import DP_NUMBERS, FROM_DEG, make_environment_of_dp_number
 from dpbench.scenario.problem_files import read_toml_as_dict
 from dpbench.scenario.scenario import Scenario, load_scenario
 from dpbench.scenario.variation import (
@@ -149,12 +150,14 @@ def draw_realisations(
 
 
 def change_sea_of_scenario(scenario: Scenario, sea: Realisation) -> Scenario:
-    """Return a scenario changed to one sea, the noise of its sensors kept."""
+    """Return a scenario changed to one sea; direction, wave motion and noise are its own."""
     weather = scenario.files["scenario"]["environment"]
     if sea.number is not None:
-        weather = make_environment_of_dp_number(sea.number).model_dump() | {
-            "noise": weather["noise"]
-        }
+        own, waves = weather, weather["waves"] or {}
+        from_deg = (own["wind"] or waves).get("from_deg", FROM_DEG)
+        weather = make_environment_of_dp_number(sea.number, from_deg).model_dump()
+        weather["waves"]["motion"] = waves.get("motion")
+        weather["noise"] = own["noise"]
     values = {"environment": weather | {"seed": sea.seed}}
     return copy_scenario_with_values(scenario, values, f"scenario {scenario.name}")
 
@@ -455,16 +458,20 @@ def tune_controller(
     tuning = ControllerTuning(
         found, chosen, fresh, own_fresh, margin, seas_text, (), shortened=shortened
     )
-    seeds = {sea.scenario.name: sea.seed for sea in reversed(other)}
-    return _write_tuning(tuning, bases, seeds, folder)
+    hardest = max(numbers, default=None)
+    written = {sea.scenario.name: sea for sea in reversed(other) if sea.number == hardest}
+    return _write_tuning(tuning, bases, written, folder)
 
 
 def _write_tuning(
-    tuning: ControllerTuning, bases: Sequence[Scenario], seeds: Mapping[str, int], folder: Path
+    tuning: ControllerTuning,
+    bases: Sequence[Scenario],
+    seas: Mapping[str, Realisation],
+    folder: Path,
 ) -> ControllerTuning:
     """Write tuned scenarios, table of trials and figure; return the result with their paths.
 
-    seeds : of the first test realisation, by the names of the scenarios.
+    seas : the first test realisation of the hardest sea, by the names of the scenarios.
     """
     head, mark = "Controller found by `dpbench tune`.", "tuned"
     if tuning.is_unchanged:
@@ -476,8 +483,9 @@ def _write_tuning(
     files: list[Path] = []
     for base in bases:
         tuned = change_controller(base, tuning.chosen.options)
-        seed = {"environment.seed": seeds[base.name]}
-        changed = copy_scenario_with_values(tuned, seed, f"scenario {base.name}").files
+        changed = change_sea_of_scenario(tuned, seas[base.name]).files
+        if number := seas[base.name].number:
+            changed["scenario"] |= _describe_sea(changed["scenario"], number)
         changed["scenario"]["title"] += f", {mark}"
         files.append(folder / f"{base.name.replace('@', '_')}_tuned.toml")
         paths |= dict.fromkeys(write_scenario_and_own_ship_files(changed, files[-1], comment))
@@ -501,6 +509,19 @@ def _write_tuning(
         "suite": suite,
     }
     return ControllerTuning(**fields)
+
+
+def _describe_sea(scenario: Mapping[str, Any], number: int) -> dict[str, str]:
+    """Return title and description of a scenario changed to the sea of a DP capability number."""
+    sea = f"DP capability number {number}"
+    title, found = re.subn(r"DP capability number \d+", sea, scenario["title"])
+    wind, current, waves = (scenario["environment"][key] for key in ("wind", "current", "waves"))
+    shows = (
+        f"{sea}: gusty wind of {wind['speed_mps']:g} m/s, a current of "
+        f"{current['speed_mps']:g} m/s and waves (Hs {waves['hs_m']:g} m, Tp {waves['tp_s']:g} s) "
+        f"from {wind['from_deg']:g}°."
+    )
+    return {"title": title if found else f"{title}, in the sea of {sea}", "shows": shows}
 
 
 def _render_suite(bases: Sequence[Scenario], names: Sequence[str], ship: str, mark: str) -> str:

@@ -12,6 +12,7 @@ from dpbench.bench.run.exact_loop import compute_station_metrics, solve_loop_exa
 from dpbench.cli.main import main
 from dpbench.errors import InputError
 from dpbench.locks import Holder
+from dpbench.scenario.own_ship import make_environment_of_dp_number
 from dpbench.scenario.scenario import load_scenario
 from dpbench.scenario.variation import copy_scenario_with_values, write_scenario_and_own_ship_files
 from dpbench.tuning.search import Trial
@@ -119,6 +120,38 @@ def test_of_several_scenarios_the_largest_offset_counts_and_the_mean_wear(tmp_pa
         both = rate_controller(own, seas)
         assert both.share == alone[0].share
         assert both.wear_per_h == pytest.approx(np.mean([one.wear_per_h for one in alone]))
+
+
+@pytest.mark.parametrize(
+    ("title", "tuned_title"),
+    [
+        ("own in the sea of DP capability number 7", "own in the sea of DP capability number 6"),
+        ("own", "own, in the sea of DP capability number 6"),
+    ],
+)
+def test_the_hardest_of_the_tried_seas_is_written(
+    title: str, tuned_title: str, tmp_path: Path
+) -> None:
+    """From the direction of the scenario's wind, with its wave motion and noise."""
+    values: dict[str, Any] = {
+        "title": title,
+        "environment.wind.from_deg": 330.0,
+        "environment.waves.motion": {"along_m_per_m": 0.5},
+        "environment.noise": {"position_m": 0.3, "heading_deg": 0.1},
+    }
+    changed = copy_scenario_with_values(load_scenario("weather"), values, "own")
+    write_scenario_and_own_ship_files(changed.files, tmp_path / "own.toml")
+    own = load_scenario(tmp_path / "own.toml")
+    tuning = tune_controller(
+        tmp_path / "own.toml", seas="6,5", trials=1, steps=5, realisations=1, out=tmp_path / "out"
+    )
+    written = load_scenario(tmp_path / "out" / "own_tuned.toml").files["scenario"]
+    own_sea, sea = own.files["scenario"]["environment"], written["environment"]
+    hardest = make_environment_of_dp_number(6, from_deg=330.0).model_dump()
+    hardest["waves"]["motion"] = own_sea["waves"]["motion"]
+    assert sea == hardest | {"noise": own_sea["noise"], "seed": own_sea["seed"] + 1}
+    assert written["title"].startswith(f"{tuned_title}, {'unchanged' * tuning.is_unchanged}")
+    assert "gusty wind of 13.8 m/s" in written["shows"] and "330°" in written["shows"]
 
 
 @pytest.mark.slow
@@ -251,9 +284,13 @@ def test_a_controller_is_found_tried_anew_and_written(
     assert table["prediction_horizon"] == int(chosen["prediction_horizon"])
     assert table["output_weight"][2] == pytest.approx(3000.0 * float(chosen["heading_weight"]))
     own.files["scenario"].pop("controller")
-    own.files["scenario"]["title"] += ", tuned"
-    own.files["scenario"]["environment"]["seed"] += 1
-    assert found.files["scenario"] == own.files["scenario"]
+    sea = make_environment_of_dp_number(3, from_deg=40.0).model_dump()
+    expected = own.files["scenario"] | {
+        "title": "Wind, current and waves of DP capability number 3, tuned",
+        "shows": found.shows,
+        "environment": sea | {"seed": own.files["scenario"]["environment"]["seed"] + 1},
+    }
+    assert found.files["scenario"] == expected
     assert "dashed line: required margin (70 % of" in (tmp_path / "front.svg").read_text()
     kept = tmp_path / "trials.jsonl"
     lines = kept.read_text().splitlines(keepends=True)
