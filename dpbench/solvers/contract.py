@@ -289,11 +289,17 @@ class Fact:
 
 @dataclass(frozen=True)
 class CSettings:
-    """Name of a solver's C settings structure and of the C function that fills its defaults."""
+    """Name of a solver's C settings structure and of the C function that fills its defaults.
+
+    list_policy_options : the settings that a policy of route native sets besides the options.
+    warm_start : the C function that takes the starting point of policy warm; "" where not known.
+    """
 
     struct: str
     defaults: str
     source: str
+    list_policy_options: Callable[[Policy], Options] = field(default=lambda _: {}, kw_only=True)
+    warm_start: str = field(default="", kw_only=True)
 
 
 @dataclass(frozen=True)

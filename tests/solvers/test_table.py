@@ -131,7 +131,7 @@ def test_no_fact_without_a_source():
     for row in TABLE.values():
         facts = dataclasses.asdict(row.project)
         in_c = facts.pop("c_settings")
-        assert in_c is None or all(in_c.values()), row.name
+        assert in_c is None or all(in_c[k] for k in ("struct", "defaults", "source")), row.name
         for fact in facts.values():
             assert (fact["value"] == "not stated") == (fact["source"] == "")
         assert facts["licence"]["source"], row.name
@@ -145,7 +145,9 @@ def test_settings_in_c_have_the_names_of_the_options():
     in_c = row.project.c_settings
     assert re.search(rf"void {in_c.defaults}\({in_c.struct}\s*\*\s*\w+\)", text)
     fields = text.split(f"}} {in_c.struct};")[0].rsplit("typedef struct", 1)[1]
-    for option in {key for level in row.levels.values() for key in level}:
+    assert f" {in_c.warm_start}(" in text
+    policy = in_c.list_policy_options("reuse").keys()
+    for option in policy | {key for level in row.levels.values() for key in level}:
         assert re.search(rf"\b{option};", fields), option
 
 

@@ -600,6 +600,8 @@ def format_python_call(c: Configuration) -> str:
         elif has_distinct_tolerance_presets(c.solver):
             named = f"{c.solver} --settings {c.settings}"
         call += f"\n# C code:\n# dpbench codegen SCENARIO --out DIR\n#   --solver {named}"
+        if (c.route, c.policy) != ("native", "warm"):
+            call += "\n# It starts warm: judge it with --route native --policy warm."
     elif record is not None and record.project.c_code.value.startswith("yes"):
         call += f"\n# C code: {record.project.c_code.source}"
     if record is None or not (c.options or has_preset_or_tolerance(c.solver, c.settings)):
@@ -622,8 +624,16 @@ def _make_snippets(c: Configuration) -> Iterator[tuple[str, str]]:
     names = known.project.c_settings if known else None
     if names is None:
         return
+    is_native = c.route == "native"
+    if is_native:
+        options = {**options, **names.list_policy_options(c.policy)}
     # C has no True.
     numbers = {key: int(x) if isinstance(x, bool) else x for key, x in options.items()}
     lines = [f"settings.{key} = {value!r};" for key, value in numbers.items()]
     start = f"{names.struct} settings;\n{names.defaults}(&settings);"
+    if is_native and c.policy == "warm" and names.warm_start:
+        lines += [
+            f"/* Each step: {names.warm_start} with the previous solution and multipliers,",
+            "   shifted by one control increment. */",
+        ]
     yield "C", "\n".join([start, *lines])

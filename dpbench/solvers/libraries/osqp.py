@@ -56,6 +56,12 @@ _RANGES = {
 # Polishing is a second algorithm with silent failures, so it has names of its own.
 _POLISHED = {f"{name}_polished": {**_LEVELS[name], "polishing": True} for name in (DEFAULT, HIGH)}
 
+
+def _list_policy_options(policy: Policy) -> Options:
+    """Return the settings that a policy sets."""
+    return {"warm_starting": policy == "warm"}
+
+
 RECORD = SolverRecord(
     name="osqp",
     family="first order",
@@ -85,7 +91,11 @@ RECORD = SolverRecord(
         allocation_free=("yes, generated code", "OSQP web site, Features: no memory manager"),
         single_precision=("yes, OSQP_USE_FLOAT", "OSQP source, osqp_api_types.h"),
         c_settings=CSettings(
-            "OSQPSettings", "osqp_set_default_settings", "OSQP source, osqp_api_types.h"
+            "OSQPSettings",
+            "osqp_set_default_settings",
+            "OSQP source, osqp_api_types.h",
+            list_policy_options=_list_policy_options,
+            warm_start="osqp_warm_start",
         ),
     ),
     iteration_limit="max_iter",
@@ -121,8 +131,8 @@ def make_default_settings_of_library() -> Any:
 def make_settings_of_workspace(policy: Policy, options: Options) -> Any:
     """Return OSQP's settings object with what a policy and options set."""
     settings = make_default_settings_of_library()
-    settings.verbose, settings.warm_starting = False, policy == "warm"
-    for name, value in options.items():
+    settings.verbose = False
+    for name, value in {**_list_policy_options(policy), **options}.items():
         setattr(settings, name, value)
     return settings
 
@@ -134,7 +144,7 @@ def format_osqp_call(policy: Policy, options: Options) -> str:
         make_default_settings_of_library(),
     )
     names = ["verbose", *list_public_settings_attributes(settings), "warm_starting"]
-    given = {"verbose", "warm_starting", *options}
+    given = {"verbose", *_list_policy_options(policy), *options}
     own = [
         name for name in names if name in given or getattr(settings, name) != getattr(usual, name)
     ]

@@ -909,6 +909,20 @@ def test_a_snippet_generates_c_code_with_the_same_settings(
     assert (note in call) == (solver == "osqp" and "adaptive_rho" not in options)
 
 
+@pytest.mark.parametrize("policy", ["fresh", "reuse", "warm"])
+def test_the_c_snippet_and_the_note_on_c_code_are_of_the_call_mode(
+    records: Any, policy: str
+) -> None:
+    records.loop("osqp", route="native", policy=policy)
+    records.replay("osqp", route="native", policy=policy)
+    snippets = dict(_answer(records).snippets)
+    is_warm = policy == "warm"
+    assert f"settings.warm_starting = {int(is_warm)};" in snippets["C"]
+    assert ("/* Each step: osqp_warm_start with the previous solution" in snippets["C"]) == is_warm
+    note = "# It starts warm: judge it with --route native --policy warm."
+    assert (note in snippets["Python"]) == (not is_warm)
+
+
 def test_why_is_the_verdicts_cause(records: Any) -> None:
     records.loop("osqp", error=0.4)
     records.replay("daqp")
