@@ -123,9 +123,25 @@ def find_limit(run: RunRecord) -> tuple[LimitOf, float] | None:
     return None
 
 
+def is_about_limits(records: Records) -> bool:
+    """Return whether the suite sets limits of its own, and all runs have one."""
+    suite = records.suite
+    tables = [
+        table
+        for listed in (suite.get("closed_loop"), suite.get("replay"), suite.get("recorded"))
+        for table in listed or ()
+    ]
+    is_limited = any(t.get("iteration_limits") or t.get("time_limits") for t in tables)
+    return is_limited and all(find_limit(run) for run in records.runs)
+
+
 def group_limited_runs(records: Records) -> list[LimitedGroup]:
-    """Return the runs of configurations with two limits of a kind or more on one problem."""
-    limits = {run: limit for run in records.runs if (limit := find_limit(run)) is not None}
+    """Return the runs of configurations with two limits of a kind or more on one problem.
+
+    Runs in SI units do not count.
+    """
+    scaled = records.select_runs(units="scaled")
+    limits = {run: limit for run in scaled if (limit := find_limit(run)) is not None}
     groups = []
     alike = group_by_key(limits, lambda run: (limits[run][0], run.mode, run.problem))
     for (limit_of, mode, problem), runs in alike.items():

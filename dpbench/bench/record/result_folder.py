@@ -112,6 +112,13 @@ class StudyDescription(TypedDict, total=False):
     zip: dict[str, list[Any]]
 
 
+class _Limits(TypedDict, total=False):
+    """Limits of a solve in a table of runs of `suite.json`, in iterations and [s]."""
+
+    iteration_limits: list[int]
+    time_limits: list[float]
+
+
 class UncountedSolver(TypedDict):
     """Solver whose C could not be counted on an embedded core along a sequence, and the reason."""
 
@@ -150,6 +157,9 @@ class SuiteDescription(TypedDict, total=False):
     demand: _Requirements  # key of earlier releases
     report: _Report
     study: list[StudyDescription]
+    closed_loop: list[_Limits]
+    replay: list[_Limits]
+    recorded: list[_Limits]
 
 
 def check_document_as_type(document: dict[str, Any], kind: type[_Kind], path: Path) -> _Kind:

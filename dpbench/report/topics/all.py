@@ -6,7 +6,7 @@ from dataclasses import replace
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.anytime import find_limit
+from dpbench.analysis.suites.anytime import is_about_limits
 from dpbench.analysis.suites.embedded import EmbeddedResults
 from dpbench.analysis.suites.study import Study, find_studies
 from dpbench.analysis.verdict.verdict import Verdicts
@@ -87,7 +87,7 @@ def _find_id_of_leading_topic(records: Records, topics: Sequence[str]) -> str:
     for name in ("worst-case", "conclusion"):
         if name in topics:
             return name
-    if "anytime" in topics and all(find_limit(run) for run in records.runs):
+    if "anytime" in topics and is_about_limits(records):
         return "anytime"
     if not records.runs:
         requested = ("study", "slowdown", "random", "consequence", "capability", "trust")

@@ -29,8 +29,14 @@ def limit(solver: str, iterations: int) -> dict[str, str]:
     return {"settings": f"own {iterations}", "options": json.dumps(options)}
 
 
+def set_limits_in_suite(records: Any) -> None:
+    """Give the suite a table with limits of iterations."""
+    records.suite["closed_loop"] = [{"iteration_limits": [1, 5], "time_limits": []}]
+
+
 def fill(records: Any) -> None:
     """All loops of `COSTS`, and a replay of piqp at two limits."""
+    set_limits_in_suite(records)
     for solver, costs in COSTS.items():
         for iterations, cost in costs.items():
             figures = {"closed_loop_cost": cost, "exact_cost": 100.0, "unconverged": 7}
@@ -98,6 +104,7 @@ def test_the_topic_shows_least_limits_and_the_ship_at_the_smallest(records: Any)
 
 def test_the_limit_is_the_largest_that_a_scenario_needs(records: Any) -> None:
     """5 iterations suffice in `calm`, and 50 in `paper`; `rough` is farther off there."""
+    set_limits_in_suite(records)
     loops = {
         "paper": {5: (130.0, 3.0, 90), 50: (101.0, 0.2, 40)},
         "calm": {5: (101.0, 0.5, 100), 50: (100.0, 0.1, 30)},
@@ -153,6 +160,7 @@ def test_limits_of_time_are_a_group_of_their_own(records: Any) -> None:
 
 
 def test_replays_alone_have_their_errors(records: Any) -> None:
+    set_limits_in_suite(records)
     for solver, error in (("osqp", 0.02), ("piqp", 0.5)):
         for iterations in (1, 5):
             records.replay(solver, steps=30, error=error, **limit(solver, iterations))
@@ -169,6 +177,19 @@ def test_it_is_the_answer_of_a_page_of_limited_runs_alone(records: Any) -> None:
     )
     records.loop("daqp")
     assert not records.ending().get("answer", "").startswith("In paper a limit")
+
+
+def test_a_grid_over_limits_leaves_the_answer_to_the_recommendation(records: Any) -> None:
+    """Only a suite with limits of its own is about them; runs in SI units do not count."""
+    for iterations in (5, 50):
+        own = limit("osqp", iterations)
+        records.loop("osqp", closed_loop_cost=100.0, exact_cost=100.0, **own)
+        records.loop("osqp", closed_loop_cost=900.0, exact_cost=100.0, units="si", **own)
+        records.replay("osqp", **own)
+    ending = records.ending()
+    assert not ending["answer"].startswith("In paper a limit")
+    assert ending["anytime"].startswith("In paper a limit of 5 iterations per step keeps osqp")
+    assert "exceed it" not in ending["anytime"]
 
 
 def test_limits_alone_have_no_best_settings(records: Any) -> None:
