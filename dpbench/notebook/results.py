@@ -224,7 +224,8 @@ class Results(result_folder.Results):
     def ladder(self) -> pd.DataFrame:
         """Return step times [µs] of each timed solver's best and your own settings, as a table.
 
-        The best is the fastest of the best verdict by p99, or by p50 without a p99.
+        The best is the fastest of the best verdict by p99, or by p50 without a p99. If all fail,
+        it is the one with the fewest failed steps, then the smallest error.
         `share` is what calling a library that does nothing takes of its median.
 
         Examples

@@ -26,7 +26,7 @@ from dpbench.analysis.times.paired_times import (
     compare_settings_of_solvers,
     compute_log_ratio_with_half_width,
 )
-from dpbench.analysis.verdict.requirements import STATES, Cause
+from dpbench.analysis.verdict.requirements import Cause
 from dpbench.analysis.verdict.run_matrix import RunMatrix
 from dpbench.analysis.verdict.verdict import (
     MOST_OWN,
@@ -37,6 +37,7 @@ from dpbench.analysis.verdict.verdict import (
     list_best_verdict_of_own_settings,
     list_main_verdicts,
     make_sort_key_of_settings,
+    sort_best_first,
     sort_fastest_first,
 )
 from dpbench.bench.judge.rules import has_enough_samples_for_percentile, percentile_or_nan
@@ -192,13 +193,10 @@ def tabulate_experiment_verdicts(matrix: RunMatrix) -> pd.DataFrame:
 def _order_call_modes(matrix: RunMatrix, usual: Configuration, level: str) -> list[Configuration]:
     """Return a solver's configurations of one settings level, those in the usual call mode first.
 
-    The others follow from pass to fail, then by time. Only the usual one if none was run.
+    The others follow, sorted by `sort_best_first`. Only the usual one if none was run.
     """
     ran = [c for c in matrix.configurations if (c.solver, c.settings) == (usual.solver, level)]
-    judged = sorted(
-        sort_fastest_first(list(matrix.verdicts.of.get(usual.solver, ()))),
-        key=lambda verdict: STATES.index(verdict.state),
-    )
+    judged = sort_best_first(matrix.verdicts.of.get(usual.solver, ()))
     order = {verdict.configuration: i for i, verdict in enumerate(judged)}
     mode = usual.route, usual.policy
     ran.sort(key=lambda c: ((c.route, c.policy) != mode, order.get(c, len(order))))

@@ -409,8 +409,21 @@ def sort_fastest_first(verdicts: Sequence[Verdict]) -> list[Verdict]:
 
 
 def sort_best_first(verdicts: Iterable[Verdict]) -> list[Verdict]:
-    """Return verdicts on configurations sorted from pass to fail, then by time."""
-    return sorted(sort_fastest_first([*verdicts]), key=lambda v: STATES.index(v.state))
+    """Return verdicts on configurations sorted from pass to fail, then by time.
+
+    Those that fail are sorted by failed steps, then error, unfinished ones last.
+    """
+    return sorted(sort_fastest_first([*verdicts]), key=_make_quality_sort_key)
+
+
+def _make_quality_sort_key(verdict: Verdict) -> tuple[int, bool, int, float]:
+    """Return a sort key: the verdict, and for `fail` unfinished runs, failed steps and error."""
+    state = STATES.index(verdict.state)
+    if verdict.state != "fail":
+        return state, False, 0, 0.0
+    error = verdict.error_move
+    known = error if math.isfinite(error) else math.inf
+    return state, not verdict.is_finished, verdict.failed_steps, known
 
 
 def rank_configurations(verdicts: Verdicts) -> list[Verdict]:
@@ -573,11 +586,11 @@ def explain_deployment_blocker(solver: str) -> str:
 
 
 def list_best_verdict_of_each_solver(verdicts: Verdicts) -> list[Verdict]:
-    """Return each solver's best verdict, solvers sorted from pass to fail, then by time.
+    """Return each solver's best verdict, sorted by `sort_best_first`.
 
-    Of its best state that of `rank_solvers`, else the fastest of those timed on most QP sequences,
-    the most usual settings of equally fast ones. Where some were run in both modes, those without a
-    loop or a replay do not count.
+    Of its best state that of `rank_solvers`, else the best of those timed on most QP sequences, the
+    fastest of equally good ones, the most usual settings of equally fast ones. Where some were run
+    in both modes, those without a loop or a replay do not count.
     """
     fastest = {verdict.configuration.solver: verdict for verdict in rank_solvers(verdicts)}
     chosen = []
@@ -588,7 +601,9 @@ def list_best_verdict_of_each_solver(verdicts: Verdicts) -> list[Verdict]:
         if (first := fastest.get(solver)) not in alike:
             widest = max(verdict.replays for verdict in alike)
             wide = [verdict for verdict in alike if verdict.replays == widest]
-            first = _choose_most_usual_of_fastest(sort_fastest_first(wide))
+            highest = min(map(_make_quality_sort_key, wide))
+            equal = [verdict for verdict in wide if _make_quality_sort_key(verdict) == highest]
+            first = _choose_most_usual_of_fastest(sort_fastest_first(equal))
         chosen.append(first)
     return sort_best_first(chosen)
 
@@ -642,7 +657,7 @@ def make_sort_key_of_settings(verdict: Verdict) -> tuple[int, float]:
 def list_main_verdicts(verdicts: Verdicts) -> list[Verdict]:
     """Return each solver's best verdict and `MOST_OWN` on custom settings, those in no grid first.
 
-    They are sorted from pass to fail, then by time.
+    They are sorted by `sort_best_first`.
     """
     best_first = sort_best_first(list_best_verdict_of_own_settings(verdicts))
     own = sort_points_of_grids_last(best_first)[:MOST_OWN]

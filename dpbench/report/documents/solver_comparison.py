@@ -102,15 +102,10 @@ COLD = (
 def _choose_rows_of_solver(best: Verdict, own: Sequence[Verdict]) -> list[Verdict]:
     """Return the best verdict on each of a solver's settings, and others up to a least number.
 
-    Those judged in closed loops and replays come first, from pass to fail, then by time; those that
-    fail by failed steps and error. `best` is the first of them unless it fails.
+    Those judged in closed loops and replays come first, sorted by `sort_best_first`. `best` is the
+    first of them unless it fails.
     """
-    ranked = sort_best_first(own)
-    failing = sorted(
-        (v for v in ranked if v.state == "fail"),
-        key=lambda v: (v.failed_steps, math.inf if math.isnan(v.error_move) else v.error_move),
-    )
-    ordered = [*(v for v in ranked if v.state != "fail"), *failing]
+    ordered = sort_best_first(own)
     ordered.sort(key=lambda v: not _is_judged_in_both(v))
     if best.state != "fail":
         ordered.sort(key=lambda v: v is not best)

@@ -74,7 +74,8 @@ def _explain_step_times(data: PageData) -> str:
     left_out = len(list_best_verdict_of_own_settings(data.verdicts)) - MOST_OWN
     more = f" {left_out} more custom settings: `tables/verdicts.csv`." * (left_out > 0)
     return (
-        "Step time of each solver in its best configuration (best verdict, then fastest). The "
+        "Step time of each solver in its best configuration (best verdict, then fastest; if all "
+        "fail, fewest failed steps, then smallest error). The "
         f"marker shows the p50 in the replay of {replay}{which}. The bar ends at the limiting p99, "
         "the line at the longest step and the dashed line at the largest single timing. The grey "
         f"bar shows the call overhead.{absent}{more}"

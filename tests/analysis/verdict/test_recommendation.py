@@ -21,6 +21,7 @@ from dpbench.analysis.verdict.verdict import (
     list_main_verdicts,
     rank_configurations,
     rank_solvers,
+    sort_best_first,
     sort_fastest_first,
 )
 from dpbench.bench.record.cell import Configuration
@@ -254,6 +255,20 @@ def test_the_verdict_that_shows_each_solver() -> None:
         )
     )
     assert found == [shown[name] for name in "afebcd"]
+
+
+def test_the_best_of_failing_configurations_is_the_most_accurate() -> None:
+    """By failed steps, then error, then time; one that did not finish its runs is last."""
+    failing = {"state": "fail", "causes": WRONG}
+    ordered = [
+        _verdict("a", 40.0, settings="1", failed_steps=0, error_move=0.16, **failing),
+        _verdict("a", 30.0, settings="2", failed_steps=0, error_move=0.2, **failing),
+        _verdict("a", 35.0, settings="3", failed_steps=0, error_move=0.2, **failing),
+        _verdict("a", 10.0, settings="4", failed_steps=55, error_move=0.1, **failing),
+        _verdict("a", 5.0, settings="5", state="fail", causes=(Finding("crashed"),)),
+    ]
+    assert sort_best_first(reversed(ordered)) == ordered
+    assert list_best_verdict_of_each_solver(_verdicts(*reversed(ordered))) == ordered[:1]
 
 
 @pytest.mark.parametrize(
