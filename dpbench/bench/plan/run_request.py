@@ -342,10 +342,14 @@ def _list_remarks(
     longest = max((cell.steps for cell in timed), default=0)
     if timed and not has_enough_samples_for_percentile(longest, 99):
         of, hardest = max((cell.source.count_stretch_steps(0), cell.steps) for cell in timed)
+        percents = (p for p in (95, 50) if has_enough_samples_for_percentile(longest, p))
+        percent = next(percents, None)
         judged = (
             f"the p99 of {of} steps, estimated from a window of {hardest}, is judged instead"
             if of >= LEAST_STRETCH
             else "the longest step is judged instead"
+            if percent is None
+            else f"the p{percent} and the longest step are judged instead"
         )
         most = f"{longest} step{'s' * (longest != 1)}"
         remarks.append(f"the replays have at most {most}, {NO_P99}; {judged}")

@@ -63,6 +63,9 @@ def test_solvers_without_chosen_settings_are_named(suite: str) -> None:
     ("steps", "hardest", "judged"),
     [
         (5, 0, "5 steps, too few for a p99; the longest step is judged instead"),
+        (19, 0, "19 steps, too few for a p99; the longest step is judged instead"),
+        (20, 0, "20 steps, too few for a p99; the p50 and the longest step are judged instead"),
+        (200, 0, "200 steps, too few for a p99; the p95 and the longest step are judged instead"),
         (99, 4, "4 steps, too few for a p99; the longest step is judged instead"),
         (
             450,
