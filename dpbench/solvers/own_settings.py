@@ -7,6 +7,7 @@ The brackets hold what a TOML inline table holds between its braces.
 """
 
 import json
+import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from functools import cache
@@ -52,11 +53,20 @@ def parse_options_of_choice(choice: str) -> Options:
         reason = ""
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         # Without the position, as it is in the text above.
+        _refuse_text_without_quotes(solver, text)
         options, reason = {}, f" ({str(error).partition(' (at ')[0]})"
     if not options or not choice.endswith("]"):
         allowed = f"names with TOML values, such as {solver}[max_iter=50]"
         raise InputError(f"solver {solver}", "", f"{choice!r}{reason}"[:200], allowed)
     return dict(options)
+
+
+def _refuse_text_without_quotes(solver: str, text: str) -> None:
+    """Raise InputError for the first option with a bare word as its value, such as `rho=fast`."""
+    for name, value in re.findall(r"(?:^|,)\s*([\w.-]+)\s*=\s*\[?\s*([A-Za-z_]\w*)", text):
+        if value not in ("true", "false", "inf", "nan"):
+            allowed = f'a number, true, false, or text in quotes, as in {name}="{value}"'
+            raise InputError(f"solver {solver}", name, value[:80], allowed)
 
 
 def parse_choice_without_grid(choice: str, where: str, allowed: str) -> tuple[str, Options]:

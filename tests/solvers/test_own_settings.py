@@ -62,6 +62,14 @@ def test_what_is_no_choice_is_refused_in_one_line(choice: str) -> None:
     assert "\n" not in str(e.value)
 
 
+@pytest.mark.parametrize("text", ["rho=fast", "alpha=1.5,rho = fast", "rho=[fast]"])
+def test_a_text_without_quotes_is_named_with_its_option(text: str) -> None:
+    with pytest.raises(InputError) as refused:
+        expand_choice_over_option_grid(f"osqp[{text}]")
+    allowed = 'a number, true, false, or text in quotes, as in rho="fast"'
+    assert str(refused.value) == f"solver osqp: rho: found fast; allowed: {allowed}"
+
+
 @pytest.mark.parametrize(
     "value",
     ["nan", "inf", "[]", "[[1]]", "1979-05-27", "[1,nan]", f"{2**63}", '"' + 201 * "x" + '"'],
