@@ -396,7 +396,8 @@ class SolverRecord:
         "" without one; limits_outer_iterations : whether that counts the outer ones alone.
     adapted : options that are only the first value of what the solver adapts while another option
         is on, by that other option's name.
-    ranges : options whose range the library checks only in its set-up, where it names no option.
+    ranges : options whose range the library checks only in its set-up, where it names no option;
+        one_above_zero : options of which it needs at least one above 0.
     known_failures : what is known of failing steps by the status reported, SOLVED for claims that
         do not hold; shown where such a step is.
     keeps_answers : whether it keeps what it found for a QP it may meet again; unknown of a plug-in.
@@ -422,6 +423,7 @@ class SolverRecord:
     limits_outer_iterations: bool = False
     adapted: Mapping[str, str] = field(default_factory=dict)
     ranges: Mapping[str, Range] = field(default_factory=dict)
+    one_above_zero: tuple[str, ...] = ()
     known_failures: Mapping[Status, str] = field(default_factory=dict)
     keeps_answers: bool = False
     choose_instead: str = ""

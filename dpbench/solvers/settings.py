@@ -4,7 +4,7 @@ The tolerance levels `default`, `low`, `mid` and `high` and further names of a s
 record (`make_tolerance_presets`), for both routes.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 from typing import Any
 
@@ -64,6 +64,10 @@ def resolve_settings_to_options(
     if target is not None:
         _set_options_or_refuse_values(name, settings, target)
     _refuse_values_out_of_range(name, settings, adapter.record.ranges)
+    one_above_zero = adapter.record.one_above_zero
+    if one_above_zero and all(settings.get(key) == 0 for key in one_above_zero):
+        allowed = "at least one of them above 0"
+        raise SettingsError(f"settings of {name}", ", ".join(one_above_zero), 0, allowed)
     return resolve_settings_with_fixed_options(settings, name)
 
 
@@ -181,9 +185,15 @@ def find_options_of_preset(name: str, solver: str) -> Options:
     """Return the options of a solver's preset or tolerance; SettingsError if there is none."""
     names, options = list_preset_names(solver), _make_options_at_tolerance(solver, name)
     if name not in names and options is None:
-        allowed = f"{', '.join(names)}, or a tolerance such as 1e-4, above 0 and below 1"
+        allowed = describe_allowed_names_of_settings(names)
         raise SettingsError(f"settings of {solver}", "", repr(name), allowed)
     return find_solver_record(solver).levels.get(name, {}) if options is None else options
+
+
+def describe_allowed_names_of_settings(names: Iterable[str], argument: str = "") -> str:
+    """Return names and tolerances as allowed settings, and the argument that takes options."""
+    options = f"; give solver options in {argument}, for example 'osqp[rho=1.6]'" * bool(argument)
+    return f"{', '.join(names)}, or a tolerance such as 1e-4, above 0 and below 1{options}"
 
 
 def describe_option_presets(solver: str) -> str:
@@ -220,7 +230,7 @@ def refuse_unknown_option_names(
 def _refuse_text_and_limits_below_zero(
     solver: str, settings: Mapping[str, object], defaults: Mapping[str, object]
 ) -> None:
-    """Raise SettingsError for a text in place of a number, or a limit of iterations below zero.
+    """Raise SettingsError for text or a Boolean as a number, or a limit of iterations below zero.
 
     Libraries without a settings object raise in each solve, or return any point as solved.
     """
@@ -228,10 +238,16 @@ def _refuse_text_and_limits_below_zero(
         if not isinstance(default := defaults.get(key), Real) or isinstance(default, bool):
             continue
         below = "iter" in key.lower() and isinstance(value, Real) and value < 0
-        if isinstance(value, str) or below:
+        if isinstance(value, str) or below or _is_boolean_as_number(value, default):
             allowed = "0 or more" if below else "a number"
             found = f"{'the text ' * isinstance(value, str)}{value!r}"[:80]
             raise SettingsError(f"settings of {solver}", key, found, allowed)
+
+
+def _is_boolean_as_number(value: object, default: object) -> bool:
+    """Return whether a Boolean is given for a number; switches of C have the default 0 or 1."""
+    is_switch = isinstance(default, int) and default in (0, 1)
+    return isinstance(value, bool) and isinstance(default, Real) and not is_switch
 
 
 def _refuse_values_out_of_range(
@@ -248,10 +264,12 @@ def _set_options_or_refuse_values(solver: str, settings: Mapping[str, object], t
     """Set options on a library's settings object; SettingsError for a value that it refuses."""
     for key, value in settings.items():
         try:
+            if _is_boolean_as_number(value, getattr(target, key)):
+                raise TypeError
             setattr(target, key, value)
         except (TypeError, ValueError, OverflowError) as error:
             kind = type(getattr(target, key))
             allowed = _NOUNS.get(kind, f"a value of type {kind.__name__}")
-            if isinstance(value, kind):
+            if isinstance(value, kind) and not isinstance(value, bool):
                 allowed += " that the library accepts"
             raise SettingsError(f"settings of {solver}", key, repr(value)[:80], allowed) from error

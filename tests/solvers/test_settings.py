@@ -302,6 +302,35 @@ def test_a_value_out_of_range_is_refused_at_opening(route, key, value, allowed):
         open_workspace("osqp", route=route, settings={key: value})
 
 
+@pytest.mark.parametrize("route", ["native", "qpsolvers"])
+@pytest.mark.parametrize(
+    ("solver", "key", "allowed"),
+    [
+        ("osqp", "rho", "a number"),
+        ("osqp", "eps_abs", "a number"),
+        ("osqp", "scaling", "a whole number"),
+        ("daqp", "primal_tol", "a number"),
+    ],
+)
+def test_a_boolean_is_no_number(route, solver, key, allowed):
+    with pytest.raises(SettingsError, match=f"{key}: found True; allowed: {allowed}$"):
+        open_workspace(solver, route=route, settings={key: True})
+
+
+def test_a_switch_takes_a_boolean():
+    """Also one that is an integer in C."""
+    for key in ("adaptive_rho", "polishing", "scaled_termination"):
+        assert open_workspace("osqp", settings={key: True})
+
+
+@pytest.mark.parametrize("route", ["native", "qpsolvers"])
+def test_osqp_needs_a_tolerance_above_zero(route):
+    open_workspace("osqp", route=route, settings={"eps_abs": 1e-6, "eps_rel": 0})
+    allowed = "eps_abs, eps_rel: found 0; allowed: at least one of them above 0"
+    with pytest.raises(SettingsError, match=allowed):
+        open_workspace("osqp", route=route, settings={"eps_abs": 0, "eps_rel": 0.0})
+
+
 def test_a_tolerance_is_no_text_where_the_library_has_no_defaults():
     """By the presets of the solver's record."""
     with pytest.raises(SettingsError, match="feastol: found the text '1e-7'; allowed: a number"):

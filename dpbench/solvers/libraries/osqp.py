@@ -101,6 +101,7 @@ RECORD = SolverRecord(
     iteration_limit="max_iter",
     adapted={"rho": "adaptive_rho"},
     ranges=_RANGES,
+    one_above_zero=("eps_abs", "eps_rel"),
     build=lambda: Build(f"algebra {import_module('osqp').default_algebra()}"),
     time_limit="time_limit",
 )
