@@ -24,12 +24,17 @@ from dpbench.codegen.solver_sources import (
     round_up_to_multiple_of_8,
 )
 from dpbench.embedded.toolchain import REMEDY, has_extra
-from dpbench.errors import InputError
+from dpbench.errors import InputError, SettingsError
 from dpbench.files.regular_files import write_bytes_to_file_or_pipe, write_file_set_into_folder
 from dpbench.report.formats import format_count, plural
 from dpbench.scenario.scenario import Scenario, resolve_to_scenario
 from dpbench.solvers.contract import DEFAULT
 from dpbench.solvers.own_settings import format_options_as_toml, parse_choice_without_grid
+from dpbench.solvers.settings import (
+    describe_allowed_names_of_settings,
+    has_preset_or_tolerance,
+    list_preset_names,
+)
 from dpbench.solvers.table import find_solver_record
 
 MOST_REPLAYED = 1000
@@ -72,6 +77,9 @@ def generate_controller(
     if options and settings:
         found = f"{settings!r} with the options in {solver}"
         raise InputError("`settings`", "", found, "a preset or options, not both")
+    if settings and not has_preset_or_tolerance(name, settings):
+        allowed = describe_allowed_names_of_settings(list_preset_names(name), "`solver`")
+        raise SettingsError("`settings`", "", repr(settings), allowed)
     if fmi not in SYSTEMS:
         raise InputError("`fmi`", "", fmi, "2 or 3")
     data = read_controller_data_of_scenario(resolve_to_scenario(scenario))

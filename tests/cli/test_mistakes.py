@@ -14,6 +14,7 @@ from dpbench import (
     run_campaign,
 )
 from dpbench.cli.main import main
+from dpbench.codegen.generate import generate_controller
 from dpbench.scenario.problem_files import find_folder_of_shipped_problems, find_problem_path
 from dpbench.solvers import plugins, table
 from dpbench.solvers.table import Availability
@@ -160,6 +161,12 @@ def test_bad_input_is_one_line_and_exit_2(words: list[str], parts: list[str], re
             "below 1; give solver options in --solver, for example 'osqp[rho=1.6]'",
         ),
         (
+            lambda: generate_controller("paper", "osqp", out="c", settings="mine"),
+            "below 1; give solver options in `solver`, for example 'osqp[rho=1.6]'",
+            ["codegen", "paper", "--out", "c", "--solver", "osqp", "--settings", "mine"],
+            "below 1; give solver options in --solver, for example 'osqp[rho=1.6]'",
+        ),
+        (
             lambda: load_results("missing"),
             "required: a folder written by `run_campaign()`",
             ["report", "missing"],
@@ -184,6 +191,7 @@ def test_bad_input_is_one_line_and_exit_2(words: list[str], parts: list[str], re
         "several",
         "listing",
         "own options",
+        "settings of C code",
         "function",
         "positional",
         "arguments",

@@ -42,6 +42,7 @@ from dpbench.solvers.own_settings import (
 )
 from dpbench.solvers.plugins import find_plugin
 from dpbench.solvers.settings import (
+    describe_allowed_names_of_settings,
     find_options_of_preset,
     has_distinct_tolerance_presets,
     has_preset_or_tolerance,
@@ -149,8 +150,7 @@ def refuse_unknown_settings_names(
         ):
             presets = [preset for solver in solvers for preset in list_preset_names(solver)]
             known = dict.fromkeys((*presets, *suite.settings))
-            allowed = f"{', '.join(known)}, or a tolerance such as 1e-4, above 0 and below 1"
-            allowed += "; give solver options in `solvers`, for example 'osqp[rho=1.6]'"
+            allowed = describe_allowed_names_of_settings(known, "`solvers`")
             raise SettingsError("settings", "", repr(name), allowed)
 
 
