@@ -44,7 +44,7 @@ def plot(**held_mps: float) -> CapabilityResult:
 def analysis(span: list[tuple[float, float, str]]) -> ConsequenceAnalysis:
     """An analysis along `thrusters_loss` with these spans of time of board B; A is held."""
     spans = {"board A": [(0.0, 30.0, HELD)], "board B": span}
-    rows = [(group, *one) for group, own in spans.items() for one in own]
+    rows = [(group, *one, 0) for group, own in spans.items() for one in own]
     table = pd.DataFrame(rows, columns=list(SPAN))
     return ConsequenceAnalysis("thrusters_loss[0:100]", tuple(spans), 1.25, table, ())
 
@@ -184,9 +184,9 @@ def test_a_consequence_analysis_that_finds_a_loss_not_held(
     records.loop("daqp", "thrusters_loss", **LONG)
     assert find(records, [], analysis([(0.0, 30.0, HELD)])).not_held == ()
     assert find(records, [], analysis(span)).not_held == (
-        "Loss of board B in `thrusters_loss` (wind 13.8 m/s from 40°): not held by the consequence "
-        f"analysis of steps 0 to 99 of `thrusters_loss`, by which it can be held {said}; not "
-        "simulated in this weather.",
+        "Loss of board B in `thrusters_loss` (wind 13.8 m/s from 40°): not held by the static "
+        "consequence analysis of steps 0 to 99 of `thrusters_loss`, by which it can be held "
+        f"{said}; not simulated in this weather.",
     )
 
 

@@ -17,10 +17,13 @@ import pandas as pd
 from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import RunRecord, group_by_key, map_first_by_key
 from dpbench.analysis.suites.random_claims import CLAIMS, count_claims_by_run, flag_claims_by_step
+from dpbench.analysis.verdict.ship_results import find_ship_results
+from dpbench.analysis.verdict.simulated_losses import list_lost_so_far, list_simulated_losses
 from dpbench.bench.capability.frontier import DIRECTIONS, Capability, WindLimit
 from dpbench.bench.judge.rules import INFEASIBLE, UNCERTIFIED, UNDECIDED, percentile_or_nan
 from dpbench.bench.record.cell import CapabilitySource, ConsequenceSource
 from dpbench.scenario.scenario import build_or_reuse_scenario
+from dpbench.ship.thrusters import ThrusterSet
 
 
 @dataclass(frozen=True)
@@ -174,7 +177,9 @@ def _tabulate_wind_by_direction(
 
 HELD, LOST, UNKNOWN = "can be held", "cannot be held", "not known"
 """Proven states of the loss of a group at a sample."""
-SPAN = ("group", "from_s", "to_s", "state")
+SPAN = ("group", "from_s", "to_s", "state", "losses")
+"""Columns of a span of time: the group lost, the state, and how many losses the loop of the
+analysis simulates before it; with any, the loss of the group is a further one."""
 
 
 @dataclass(frozen=True)
@@ -216,10 +221,14 @@ class ConsequenceAnalysis:
 
     margin : by which the force to hold is multiplied.
     run : one of the runs, all along the same loop; None in a table without runs.
-    spans : columns `SPAN`: for each loss, spans of time and what is proven of them.
+    spans : columns `SPAN`: for each loss, spans of time and what is proven of them. A group that
+        the loop has lost already has no further ones.
     answers : of every configuration, right ones first, then the fastest.
     ship_left_s : when the ship of the loop leaves its station [s], before the end of the analysed
         steps or of the intact ship; NaN for a ship that is held.
+    departures : group and scenario of each simulated loss of one group after which this ship, in
+        any weather, leaves its station; group "" for the loop of the analysis without a loss.
+    overload : share of its thrust that the mean load takes if it exceeds 1, else NaN.
     """
 
     name: str
@@ -229,6 +238,13 @@ class ConsequenceAnalysis:
     answers: tuple[BatchAnswers, ...]
     run: RunRecord | None = None
     ship_left_s: float = math.nan
+    departures: tuple[tuple[str, str], ...] = ()
+    overload: float = math.nan
+
+    @property
+    def single_losses(self) -> pd.DataFrame:
+        """Spans before any simulated loss: those in which the loss of a group is the only one."""
+        return self.spans[self.spans["losses"] == 0]
 
     @property
     def is_alarm_due(self) -> bool:
@@ -275,7 +291,39 @@ def _build_consequence_analysis(
     source = runs[0].source
     margin = source.margin if isinstance(source, ConsequenceSource) else math.nan
     left_s = _find_time_ship_left_s(records, runs, before_s=spans["to_s"].max())
-    return ConsequenceAnalysis(name, tuple(groups), margin, spans, tuple(answers), runs[0], left_s)
+    departures, overload = _find_departures(records, runs[0], tuple(groups))
+    known = name, tuple(groups), margin, spans, tuple(answers), runs[0], left_s
+    return ConsequenceAnalysis(*known, departures, overload)
+
+
+def _find_departures(
+    records: Records, run: RunRecord, groups: Sequence[str]
+) -> tuple[tuple[tuple[str, str], ...], float]:
+    """Return the departures and the overload of an analysis along the loop of a run."""
+    if (files := run.scenario_documents) is None:
+        return (), math.nan
+    ships = [
+        ship
+        for ship in find_ship_results(records)
+        if not ship.run.study
+        and (ship.run.scenario_documents or {}).get("vessel") == files.get("vessel")
+    ]
+    thrusters = _get_thrusters(run)
+    own = [ship for ship in ships if ship.run.scenario == run.scenario]
+    intact = [
+        ("", ship.name)
+        for ship in own
+        if ship.has_left_station
+        and all(ship.run.exact_left_s < at_s for at_s, _ in list_lost_so_far(ship.run, thrusters))
+    ]
+    after = [
+        (group, loss.ship.name)
+        for group in groups
+        for loss in list_simulated_losses(group, thrusters, ships)
+        if loss.has_ship_left
+    ]
+    overloads = [ship.overload for ship in own if ship.overload > 1.0]
+    return tuple(dict.fromkeys([*after, *intact])), max(overloads, default=math.nan)
 
 
 def _find_time_ship_left_s(records: Records, runs: Sequence[RunRecord], before_s: float) -> float:
@@ -289,16 +337,36 @@ def _find_time_ship_left_s(records: Records, runs: Sequence[RunRecord], before_s
 
 
 def _tabulate_loss_state_spans(records: Records, run: RunRecord, sample_s: float) -> pd.DataFrame:
-    """Return time spans in which the loss of this run's group can, cannot, or may be held."""
+    """Return time spans in which the loss of this run's group can, cannot, or may be held.
+
+    A span ends where the loop loses thrusters, the last one where it loses this group.
+    """
     rows = records.read_counting_step_table(run, ("k", "t_s", "certificate"))
     steps = rows.drop_duplicates("k").sort_values("k")
     certificate, t_s = steps["certificate"], steps["t_s"].to_numpy()
     known = np.where(certificate == INFEASIBLE, LOST, HELD)
     state = np.where(certificate.isin((UNCERTIFIED, UNDECIDED)), UNKNOWN, known)
-    starts = np.flatnonzero(np.append(True, state[1:] != state[:-1])[: len(state)])
+    thrusters = None if run.scenario_documents is None else _get_thrusters(run)
+    so_far = [] if thrusters is None else list_lost_so_far(run, thrusters)
+    # A loss acts from the sample nearest to its time on.
+    losses = np.searchsorted([at_s for at_s, _ in so_far], t_s + 0.5 * sample_s)
+    is_new = (state[1:] != state[:-1]) | (losses[1:] != losses[:-1])
+    starts = np.flatnonzero(np.append(True, is_new)[: len(state)])
     ends = np.append(t_s[starts[1:]], t_s[-1:] + sample_s)
-    spans = zip(t_s[starts], ends, state[starts], strict=True)
-    return pd.DataFrame([(run.lost_thruster_group, *span) for span in spans], columns=list(SPAN))
+    spans = zip(t_s[starts], ends, state[starts], losses[starts], strict=True)
+    group = run.lost_thruster_group
+    members = set() if thrusters is None else set(thrusters.indices_by_failure_group[group])
+    with_group = [k for k, (_, lost) in enumerate(so_far) if members <= lost]
+    known = [(group, *span) for span in spans if span[-1] <= min(with_group, default=math.inf)]
+    return pd.DataFrame(known, columns=list(SPAN))
+
+
+def _get_thrusters(run: RunRecord) -> ThrusterSet:
+    """Return the thrusters of the ship in a run of a consequence analysis with documents."""
+    assert run.scenario_documents is not None, "documents of the run"
+    thrusters = build_or_reuse_scenario(run.scenario_documents).vessel.thrusters
+    assert thrusters is not None, "a consequence analysis is of a ship with thrusters"
+    return thrusters
 
 
 def _sum_answers_over_losses(

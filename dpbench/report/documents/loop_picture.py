@@ -9,12 +9,12 @@ import numpy as np
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.records.thinned_runs import find_extreme_indices
+from dpbench.analysis.verdict.simulated_losses import list_losses
 from dpbench.arrays import Vector
 from dpbench.bench.run.exact_loop import HEADING_DEG
 from dpbench.report.charts.style import ACCENT, FAIL, INK, SOFT
 from dpbench.report.formats import join_with_and, significant
 from dpbench.report.page.data import PageData
-from dpbench.report.ship.ship_text import list_losses
 
 POINTS = 150  # Corners of a line, at most: one a point of a page
 GAP = 24.0  # Space between panels [points]

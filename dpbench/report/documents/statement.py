@@ -25,6 +25,7 @@ from dpbench.analysis.suites.capability import (
 )
 from dpbench.analysis.verdict.requirements import Requirements
 from dpbench.analysis.verdict.ship_results import ShipResult
+from dpbench.analysis.verdict.simulated_losses import list_losses
 from dpbench.analysis.verdict.thruster_verdicts import copy_with_thruster_times
 from dpbench.analysis.verdict.verdict import (
     Verdict,
@@ -58,7 +59,6 @@ from dpbench.report.ship.open_losses import find_open_losses
 from dpbench.report.ship.ship_text import (
     describe_ship,
     describe_unmet,
-    list_losses,
     summarise_ships,
 )
 from dpbench.report.ship.thrust_text import list_thruster_uses

@@ -13,6 +13,7 @@ from dpbench.analysis.times.paired_times import (
     find_faster_inconclusive,
 )
 from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.simulated_losses import list_losses
 from dpbench.analysis.verdict.thruster_verdicts import copy_with_thruster_times, has_times_of_both
 from dpbench.analysis.verdict.time_findings import (
     SlowStep,
@@ -43,7 +44,7 @@ from dpbench.report.formats import (
 )
 from dpbench.report.page.data import PageData
 from dpbench.report.ship.capability_text import describe_consequence_solver, describe_unanswered_qps
-from dpbench.report.ship.ship_text import ShipSummary, list_losses, summarise_ships
+from dpbench.report.ship.ship_text import ShipSummary, summarise_ships
 from dpbench.report.verdict.findings_text import describe_findings, name_experiment
 from dpbench.report.verdict.verdict_text import (
     NOBODY,

@@ -9,9 +9,9 @@ from markupsafe import Markup, escape
 
 from dpbench.analysis.records.run_record import RunRecord
 from dpbench.analysis.verdict.run_matrix import Experiment
+from dpbench.analysis.verdict.simulated_losses import list_losses
 from dpbench.report.formats import bind_units, format_share
 from dpbench.report.page.data import PageData
-from dpbench.report.ship.ship_text import list_losses
 from dpbench.report.words import term_meanings, topics
 
 _OWN_PHRASES = (

@@ -20,10 +20,11 @@ from dpbench.analysis.suites.capability import (
     find_largest_solve_time_share,
     select_configurations_in_all_analyses,
 )
+from dpbench.analysis.verdict.simulated_losses import list_losses
 from dpbench.analysis.verdict.verdict import explain_deployment_blocker
 from dpbench.bench.capability.frontier import INTACT, CapabilityPlot, compute_capability
 from dpbench.report.formats import format_wind_held, join_with_and, plural, significant
-from dpbench.report.ship.ship_text import find_weather_direction
+from dpbench.report.ship.ship_text import find_weather_direction, format_overload
 from dpbench.scenario.problem_files import list_shipped_problem_names
 from dpbench.ship.capability.losses import caution_on_wash
 from dpbench.ship.thrusters import ThrusterSet
@@ -120,6 +121,10 @@ def _format_least_wind(edges: pd.DataFrame) -> str:
 
 
 _NEVER = "at no time"
+STATIC = (
+    "The analysis is static: it balances only the filtered mean force of the analysed steps, so "
+    "the simulated ship may hold its station or leave it."
+)
 
 
 def describe_time_held(of_group: pd.DataFrame) -> str:
@@ -143,19 +148,61 @@ def describe_time_held(of_group: pd.DataFrame) -> str:
 
 
 def describe_losses_held(analysis: ConsequenceAnalysis) -> str:
-    """Return a text on which thruster losses can be held and when, and the force asked for."""
-    when: dict[str, list[str]] = {}
-    for group, of_group in analysis.spans.groupby("group", sort=False):
-        when.setdefault(describe_time_held(of_group), []).append(str(group))
-    held = [f"the loss of {' or of '.join(of)} can be held {time}" for time, of in when.items()]
-    loop = _describe_analysed_loop(analysis)
-    lost = f" {caution}" if (caution := describe_analysed_ship(analysis)) else ""
-    static = " The analysis is static: the simulated ship may hold its station."
-    static *= _NEVER in when and not lost
-    return (
-        f"In {analysis.name}{loop} {'; '.join(held)} ({describe_required_force(analysis)})."
-        f"{static}{lost}"
+    """Return a text on which thruster losses can be held and when, and the force asked for.
+
+    With cautions where a closed loop or the mean load shows that the ship is not held.
+    """
+    loop, held = _describe_analysed_loop(analysis), "; ".join(_list_times_held(analysis))
+    return " ".join(
+        [
+            f"In {analysis.name}{loop} {held} ({describe_required_force(analysis)}).",
+            STATIC,
+            *list_analysis_cautions(analysis),
+        ]
     )
+
+
+def _list_times_held(analysis: ConsequenceAnalysis) -> Iterator[str]:
+    """Yield in words when each loss can be held; those after simulated losses are further ones."""
+    spans = analysis.spans
+    for losses, own in spans.groupby("losses"):
+        when: dict[str, list[str]] = {}
+        for group, of_group in own.groupby("group", sort=False):
+            when.setdefault(describe_time_held(of_group), []).append(str(group))
+        before = describe_losses_before(analysis, int(str(losses)))
+        opening = f"{before}, the further loss" if before else "the loss"
+        if not before and (spans["losses"] > 0).any():
+            opening = f"before {own['to_s'].max():.4g} s {opening}"
+        held = [f"of {' or of '.join(groups)} can be held {time}" for time, groups in when.items()]
+        yield f"{opening} {f'; {opening} '.join(held)}"
+    if spans.empty:
+        yield "the loop has lost all analysed groups before the first analysed step"
+
+
+def describe_losses_before(analysis: ConsequenceAnalysis, losses: int) -> str:
+    """Return in words the first losses that the loop of an analysis simulates; "" for none."""
+    known = list_losses(analysis.run)[:losses] if analysis.run else []
+    named = [f"{join_with_and(names)} at {at_s:g} s" for at_s, names in known]
+    return f"after the loss of {join_with_and(named)}" if named else ""
+
+
+def list_analysis_cautions(analysis: ConsequenceAnalysis) -> list[str]:
+    """Return cautions where a loop or the mean load shows that the ship of an analysis is lost."""
+    cautions = [describe_analysed_ship(analysis)]
+    if analysis.overload > 1.0:
+        cautions.append(
+            f"CAUTION: the mean load needs {format_overload(analysis.overload)}, so the ship does "
+            "not hold its station, even without a loss."
+        )
+    departures = [
+        f"after the loss of {group} (`{scenario}`)" if group else f"without a loss (`{scenario}`)"
+        for group, scenario in analysis.departures
+        if group or not cautions[0]
+    ]
+    if departures:
+        where = join_with_and(departures)
+        cautions.append(f"CAUTION: in closed loop the ship leaves its station {where}.")
+    return [*filter(None, cautions)]
 
 
 def describe_analysed_ship(analysis: ConsequenceAnalysis) -> str:

@@ -15,10 +15,11 @@ from dpbench.analysis.records.records import Records
 from dpbench.analysis.records.run_record import group_by_key
 from dpbench.analysis.suites.capability import LOST, CapabilityResult, ConsequenceAnalysis
 from dpbench.analysis.verdict.ship_results import ShipResult
+from dpbench.analysis.verdict.simulated_losses import SimulatedLoss, list_simulated_losses
 from dpbench.bench.capability.frontier import FROM_DEG, INTACT
 from dpbench.report.formats import format_wind_held, join_with_and, plural, significant
 from dpbench.report.ship.capability_text import describe_analysed_window, describe_time_held
-from dpbench.report.ship.ship_text import MOST_NAMED, list_losses
+from dpbench.report.ship.ship_text import MOST_NAMED
 from dpbench.scenario.scenario import Scenario
 from dpbench.ship.thrusters import ThrusterSet
 
@@ -68,7 +69,7 @@ def find_open_losses(
         plots_of_ship = [plot for plot in plots if plot.vessel == vessel]
         weathers = list(group_by_key(own, _make_weather_key).values())
         for group in _list_groups(vessel, thrusters, names, plots, analyses):
-            losses = [*_losses_of_group(group, thrusters, of_ship)]
+            losses = [*list_simulated_losses(group, thrusters, of_ship)]
             of_weather = [
                 _WeatherLoss(group, alike, losses, plots_of_ship, analyses) for alike in weathers
             ]
@@ -86,20 +87,20 @@ class _WeatherLoss:
     """Loss of a thruster group in one weather: what level 1, analyses and loops find of it.
 
     alike : scenarios of a ship with this weather; losses : of the group in closed loops of the
-    ship in any weather, with their times [s].
+    ship in any weather.
     """
 
     def __init__(
         self,
         group: str,
         alike: Sequence[Scenario],
-        losses: Sequence[tuple[float, ShipResult]],
+        losses: Sequence[SimulatedLoss],
         plots: Sequence[CapabilityResult],
         analyses: Sequence[ConsequenceAnalysis],
     ) -> None:
         self._group, self._alike = group, alike
         names = [scenario.name for scenario in alike]
-        self._losses = [loss for loss in losses if loss[1].run.scenario in names]
+        self._losses = [loss for loss in losses if loss.ship.run.scenario in names]
         self._analyses = [
             analysis
             for analysis in analyses
@@ -112,9 +113,7 @@ class _WeatherLoss:
     @property
     def has_ship_left(self) -> bool:
         """True if a ship leaves its station after the loss, as its own result states."""
-        return any(
-            ship.has_left_station and ship.run.exact_left_s >= at_s for at_s, ship in self._losses
-        )
+        return any(loss.has_ship_left for loss in self._losses)
 
     @property
     def order(self) -> tuple[bool, float]:
@@ -124,10 +123,10 @@ class _WeatherLoss:
     @property
     def sentence(self) -> str:
         """Verdict on the loss: scenario and wind, what finds it not held, how it was simulated."""
-        longest = max(self._losses, key=_simulated_s, default=None)
+        longest = max(self._losses, key=lambda loss: loss.duration_s, default=None)
         if longest is not None:
-            where = [longest[1].name]
-            end = f"simulated: on station for {significant(_simulated_s(longest))} s after the loss"
+            where = [longest.ship.name]
+            end = f"simulated: on station for {significant(longest.duration_s)} s after the loss"
         else:
             analysed = [_scenario_of(analysis) for analysis in self._analyses]
             where = [*dict.fromkeys(analysed)] or [scenario.name for scenario in self._alike]
@@ -162,9 +161,9 @@ class _WeatherLoss:
         for analysis in self._analyses:
             when = describe_time_held(_spans_of(analysis, self._group))
             lost = "" if math.isnan(analysis.ship_left_s) else " (of a ship that was not held)"
+            window = describe_analysed_window(analysis)
             yield (
-                f"the consequence analysis of {describe_analysed_window(analysis)}{lost}, by which "
-                f"it can be held {when}"
+                f"the static consequence analysis of {window}{lost}, by which it can be held {when}"
             )
 
 
@@ -188,15 +187,9 @@ def _find_wind(scenario: Scenario) -> Mapping[str, float]:
     return (scenario.files["scenario"].get("environment") or {}).get("wind") or {}
 
 
-def _simulated_s(loss: tuple[float, ShipResult]) -> float:
-    """Return how long a closed loop goes on after a loss in it [s]."""
-    at_s, ship = loss
-    return float(ship.run.exact_steps * ship.run.sample_s - at_s)
-
-
 def _spans_of(analysis: ConsequenceAnalysis, group: str) -> pd.DataFrame:
-    """Return an analysis' spans of time in which the loss of a group is held or not."""
-    return analysis.spans[analysis.spans["group"] == group]
+    """Return an analysis' spans of time in which the loss of a group alone is held or not."""
+    return analysis.single_losses[analysis.single_losses["group"] == group]
 
 
 def _list_groups(
@@ -217,18 +210,6 @@ def _list_groups(
 def _scenario_of(analysis: ConsequenceAnalysis) -> str:
     """Return the name of the scenario along which a consequence analysis runs."""
     return analysis.name.partition("[")[0]
-
-
-def _losses_of_group(
-    group: str, thrusters: ThrusterSet, ships: Sequence[ShipResult]
-) -> Iterator[tuple[float, ShipResult]]:
-    """Yield the time [s] and the ship result of each loss of a whole thruster group."""
-    members = set(thrusters.indices_by_failure_group[group])
-    for ship in ships:
-        for at_s, names in list_losses(ship.run):
-            lost = thrusters.find_indices_of_thrusters_or_groups(names, ship.name, "faults.lost")
-            if members <= lost and at_s < ship.run.exact_steps * ship.run.sample_s:
-                yield at_s, ship
 
 
 def _held_wind_by_direction(plot: CapabilityResult, group: str) -> Mapping[float, float]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from dpbench.analysis.records.run_record import RunRecord, group_by_key
 from dpbench.analysis.verdict.ship_results import ShipResult, is_accurate_loop
+from dpbench.analysis.verdict.simulated_losses import list_losses
 from dpbench.bench.run.exact_loop import HEADING_DEG
 from dpbench.report.formats import format_share, join_with_and, plural, significant
 from dpbench.report.ship.conditions_text import (
@@ -134,12 +135,12 @@ def _warn_of_lost(lost: Sequence[ShipResult], known: Sequence[ShipResult]) -> It
         opening = "Nor does it hold it" if lost else f"{LOST}, whatever the solver,"
         yield (
             f"{opening} in {_name_ships(overloaded)}: the mean load needs "
-            f"{_format_overload(most)}. The run ({_format_durations(overloaded)}) ended before the "
+            f"{format_overload(most)}. The run ({_format_durations(overloaded)}) ended before the "
             "ship left its station."
         )
 
 
-def _format_overload(share: float) -> str:
+def format_overload(share: float) -> str:
     """Return the share of its thrust that a ship's mean load takes as text."""
     if math.isinf(share):
         return "a force that no thrust makes"
@@ -164,12 +165,6 @@ def _has_noise_or_estimator(ship: ShipResult) -> bool:
     """Return whether a ship's scenario has measurement noise or an estimator."""
     known = read_conditions((ship.run.scenario_documents or {}).get("scenario") or {})
     return any(known.noise) or known.estimator != "measured"
-
-
-def list_losses(run: RunRecord) -> list[tuple[float, list[str]]]:
-    """Return the time [s] and the names of each loss of thrusters in the scenario of a run."""
-    faults = _get_faults(run)
-    return [(fault["at_s"], [*map(str, fault["lost"])]) for fault in faults if fault.get("lost")]
 
 
 def _get_faults(run: RunRecord) -> Sequence[Mapping[str, Any]]:
@@ -276,7 +271,7 @@ def describe_ship(ship: ShipResult) -> str:
     if ship.state == "not run":
         return f"`{ship.name}`: not run"
     left = f" (at {significant(run.exact_left_s)} s)" if ship.has_left_station else ""
-    needs = f", the mean load needs {_format_overload(ship.overload)}"
+    needs = f", the mean load needs {format_overload(ship.overload)}"
     over = needs * (ship.overload > 1.0)
     result, since = f"{ship.state}{left}{over}", ""
     if ship.has_transfer and not ship.has_left_station:

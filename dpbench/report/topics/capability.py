@@ -29,6 +29,7 @@ from dpbench.report.page.section import Figure, Topic
 from dpbench.report.ship.capability_text import (
     describe_answers_at_edge,
     describe_capability,
+    describe_losses_before,
     describe_losses_held,
     describe_required_force,
 )
@@ -138,12 +139,17 @@ def build_consequence_topic(records: Records) -> Topic | None:
 
 def _draw_consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
     """Yield charts of the losses held over time and of the time that takes."""
-    yield Figure(
-        f"consequence-{_name_file_of_analysis(analysis)}",
-        draw_loss_spans(analysis.spans, f"Losses held, {analysis.name}"),
-        "Each state is proved: an optimum exists (held) or none does (not held); "
-        f"{describe_required_force(analysis)}.",
+    before = analysis.spans["losses"].map(lambda losses: describe_losses_before(analysis, losses))
+    spans = analysis.spans.assign(
+        group=analysis.spans["group"] + before.where(before == "", " " + before)
     )
+    if not spans.empty:
+        yield Figure(
+            f"consequence-{_name_file_of_analysis(analysis)}",
+            draw_loss_spans(spans, f"Losses held, {analysis.name}"),
+            "Each state is proved: an optimum exists (held) or none does (not held); "
+            f"{describe_required_force(analysis)}.",
+        )
     timed = [
         answers
         for answers in analysis.best_answers_by_solver.values()

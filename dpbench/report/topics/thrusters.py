@@ -38,6 +38,7 @@ from dpbench.report.formats import (
     significant,
 )
 from dpbench.report.page.section import Topic
+from dpbench.report.ship.capability_text import describe_losses_before, list_analysis_cautions
 from dpbench.report.ship.thrust_text import describe_thrust_used, tabulate_thruster_use
 from dpbench.report.verdict.verdict_text import describe_hardest_wait
 
@@ -253,14 +254,20 @@ def _yield_consequence_sentences(records: Records, chosen: Verdict | None) -> It
         return
     held_at_end = []
     for analysis in analyses:
-        last = analysis.spans.groupby("group", sort=False).last()
+        spans = analysis.spans
+        last = spans[spans["losses"] == spans["losses"].max()].groupby("group").last()
+        if last.empty:
+            continue
         held = int((last["state"] == HELD).sum())
         count = {0: "none", len(last): "all"}.get(held, str(held))
-        where, losses = analysis.name.split("[")[0], "losses" if len(last) > 1 else "loss"
-        at_s = f"{last['to_s'].max():.0f} s"
-        held_at_end.append(f"at {at_s} of {where} {count} of {len(last)} {losses} could be held")
-    held_text = ", ".join(held_at_end)
-    yield f"In the static consequence analysis, {held_text}."
+        before = describe_losses_before(analysis, int(last["losses"].iloc[0]))
+        after, further = (f", {before},", "further ") if before else ("", "")
+        losses = f"{further}{'losses' if len(last) > 1 else 'loss'}"
+        where = f"at {last['to_s'].max():.0f} s of {analysis.name.split('[')[0]}{after}"
+        held_at_end.append(f"{where} {count} of {len(last)} {losses} could be held")
+    if held_at_end:
+        yield f"In the static consequence analysis, {', '.join(held_at_end)}."
+    yield from dict.fromkeys(text for one in analyses for text in list_analysis_cautions(one))
     own = select_configurations_in_all_analyses(analyses)
     right = [name for name, of_it in own.items() if all(a.has_only_right_answers for a in of_it)]
     shares = {name: find_largest_solve_time_share(own[name]) for name in right}

@@ -18,6 +18,7 @@ from dpbench.analysis.suites.capability import (
     build_consequence_analyses,
 )
 from dpbench.analysis.verdict.requirements import Requirements
+from dpbench.analysis.verdict.ship_results import find_ship_results
 from dpbench.analysis.verdict.verdict import judge_solvers
 from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_step_columns
@@ -27,6 +28,7 @@ from dpbench.report.ship.capability_text import (
     describe_losses_held,
     describe_unanswered_qps,
 )
+from dpbench.report.ship.open_losses import find_open_losses
 from dpbench.report.topics.capability import build_consequence_topic
 from dpbench.report.topics.thrusters import build_conclusion_topic
 from tests.result_folder import StepsInMemory
@@ -40,9 +42,13 @@ CERTIFICATES = {"board A": ["linear"] * 4, "board B": ["gap", "gap", "infeasible
 
 
 def view(
-    records: Any, said: dict[str, dict[str, list[list[dict[str, Any]]]]], **columns: Any
+    records: Any,
+    said: dict[str, dict[str, list[list[dict[str, Any]]]]],
+    files: dict[str, Any] | None = None,
+    **columns: Any,
 ) -> Records:
     """Replays of four samples by solver and group: of each round the answers, 1 µs times k + 1."""
+    files = files or records.scenario("thrusters_loss").files
     rows = []
     for solver, by_group in said.items():
         for group, rounds in by_group.items():
@@ -51,7 +57,6 @@ def view(
                 "name": f"thrusters_loss[2:6], {group} lost",
                 "group": group,
             }
-            files = records.scenario("thrusters_loss").files
             records.replay(
                 solver,
                 source["name"],
@@ -134,7 +139,11 @@ def test_spans_join_what_is_proven_alike(storm: Records) -> None:
     """Board A throughout, board B until 0.6 s."""
     (analysis,) = build_consequence_analyses(storm)
     spans = [tuple(row) for row in analysis.spans.round(9).itertuples(index=False)]
-    wanted = [("board A", 0.0, 1.2, HELD), ("board B", 0.0, 0.6, HELD), ("board B", 0.6, 1.2, LOST)]
+    wanted = [
+        ("board A", 0.0, 1.2, HELD, 0),
+        ("board B", 0.0, 0.6, HELD, 0),
+        ("board B", 0.6, 1.2, LOST, 0),
+    ]
     assert spans == wanted
 
 
@@ -213,6 +222,102 @@ def test_it_says_that_the_ship_of_the_loop_was_not_held(
     assert ("CAUTION: this analysis is of a ship that was not held" in said) == bool(at)
     if at:
         assert f"it leaves its station at {at} s." in said
+
+
+STATIC = (
+    "The analysis is static: it balances only the filtered mean force of the analysed steps, so "
+    "the simulated ship may hold its station or leave it."
+)
+
+
+def _describe(records: Any, said: dict[str, Any], **columns: Any) -> str:
+    (analysis,) = build_consequence_analyses(view(records, {"daqp": said}, **columns))
+    return describe_losses_held(analysis)
+
+
+def _cell_with_losses(records: Any, *losses: tuple[float, list[str]]) -> dict[str, Any]:
+    """The documents of `thrusters_loss` with these losses of thrusters at these times."""
+    files = records.scenario("thrusters_loss").files
+    faults = [{"at_s": at_s, "lost": lost, "loss": "trip"} for at_s, lost in losses]
+    return files | {"scenario": files["scenario"] | {"faults": faults}}
+
+
+def test_it_names_simulated_losses_after_which_the_ship_leaves_its_station(records: Any) -> None:
+    """Board A at 90 s; the analysed steps end at 1.2 s."""
+    records.loop("quadprog", "thrusters_loss", steps=500, exact_left_s=100.0)
+    found = view(records, {"quadprog": {"board A": [[TRUE] * 4]}})
+    (analysis,) = build_consequence_analyses(found)
+    caution = (
+        "CAUTION: in closed loop the ship leaves its station after the loss of board A "
+        "(`thrusters_loss`)."
+    )
+    assert describe_losses_held(analysis).endswith(f"{STATIC} {caution}")
+    topic = build_conclusion_topic(found, judge_solvers(found, Requirements()))
+    assert topic is not None and f"could be held. {caution}" in topic.lines[-1]
+
+
+def test_it_says_that_it_is_static_where_the_ship_is_held(records: Any) -> None:
+    records.loop("quadprog", "thrusters_loss", steps=500)
+    assert _describe(records, {"board A": [[TRUE] * 4]}).endswith(STATIC)
+
+
+def test_a_departure_after_two_losses_is_not_one_after_a_single_loss(records: Any) -> None:
+    """Board A is lost at 50 s and board B at 90 s; the ship leaves its station after the second."""
+    cell = _cell_with_losses(records, (90.0, ["board B"]), (50.0, ["board A"]))
+    columns = {"steps": 500, "cell": json.dumps({"scenario": cell})}
+    records.loop("daqp", "thrusters_loss", exact_left_s=95.0, **columns)
+    assert _describe(records, {"board A": [[TRUE] * 4]}).endswith(STATIC)
+    records.loop("daqp", "thrusters", exact_left_s=55.0, **columns)
+    said = _describe(records, {"board A": [[TRUE] * 4]})
+    assert said.endswith("leaves its station after the loss of board A (`thrusters`).")
+
+
+def test_it_names_the_scenario_if_the_intact_ship_leaves_its_station_later(records: Any) -> None:
+    records.loop("daqp", "thrusters_loss", steps=500, exact_left_s=50.0)
+    said = _describe(records, {"board A": [[TRUE] * 4]})
+    assert said.endswith("leaves its station without a loss (`thrusters_loss`).")
+
+
+def test_it_names_a_mean_load_beyond_the_thrust(
+    records: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dpbench.analysis.verdict.ship_results.find_overload", lambda _: 1.54)
+    records.loop("daqp", "thrusters_loss", steps=100)
+    assert _describe(records, {"board A": [[TRUE] * 4]}).endswith(
+        f"{STATIC} CAUTION: the mean load needs 154 % of the thrust, so the ship does not hold its "
+        "station, even without a loss."
+    )
+
+
+def test_a_loss_on_top_of_a_simulated_one_is_a_further_loss(records: Any) -> None:
+    """Board A is lost at 0.6 s; board B could be lost before, and not after."""
+    cell = _cell_with_losses(records, (0.6, ["board A"]))
+    said = {"board A": [[TRUE] * 4], "board B": [[TRUE, TRUE, REFUSED, REFUSED]]}
+    found = view(records, {"daqp": said}, files=cell)
+    (analysis,) = build_consequence_analyses(found)
+    assert [*analysis.spans.round(9).itertuples(index=False, name=None)] == [
+        ("board A", 0.0, 0.6, HELD, 0),
+        ("board B", 0.0, 0.6, HELD, 0),
+        ("board B", 0.6, 1.2, LOST, 1),
+    ]
+    assert describe_losses_held(analysis).startswith(
+        "In thrusters_loss[2:6] (steps 2 to 5, wind 13.8 m/s from 40°) before 0.6 s the loss of "
+        "board A or of board B can be held throughout; after the loss of board A at 0.6 s, the "
+        "further loss of board B can be held at no time (required force"
+    )
+    ships = find_ship_results(found)
+    assert find_open_losses(found, ships, [], [analysis]).not_held == ()
+    (figure, *_) = build_consequence_topic(found).figures
+    assert "board B after the loss of board A at 0.6 s" in json.dumps(figure.chart.to_dict())
+
+
+def test_a_loop_without_the_analysed_groups_has_no_further_losses(records: Any) -> None:
+    cell = _cell_with_losses(records, (0.0, ["board A"]))
+    found = view(records, {"daqp": {"board A": [[TRUE] * 4]}}, files=cell)
+    assert (
+        "the loop has lost all analysed groups before the"
+        in build_consequence_topic(found).lines[0]
+    )
 
 
 def test_it_says_nothing_of_what_steers_the_ship(records: Any, storm: Records) -> None:
