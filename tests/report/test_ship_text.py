@@ -100,9 +100,10 @@ def test_a_lost_ship_is_a_banner_with_when_and_how_far(records: Any) -> None:
         "largest offset 37.0 m at 30.0 s, last offset 36.0 m."
     )
     assert (
-        "in 1 of 2 scenarios of 30 s. The largest offset is 1.77 m, at the start of `rough` ("
-        in told.text
+        "in 1 of 2 scenarios of 30 s. There, the largest offset is 1.77 m, at the start of `rough` "
+        "(" in told.text
     )
+    assert "Over all 2 scenarios, limits are active in " in told.limits
 
 
 @pytest.mark.parametrize(

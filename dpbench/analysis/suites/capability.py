@@ -357,8 +357,8 @@ def _tabulate_loss_state_spans(records: Records, run: RunRecord, sample_s: float
     group = run.lost_thruster_group
     members = set() if thrusters is None else set(thrusters.indices_by_failure_group[group])
     with_group = [k for k, (_, lost) in enumerate(so_far) if members <= lost]
-    known = [(group, *span) for span in spans if span[-1] <= min(with_group, default=math.inf)]
-    return pd.DataFrame(known, columns=list(SPAN))
+    kept = [(group, *span) for span in spans if span[-1] <= min(with_group, default=math.inf)]
+    return pd.DataFrame(kept, columns=list(SPAN))
 
 
 def _get_thrusters(run: RunRecord) -> ThrusterSet:

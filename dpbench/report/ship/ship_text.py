@@ -374,9 +374,10 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     moves = any(ship.has_transfer for ship in kept)
     before = " Offsets before the ship arrives on station do not count." * moves
+    largest = "The largest" if len(kept) == len(known) else "There, the largest"
     return (
         "With exactly solved QPs, the controller holds the ship on station "
-        f"({_format_station_limits(farthest)}){weather} {where}.{before} The largest offset is "
+        f"({_format_station_limits(farthest)}){weather} {where}.{before} {largest} offset is "
         f"{significant(run.exact_offset_max_m)} m{at} "
         f"({significant(run.exact_offset_end_m)} m at {end})."
     )
@@ -586,15 +587,17 @@ def _describe_limits(known: Sequence[ShipResult]) -> list[str]:
     by_share = sorted(known, key=lambda ship: ship.run.exact_active_share)
     least, most = by_share[0], by_share[-1]
     low, high = (format_share(ship.run.exact_active_share) for ship in (least, most))
+    is_part = 0 < sum(ship.is_held for ship in known) < len(known)
+    opening = f"Over all {len(known)} {_name_kind(known)}, limits are" if is_part else "Limits are"
     if high == "0 %":
         return ["No limit is ever active, so no QP is hard."]
     if low == high:
-        return [f"Limits are active in {low} of the steps."]
+        return [f"{opening} active in {low} of the steps."]
     by_name = group_by_key(known, lambda ship: ship.run.study or ship.name)
     shares = {name: max(s.run.exact_active_share for s in own) for name, own in by_name.items()}
     never = [ship for name, own in by_name.items() if shares[name] == 0.0 for ship in own]
     return [
-        f"Limits are active in {low} ({_locate_ship(least)}) to {high} ({_locate_ship(most)}) of "
+        f"{opening} active in {low} ({_locate_ship(least)}) to {high} ({_locate_ship(most)}) of "
         "the steps.",
         *([f"In {_name_ships(never)} no limit is ever active."] if never else []),
     ]
