@@ -103,6 +103,14 @@ def test_a_loss_that_is_held_but_not_simulated_is_not_shown(records: Any) -> Non
     assert find(records, []) == OpenLosses()
 
 
+def test_the_loss_with_the_least_wind_held_is_listed_first(records: Any) -> None:
+    records.loop("daqp", "thrusters_loss", steps=200)
+    for winds, first in (((9.0, 2.0), "board B"), ((2.0, 9.0), "board A")):
+        found = find(records, [plot(board_A=winds[0], board_B=winds[1])])
+        assert len(found.not_held) == 2
+        assert found.not_held[0].startswith(f"Loss of {first} in ")
+
+
 def test_a_ship_on_station_until_a_short_run_ends_is_not_held(records: Any) -> None:
     records.loop("daqp", "thrusters_loss", **LONG)
     (sentence,) = find(records, [plot(board_A=2.0)]).not_held

@@ -127,6 +127,20 @@ def test_a_failure_is_named_where_every_lost_ship_left_after_one(
     assert warning.startswith(f"{BANNER if other else held}{clause}, whatever the solver: in `")
 
 
+def test_an_intact_ship_that_leaves_is_named_before_ships_with_a_loss(records: Any) -> None:
+    """Three ships go farther after a loss; the intact one is named, and the last of them is not."""
+    faults = [{"at_s": 8.0, "lost": ["board A"]}]
+    cell = json.dumps({"scenario": {"scenario": {"controller": {}, "faults": faults}}})
+    for name, far_m in {"turn": 50.0, "move": 40.0, "thruster_loss": 45.0}.items():
+        records.loop("daqp", name, cell=cell, **LOST | {"exact_offset_max_m": far_m})
+    records.loop("daqp", "rough", **LOST)
+    warning = _summary(records).warning
+    intact = "whatever the solver: in `rough` the intact ship leaves its station (5 m, 5°) at 9.00 "
+    assert warning.startswith(f"{BANNER}, {intact}s; largest offset 37.0 m at 30.0 s")
+    assert "; in `turn` it leaves its station" in warning and "`move`" not in warning
+    assert warning.index("`turn`") < warning.index("`thruster_loss`")
+
+
 @pytest.mark.parametrize("keys", [{}, {"fallbacks": 1}, {"error_move_max": 0.5}])
 @pytest.mark.parametrize(("lost", "most_m"), [(LOST, 180.0), (LOST, 70.0), ({}, 20.0), ({}, 4.0)])
 def test_an_accurate_solver_whose_ship_goes_much_farther_is_named(

@@ -244,8 +244,14 @@ def describe_answers_at_edge(plot: CapabilityResult) -> str:
     right = sorted(a.solver for a in plot.answers if a.has_only_right_answers)
     qps = f"all {plural(plot.qp_count, 'QP')} at the edge of the plot"
     names = f": {join_with_and(right)}" if right else ""
-    verb = "answers" if len(right) == 1 else "answer"
-    return f"{len(right)} of {plural(len(plot.answers), 'solver')} {verb} {qps} correctly{names}."
+    who = count_answering(len(right), len(plot.answers), "solver")
+    return f"{who} {qps} correctly{names}."
+
+
+def count_answering(right: int, count: int, noun: str) -> str:
+    """Return how many solvers or configurations of some answer QPs, with the verb."""
+    verb = "answers" if 1 in (right, count) else "answer"
+    return f"{right} of {plural(count, noun)} {verb}"
 
 
 def describe_consequence_solver(records: Records, solver: str) -> str:

@@ -29,8 +29,8 @@ class OpenLosses:
     """Sentences on the losses that no closed loop shows to be held.
 
     not_held : of losses that level 1 or a consequence analysis finds not held, those that are not
-    simulated first, in the least wind; not_simulated : of
-    the others, in one sentence; "" for none.
+    simulated first, of these the one with the least wind held; not_simulated : of the others, in
+    one sentence; "" for none.
     """
 
     not_held: tuple[str, ...] = ()
@@ -107,6 +107,7 @@ class _WeatherLoss:
             if _scenario_of(analysis) in names
             and (_spans_of(analysis, group)["state"] == LOST).any()
         ]
+        self._held_mps = math.inf
         self.findings = [*self._level_1_findings(plots), *self._analysis_findings()]
         """Findings, as text, by which the loss is not held."""
 
@@ -116,9 +117,10 @@ class _WeatherLoss:
         return any(loss.has_ship_left for loss in self._losses)
 
     @property
-    def order(self) -> tuple[bool, float]:
-        """Key that sorts losses by weight: not simulated first, then the least wind."""
-        return bool(self._losses), _find_wind(self._alike[0]).get("speed_mps", 0.0)
+    def order(self) -> tuple[bool, float, float]:
+        """Key that sorts losses: not simulated first, then the least wind held, the least wind."""
+        wind_mps = _find_wind(self._alike[0]).get("speed_mps", 0.0)
+        return bool(self._losses), self._held_mps, wind_mps
 
     @property
     def sentence(self) -> str:
@@ -149,6 +151,7 @@ class _WeatherLoss:
             from_deg = min(held_mps, key=lambda at: abs((at - relative_deg + 180.0) % 360 - 180.0))
             # Polygons lie within the circles of level 1: their wind is too small by at most this.
             if held_mps[from_deg] / math.cos(math.pi / plot.sides) < wind["speed_mps"]:
+                self._held_mps = min(self._held_mps, held_mps[from_deg])
                 most = format_wind_held(held_mps[from_deg])
                 least = "no wind" if held_mps[from_deg] == 0.0 else f"at most {most}"
                 yield (

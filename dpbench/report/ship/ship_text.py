@@ -119,7 +119,7 @@ def _warn_of_lost(lost: Sequence[ShipResult], known: Sequence[ShipResult]) -> It
         where = f"{_count_held(driven, known) or BANNER}{sensors}{_name_failures(driven)}"
         opening = f"{where}, whatever the solver"
         yield f"{opening}: {_describe_lost(driven)}."
-        yield from map(explain_departure, [one for one in driven if not one.run.study][:MOST_NAMED])
+        yield from map(explain_departure, _sort_by_importance(driven)[:MOST_NAMED])
     if away:
         opening = "Elsewhere it starts" if driven else f"{LOST}: it starts"
         yield f"{opening} off its station and ends farther away: {_describe_lost(away)}."
@@ -192,11 +192,11 @@ def _name_failures(lost: Sequence[ShipResult]) -> str:
 def _describe_lost(lost: Sequence[ShipResult]) -> str:
     """Return when and how far lost ships leave their station as text, those of a study together."""
     by_study = group_by_key((ship for ship in lost if ship.run.study), lambda ship: ship.run.study)
-    alone = sorted(
-        (ship for ship in lost if not ship.run.study),
-        key=lambda ship: -ship.run.exact_offset_max_m / ship.run.station_radius_m,
-    )
-    parts = [_describe_departure(ship) for ship in alone[:MOST_NAMED]]
+    alone = _sort_by_importance(lost)
+    is_intact = [not _has_fault_before_departure(ship) for ship in alone]
+    subjects = ["the intact ship" if one and not all(is_intact) else "it" for one in is_intact]
+    named = [*zip(alone, subjects, strict=True)][:MOST_NAMED]
+    parts = [_describe_departure(ship, subject) for ship, subject in named]
     if others := alone[MOST_NAMED:]:
         parts.append(f"it leaves in {plural(len(others), 'more scenario')}")
     for study, seas in by_study.items():
@@ -209,7 +209,19 @@ def _describe_lost(lost: Sequence[ShipResult]) -> str:
     return "; ".join(parts)
 
 
-def _describe_departure(ship: ShipResult) -> str:
+def _sort_by_importance(lost: Sequence[ShipResult]) -> list[ShipResult]:
+    """Return lost ships outside of studies: intact ones first, then the one farthest off."""
+    alone = (ship for ship in lost if not ship.run.study)
+    far = {ship: ship.run.exact_offset_max_m / ship.run.station_radius_m for ship in alone}
+    return sorted(far, key=lambda ship: (_has_fault_before_departure(ship), -far[ship]))
+
+
+def _has_fault_before_departure(ship: ShipResult) -> bool:
+    """Return whether a lost ship has lost thrusters or limits before it leaves its station."""
+    return any(fault["at_s"] <= ship.run.exact_left_s for fault in _get_faults(ship.run))
+
+
+def _describe_departure(ship: ShipResult, subject: str) -> str:
     """Return as text when a lost ship leaves its station, its largest offset and the last."""
     run = ship.run
     heading = f"; largest heading error {significant(run.exact_heading_max_deg)}°"
@@ -221,7 +233,7 @@ def _describe_departure(ship: ShipResult) -> str:
     if ship.is_lost_at_start:
         left = f"starts off its station ({limits})"
     return (
-        f"in `{ship.name}`{_format_wind(run)} it {left}; largest "
+        f"in `{ship.name}`{_format_wind(run)} {subject} {left}; largest "
         f"offset {significant(run.exact_offset_max_m)} m at {significant(run.exact_offset_max_s)} s"
         f"{_format_farther_loop(ship)}, last offset {significant(run.exact_offset_end_m)} m"
         f"{moving}{turned}"

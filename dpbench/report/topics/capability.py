@@ -27,6 +27,7 @@ from dpbench.report.charts.capability import (
 from dpbench.report.formats import Table, format_sample_share, join_with_counts, plural
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.ship.capability_text import (
+    count_answering,
     describe_answers_at_edge,
     describe_capability,
     describe_losses_before,
@@ -176,7 +177,8 @@ def _describe_consequences(analysis: ConsequenceAnalysis) -> str:
     """Return sentences: losses held, solvers right on all QPs, the fastest, missed alarms."""
     answers = analysis.answers
     right = [a for a in answers if a.has_only_right_answers]
-    head = f"{len(right)} of {plural(len(answers), 'configuration')} answer all QPs correctly"
+    who = count_answering(len(right), len(answers), "configuration")
+    head = f"{who} all QPs correctly"
     timed = [a for a in right if not isnan(a.largest)]
     if timed:
         best = min(timed, key=lambda a: a.largest)

@@ -24,6 +24,7 @@ from dpbench.bench.record.result_folder import Results
 from dpbench.bench.record.schema import convert_to_step_columns
 from dpbench.report.ship import capability_text
 from dpbench.report.ship.capability_text import (
+    count_answering,
     describe_consequence_solver,
     describe_losses_held,
     describe_unanswered_qps,
@@ -174,7 +175,9 @@ def test_the_topic_says_when_a_loss_can_be_held(
 
 def test_the_topic_names_who_misses_alarms(storm: Records) -> None:
     topic = build_consequence_topic(storm)
-    assert "1 of 3 configurations answer all QPs correctly; the fastest, quadprog" in topic.lines[0]
+    assert (
+        "1 of 3 configurations answers all QPs correctly; the fastest, quadprog" in topic.lines[0]
+    )
     said = "missed alarms: osqp (1); no answer to some QPs: daqp (1) and osqp (1)."
     assert topic.lines[0].endswith(said)
     assert [figure.name for figure in topic.figures] == [
@@ -196,6 +199,21 @@ def test_the_conclusion_calls_the_losses_that_could_be_held_static(records: Any)
         "In the static consequence analysis, at 1 s of thrusters_loss 1 of 2 losses could be held. "
         "quadprog finds this at every sample in at most "
     ) in topic.lines[-1]
+
+
+@pytest.mark.parametrize(
+    ("right", "count", "said"),
+    [
+        (0, 1, "0 of 1 solver answers"),
+        (1, 1, "1 of 1 solver answers"),
+        (0, 3, "0 of 3 solvers answer"),
+        (1, 3, "1 of 3 solvers answers"),
+    ],
+)
+def test_the_verb_of_a_count_of_solvers_is_singular_for_one(
+    right: int, count: int, said: str
+) -> None:
+    assert count_answering(right, count, "solver") == said
 
 
 def test_it_says_that_no_alarm_was_due(records: Any) -> None:
