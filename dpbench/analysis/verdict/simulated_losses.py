@@ -18,12 +18,12 @@ def list_losses(run: RunRecord) -> list[tuple[float, list[str]]]:
 
 def list_lost_so_far(run: RunRecord, thrusters: ThrusterSet) -> list[tuple[float, set[int]]]:
     """Return the time [s] of each loss in a run, and the indices of all thrusters lost by then."""
-    so_far: dict[float, set[int]] = {}
+    so_far = list[tuple[float, set[int]]]()
     lost = set[int]()
     for at_s, names in list_losses(run):
         lost |= thrusters.find_indices_of_thrusters_or_groups(names, run.scenario, "faults.lost")
-        so_far[at_s] = set(lost)
-    return [*so_far.items()]
+        so_far.append((at_s, set(lost)))
+    return so_far
 
 
 @dataclass(frozen=True)
@@ -59,5 +59,5 @@ def list_simulated_losses(
         so_far = list_lost_so_far(ship.run, thrusters)
         next_s = [at_s for at_s, _ in so_far[1:]] + [math.inf]
         for (at_s, lost), until_s in zip(so_far, next_s, strict=False):
-            if lost == members and at_s < ship.run.exact_steps * ship.run.sample_s:
+            if lost == members and at_s < min(until_s, ship.run.exact_steps * ship.run.sample_s):
                 yield SimulatedLoss(at_s, until_s, ship)

@@ -13,6 +13,7 @@ from dpbench.analysis.suites.capability import (
     build_capability_results,
     build_consequence_analyses,
 )
+from dpbench.analysis.verdict.simulated_losses import list_losses
 from dpbench.report.charts.capability import (
     ANSWERS,
     NOTHING,
@@ -24,13 +25,18 @@ from dpbench.report.charts.capability import (
     draw_loss_spans,
     draw_sample_shares,
 )
-from dpbench.report.formats import Table, format_sample_share, join_with_counts, plural
+from dpbench.report.formats import (
+    Table,
+    format_sample_share,
+    join_with_and,
+    join_with_counts,
+    plural,
+)
 from dpbench.report.page.section import Figure, Topic
 from dpbench.report.ship.capability_text import (
     count_answering,
     describe_answers_at_edge,
     describe_capability,
-    describe_losses_before,
     describe_losses_held,
     describe_required_force,
 )
@@ -140,9 +146,10 @@ def build_consequence_topic(records: Records) -> Topic | None:
 
 def _draw_consequence_figures(analysis: ConsequenceAnalysis) -> Iterator[Figure]:
     """Yield charts of the losses held over time and of the time that takes."""
-    before = analysis.spans["losses"].map(lambda losses: describe_losses_before(analysis, losses))
+    names = [join_with_and(lost) for _, lost in list_losses(analysis.run)] if analysis.run else []
+    after = ["", *(f" after {join_with_and(names[: k + 1])}" for k in range(len(names)))]
     spans = analysis.spans.assign(
-        group=analysis.spans["group"] + before.where(before == "", " " + before)
+        group=analysis.spans["group"] + analysis.spans["losses"].map(after.__getitem__)
     )
     if not spans.empty:
         yield Figure(

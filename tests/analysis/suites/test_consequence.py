@@ -326,7 +326,19 @@ def test_a_loss_on_top_of_a_simulated_one_is_a_further_loss(records: Any) -> Non
     ships = find_ship_results(found)
     assert find_open_losses(found, ships, [], [analysis]).not_held == ()
     (figure, *_) = build_consequence_topic(found).figures
-    assert "board B after the loss of board A at 0.6 s" in json.dumps(figure.chart.to_dict())
+    assert '"board B after board A"' in json.dumps(figure.chart.to_dict())
+
+
+def test_two_losses_at_once_are_no_single_loss(records: Any) -> None:
+    """Boards A and B at 90 s, as two faults: the ship leaves its station after both."""
+    cell = _cell_with_losses(records, (90.0, ["board A"]), (90.0, ["board B"]))
+    columns = {"steps": 500, "cell": json.dumps({"scenario": cell})}
+    records.loop("daqp", "thrusters_loss", exact_left_s=95.0, **columns)
+    found = view(records, {"daqp": {"board A": [[TRUE] * 4]}})
+    assert describe_losses_held(build_consequence_analyses(found)[0]).endswith(STATIC)
+    analyses = build_consequence_analyses(found)
+    losses = find_open_losses(found, find_ship_results(found), [], analyses)
+    assert losses.not_simulated.startswith("Loss of board A: not simulated")
 
 
 def test_a_loop_without_the_analysed_groups_has_no_further_losses(records: Any) -> None:
