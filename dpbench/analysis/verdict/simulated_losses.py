@@ -39,7 +39,7 @@ class SimulatedLoss:
 
     @property
     def duration_s(self) -> float:
-        """How long the closed loop goes on without another loss [s]."""
+        """Time for which the closed loop goes on without another loss [s]."""
         run = self.ship.run
         return float(min(self.next_s, run.exact_steps * run.sample_s) - self.at_s)
 
