@@ -319,13 +319,15 @@ def compare_runs(
     was = {name for base, _ in pairs for name in base.names}
     is_timed = any(base.benchmarks for base, _ in pairs)
     failed = {name: why for _, head in pairs for name, why in head.failed.items()}
+    failed_before = {name for base, _ in pairs for name in base.failed}
     now = {name for _, head in pairs for name in head.names}
     rows = []
     for name in sorted(was | now):
         if name in failed:
             verdict = WRONG_ANSWERS if failed[name].startswith(WRONG_ANSWERS) else NOT_TIMED
             reason = failed[name].removeprefix(f"{WRONG_ANSWERS}: ")
-            rows.append(Row(name, verdict, remarks=(reason,)))
+            too = ("the benchmark fails in the base too",) if name in failed_before else ()
+            rows.append(Row(name, verdict, remarks=(reason, *too)))
         elif name not in now:
             is_left_out = all(head.selection.leaves_out(name) for _, head in pairs)
             rows.append(Row(name, NOT_RUN if is_left_out else GONE))

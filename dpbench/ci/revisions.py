@@ -208,7 +208,12 @@ class Arguments:
         return any(path in self.given for path in self.absent)
 
     def measure(self, tree: Path) -> Measured:
-        """Measure the tree; a benchmark of a path that it does not contain is not left out."""
+        """Measure the tree; a benchmark of a path that it does not contain is not left out.
+
+        A tree that contains none of the given paths has no benchmark, so pytest does not run.
+        """
+        if self.has_no_path:
+            return Measured(BenchmarkRun())
         found = measure_tree(tree, self.given)
         selection = found.run.selection
         selection = replace(
@@ -257,9 +262,9 @@ def _collect_trees(
     return base, head
 
 
-def _require_baseline(tree: Path, given: Arguments, base: Measured) -> None:
+def _require_baseline(tree: Path, base: Measured) -> None:
     """Raise SituationError where an error of pytest in the base hides its benchmarks."""
-    if base.is_broken and not given.has_no_path:
+    if base.is_broken:
         required = "a base in which pytest ends without an error, or only files that it can collect"
         raise SituationError(str(tree), f"{base.reason}; required: {required}")
 
@@ -291,7 +296,7 @@ def measure_by_turns(
             measured[turn] = given[turn].measure(trees[turn])
             spent_s.append(time.monotonic() - start_s)
             if not pairs:
-                _require_baseline(trees[0], given[0], measured[0])
+                _require_baseline(trees[0], measured[0])
             if len(measured) == len(trees):
                 pairs.append((measured[0], measured[1]))
                 end = describe_early_end(pairs, count, attempts)
@@ -399,7 +404,7 @@ def compare_trees(
     )
     base, head = pairs[-1]
     if head.reason:
-        if base.reason:
+        if not base.run.names:
             required = "a working tree with benchmarks"
             raise SituationError(str(trees[1]), f"{head.reason}; required: {required}")
         # Its benchmarks are not gone: nobody knows.

@@ -109,6 +109,9 @@ def test_a_failed_test_is_not_gone_and_one_that_is_gone_may_be_allowed() -> None
     """Each has a verdict of its own."""
     base, other = run_of(entry("t")), run_of(entry("u"))
     assert verdicts(base, run_of(t="ZeroDivisionError")) == ("failed, not timed", True)
+    for was, remarks in ((base, 1), (run_of(t="ImportError"), 2)):
+        (row,) = compare_runs([(was, run_of(t="ImportError"))]).rows
+        assert row.remarks == ("ImportError", "the benchmark fails in the base too")[:remarks]
     assert verdicts(base, other) == ("gone", True)
     assert verdicts(base, other, allow_gone=True) == ("new", False)
     assert verdicts(run_of(), base) == ("no baseline", False)
