@@ -70,4 +70,9 @@ DISTURBED_OR_STORED_EXIT: dict[str, Any] = DISTURBED_EXIT | {
     "help": "exit code if times are not judged and no regression is shown, or other load disturbs "
     "a stored baseline (default: 0)"
 }
-"""Option that gate and pytest have in common."""
+"""Option of pytest, which stores a baseline."""
+GATE_EXIT: dict[str, Any] = DISTURBED_EXIT | {
+    "help": "exit code if times are not judged and no regression is shown, or a stored baseline is "
+    "disturbed or lacks a reference kernel (default: 0)"
+}
+"""Option of the gate, which stores a baseline and judges whether it can be compared."""

@@ -131,6 +131,12 @@ def describe_unusable_times(base: "BenchmarkRun", path: Path) -> str:
     )
 
 
+def describe_disjoint_runs(base: "BenchmarkRun", head: "BenchmarkRun", path: Path) -> str:
+    """Return the fault of a head without a benchmark of the baseline `path`; "" for none."""
+    is_disjoint = head.names and base.names.isdisjoint(head.names)
+    return f"no benchmark in common with {path}" if is_disjoint else ""
+
+
 def _estimate_error(
     minimum_s: float, quartile_s: float, rounds: int, data: Iterable[float]
 ) -> float:

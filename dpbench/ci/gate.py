@@ -8,7 +8,7 @@ disturbed is measured again: noise only ever makes a minimum larger. The baselin
 nothing whose baseline was disturbed: `dpbench.ci.revisions` measures both alternately. Exit 0: no
 regression shown, or no baseline yet, which is stored; 1: a regression, or a failed or missing
 benchmark; 2: bad input, or no benchmark in common; CODE (0): times not judged, no regression shown,
-or a disturbed baseline stored.
+or a baseline stored that is disturbed or lacks a reference kernel.
 """
 
 import argparse
@@ -25,16 +25,19 @@ import pytest
 from rich.console import Console
 
 from dpbench.bench.record.machine import describe_machine
-from dpbench.ci import ALLOW, DISTURBED_OR_STORED_EXIT, MARGIN, MARGIN_SHARE
+from dpbench.ci import ALLOW, GATE_EXIT, MARGIN, MARGIN_SHARE
 from dpbench.ci.benchmarks import (
     Benchmark,
     BenchmarkRun,
+    describe_disjoint_runs,
     describe_disturbed_baseline,
     describe_unusable_times,
     load_run,
 )
 from dpbench.ci.comparison import (
     DISTURBED,
+    NO_KERNEL,
+    NOT_JUDGED,
     SLOWER,
     WORSE,
     Allowed,
@@ -51,7 +54,8 @@ exit codes:
   0     no regression shown, or the baseline was stored
   1     a regression: longer times, more iterations, larger errors, or a failed or missing benchmark
   2     bad input, or no benchmark in common
-  CODE  of --disturbed-exit: times not judged, no regression shown, or a disturbed baseline stored
+  CODE  of --disturbed-exit: times not judged and no regression shown, or a baseline stored that is
+        disturbed or lacks a reference kernel
 
 examples:
   python -m dpbench.ci.gate now.json base.json
@@ -72,7 +76,10 @@ class SessionComparison:
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Compare a session's benchmarks with the stored run; set the exit code of the verdict."""
+        """Compare a session's benchmarks with the stored run; set the exit code of the verdict.
+
+        2 where benchmarks were measured, none failed, and none of them is in the stored run.
+        """
         # No public hook has the benchmarks of a session that writes no JSON file.
         measured = self._config._benchmarksession.benchmarks  # type: ignore[attr-defined] # a private attribute
         entries = (one.as_dict() for one in measured if one and not one.has_error)
@@ -88,16 +95,20 @@ class SessionComparison:
         passed = session.exitstatus == pytest.ExitCode.OK
         selected = self._config.getoption("dpbench_disturbed_exit") if passed else 0
         option = "--dpbench-disturbed-exit"
-        lines = describe_end(found, str(self._path), "this session", selected, option)
+        fault = "" if now.failed else describe_disjoint_runs(self._baseline, now, self._path)
+        if fault:
+            lines = [found.describe_scope(str(self._path), "this session"), fault]
+        else:
+            lines = describe_end(found, str(self._path), "this session", selected, option)
         console = Console(file=self._text, width=120)
         if line := describe_unusable_times(self._baseline, self._path):
             console.print(line, markup=False, highlight=False, soft_wrap=True)
         found.print(console, lines)
         if passed:
-            session.exitstatus = found.exit_code(selected)
-        why = "" if passed or found.worse else ": pytest did not pass"
+            session.exitstatus = 2 if fault else found.exit_code(selected)
+        why = "" if passed or (found.worse and not fault) else ": pytest did not pass"
         code = int(session.exitstatus)
-        self._notes.last_line = f"dpbench: {found.outcome} (exit code {code}{why})"
+        self._notes.last_line = f"dpbench: {fault or found.outcome} (exit code {code}{why})"
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Print the comparison with the stored run below pytest's table of benchmarks."""
@@ -182,7 +193,7 @@ def _build_parser() -> argparse.ArgumentParser:
     gone = "pass even if a benchmark of the baseline is missing"
     parser.add_argument("--margin", **MARGIN_SHARE)
     parser.add_argument("--allow-gone", action="store_true", help=gone)
-    parser.add_argument("--disturbed-exit", **DISTURBED_OR_STORED_EXIT)
+    parser.add_argument("--disturbed-exit", **GATE_EXIT)
     parser.add_argument("--allow", **ALLOW)
     return parser
 
@@ -200,10 +211,9 @@ def main(argv: list[str] | None = None) -> int:
         if arguments.renew or not baseline.exists():
             return _store_baseline(now, arguments, baseline, console)
         was = load_run(baseline)
-        if was.names.isdisjoint(now.names):
-            fault = f"found no benchmark in common with {baseline}"
+        if fault := describe_disjoint_runs(was, now, baseline):
             remedy = f"--renew replaces {baseline} with {arguments.json}"
-            raise SituationError(str(arguments.json), f"{fault}; {remedy}")
+            raise SituationError(str(arguments.json), f"found {fault}; {remedy}")
         if line := describe_unusable_times(was, baseline):
             console.print(f"{line} (--renew)", soft_wrap=True)
         now = measure_suspects_again(was, now, arguments.retries, console, **allowed)
@@ -217,6 +227,18 @@ def main(argv: list[str] | None = None) -> int:
     return found.exit_code(selected)
 
 
+def _describe_baseline_without_kernel(run: BenchmarkRun) -> str:
+    """Return a warning for a run whose times have no verdict even against itself; "" for none."""
+    unjudged = [row for row in compare_runs([(run, run)]).rows if row.not_judged == NO_KERNEL]
+    if not unjudged:
+        return ""
+    count = f"{len(unjudged)} of {plural(len(run.benchmarks), 'benchmark')}"
+    return (
+        f"{NOT_JUDGED[NO_KERNEL]} in {count}: as a baseline, their times will not be compared; add "
+        "the fixture dpbench_reference_kernel to the tests and measure again"
+    )
+
+
 def _store_baseline(
     run: BenchmarkRun, arguments: argparse.Namespace, baseline: Path, console: Console
 ) -> int:
@@ -226,7 +248,11 @@ def _store_baseline(
     why = "renewed" if arguments.renew else "no baseline of this machine yet"
     console.print(f"{why}: stored {baseline}, nothing compared", soft_wrap=True)
     code = 0
-    if warning := describe_disturbed_baseline(run.disturbed, len(run.benchmarks)):
+    warnings = (
+        describe_disturbed_baseline(run.disturbed, len(run.benchmarks)),
+        _describe_baseline_without_kernel(run),
+    )
+    for warning in filter(None, warnings):
         console.print(warning, soft_wrap=True)
         code = arguments.disturbed_exit
     console.print(f"exit code {code} (baseline stored)")

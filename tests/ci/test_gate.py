@@ -229,6 +229,27 @@ def test_a_baseline_of_a_disturbed_machine_has_a_warning(
     assert terminal.write_line.call_args.args[0].startswith(f"stored times: {warning}")
 
 
+@pytest.mark.parametrize(("kernel", "count", "warns"), [(0, 3, 1), (0, 5, 0), (1, 3, 0)])
+def test_a_baseline_without_a_reference_kernel_has_a_warning(
+    write: Write,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    kernel: int,
+    count: int,
+    warns: int,
+) -> None:
+    """Its times have no verdict later; three other solvers take the place of the kernel."""
+    run = write("first", kernel=bool(kernel), count=count)
+    arguments = [str(run), str(tmp_path / "baseline"), "--disturbed-exit", "75"]
+    assert gate.main(arguments) == 75 * warns
+    out = capsys.readouterr().out
+    cause = f"too few other solvers and no reference kernel in {count} of {count} benchmarks"
+    warning = f"{cause}: as a baseline, their times will not be compared; add the fixture dpbench_"
+    assert (warning in out) is bool(warns)
+    assert gate.main(arguments) == 75 * warns
+    assert ("times not judged (too few" in capsys.readouterr().out) is bool(warns)
+
+
 def test_nothing_is_repeated_against_a_disturbed_baseline(
     write: Write,
     tmp_path: Path,

@@ -194,19 +194,23 @@ def test_a_comparison_of_nothing_fails(pytester: pytest.Pytester) -> None:
 @pytest.mark.parametrize(
     ("name", "argument", "code", "text"),
     [
-        ("test_it", "-kother", 0, "new (*): 1 new, 1 not run"),
-        ("test_it", "test_it.py::test_other", 0, "new (*): 1 new, 1 not run"),
-        ("test_old", "test_it.py", 1, "gone (*): 1 gone, 2 new"),
+        ("test_it", "-kother", 2, "new (*): 1 new, 1 not run"),
+        ("test_it", "test_it.py::test_other", 2, "new (*): 1 new, 1 not run"),
+        ("test_old", "test_it.py", 2, "gone (*): 1 gone, 2 new"),
         ("test_it", "--dpbench-disturbed-exit=256", 4, "*found 256; allowed: 0 to 255"),
     ],
 )
 def test_a_benchmark_that_is_left_out_is_not_gone(
     pytester: pytest.Pytester, name: str, argument: str, code: int, text: str
 ) -> None:
-    """Only one that could have been run is missed."""
+    """Only one that could have been run is missed; where none is compared, the session fails."""
     tests = [f"def {one}(benchmark): benchmark(int)" for one in ("test_it", "test_other")]
     pytester.makepyfile(test_it="\n".join(tests))
     base = write_baseline(pytester.path, f"test_it.py::{name}", 1.0)
     result = run(pytester, f"--dpbench-compare={base}", argument)
     assert result.ret == code
     (result.stderr if code == 4 else result.stdout).fnmatch_lines([text])
+    if code == 2:
+        fault = f"no benchmark in common with {base}"
+        assert result.outlines[-1] == f"dpbench: {fault} (exit code 2)"
+        assert fault in result.outlines and "no regression" not in result.stdout.str()
