@@ -166,7 +166,9 @@ def test_the_help_of_an_exit_code_is_of_what_the_command_does(
         with pytest.raises(SystemExit):
             command(["--help"])
         words = " ".join(capsys.readouterr().out.split())
-        assert ("or a stored baseline is disturbed or lacks a reference kernel (default: 0)" in words) is stores
+        assert (
+            "or a stored baseline is disturbed or lacks a reference kernel (default: 0)" in words
+        ) is stores
         assert "times are not judged and no regression is shown" in words
 
 

@@ -268,6 +268,7 @@ class Comparison:
     figures : every figure of accuracy and control; lines : the verdict in a few lines of text.
     margin : ratio that counts as equal; alpha : family-wise error of the claims.
     reference : solver that step times are divided by, "" for none.
+    verdict_changes : configurations whose verdict differs between the folders.
 
     Examples
     --------
@@ -284,6 +285,7 @@ class Comparison:
     margin: float = 0.05
     alpha: float = 0.05
     reference: str = ""
+    verdict_changes: Sequence[VerdictChange] = ()
 
     def __repr__(self) -> str:
         verdict = "a regression" if self.worse else "no regression"
@@ -341,14 +343,17 @@ class Comparison:
         'no difference shown...'
         """
         times = {one.assessment.verdict for one in self.compared}
+        count = len(self.verdict_changes)
+        verdicts = [f"{plural(count, 'verdict')} changed"] if count else []
         if worse := [figure for figure in self.figures if figure.change == "worse"]:
             where = "" if list_metrics_in_verdicts(worse) else " in SI units"
             slower = ", slower" if "slower" in times else ""
-            return f"worse accuracy or control{where}{slower}"
+            return ", ".join([f"worse accuracy or control{where}{slower}", *verdicts])
         if self.worse:
-            return "slower"
+            return ", ".join(["slower", *verdicts])
         is_better = any(figure.change == "better" for figure in self.figures)
         changed = ["better accuracy or control"] * is_better + ["faster"] * ("faster" in times)
+        changed += verdicts
         machine = "on a disturbed machine" * self.is_disturbed
         if self.note_on_times == "times not judged":
             unjudged = " ".join(filter(None, (self.note_on_times, machine)))
@@ -469,7 +474,9 @@ def compare(
         make_settings_table(*views),
     )
     tables += [table for table in further if table is not None]
-    return Comparison(compared, shared, figures, pairs, lines, tables, margin, alpha, solver)
+    return Comparison(
+        compared, shared, figures, pairs, lines, tables, margin, alpha, solver, verdicts
+    )
 
 
 def _compare_times(

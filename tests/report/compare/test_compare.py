@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -765,6 +766,13 @@ def test_changed_verdicts_are_listed_and_unchanged_ones_are_not(tmp_path: Path) 
         one.write(tmp_path / name)
     found = compare(tmp_path / "a", tmp_path / "b")
     assert found.lines[0] == "verdicts changed: 1 pass → late"
+    assert found.headline == "times not judged; 1 verdict changed"
+    judged = [
+        replace(one, assessment=replace(one.assessment, verdict=v))
+        for one, v in zip(found.compared, ("slower", "equivalent"), strict=True)
+    ]
+    assert replace(found, compared=judged).headline == "slower, 1 verdict changed"
+    assert replace(found, compared=judged[1:]).headline == "1 verdict changed"
     (table,) = (t for t in found.tables if t.title == "Verdicts that changed")
     ((*cells, reason),) = table.rows
     assert cells == ["daqp (qpsolvers fresh)", "pass", "late"]
@@ -776,6 +784,7 @@ def test_changed_verdicts_are_listed_and_unchanged_ones_are_not(tmp_path: Path) 
     assert "verdicts changed: 1 late → pass" in better.lines
     for same in (compare(tmp_path / "a", tmp_path / "a"), compare(tmp_path / "b", tmp_path / "b")):
         assert not any(line.startswith("verdicts") for line in same.lines)
+        assert "verdict" not in same.headline
         assert not any("Verdicts" in table.title for table in same.tables)
 
 
