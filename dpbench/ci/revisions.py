@@ -302,7 +302,9 @@ def measure_by_turns(
                 end = describe_early_end(pairs, count, attempts)
             missing = count - done - all(one.is_quiet for one in measured.values())
             runs = 2 * limit - len(spent_s)
-            left = "" if end else _describe_time_left(float(np.mean(spent_s)), runs, missing)
+            # A tree without benchmarks takes no time, and one pair is enough.
+            is_last = end or any(one.has_no_path for one in given)
+            left = "" if is_last else _describe_time_left(float(np.mean(spent_s)), runs, missing)
             line = f"{('base', 'head')[turn]}: {spent_s[-1]:.0f} s{left}"
             print(f"{of_all}, {line}", file=sys.stderr)
         base, head = pairs[-1]

@@ -251,8 +251,8 @@ def test_a_file_of_one_tree_does_not_hide_the_common_benchmarks(
     assert "calls 1 → 2" in found
     code, text = ((1, "gone"), (0, "no baseline"))[only_in]
     assert compare_files(trees, "test_other.py") == code
-    found = capsys.readouterr().out
-    assert found.startswith(text) and "pytest ended" not in found
+    out, err = capsys.readouterr()
+    assert out.startswith(text) and "pytest ended" not in out and " left" not in err
     assert main([*map(str, trees), "--allow-gone", "--", *LOADED, "test_other.py"]) == 0
 
 
