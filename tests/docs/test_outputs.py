@@ -35,7 +35,6 @@ WITHOUT = {
         "dpbench run my_ship_suite.toml --open": LINKED,
     },
     "containers.md": {"python -m dpbench.cli.compiling": "it prints nothing"},
-    "embedded.md": {"dpbench run standard": "report.md shows the output"},
 }
 """Commands whose output their page does not show, by page, with the reason."""
 PROMPT = "$ "
