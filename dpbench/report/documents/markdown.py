@@ -229,8 +229,8 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
         for _, m in timed
     )
     scaled = (
-        " The p99 is scaled up if the p99 of iterations is larger in the closed loop, and the "
-        "longest step if the largest number of iterations is." * is_scaled
+        " The p99 is scaled up if the p99 of iterations is larger in the closed loop. The longest "
+        "step is scaled up if the largest number of iterations is larger there." * is_scaled
     )
     without = " (without a p99: longest step)" * any(math.isnan(v.p99_ns) for v, _ in timed)
     return (

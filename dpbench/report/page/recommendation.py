@@ -481,19 +481,19 @@ def _describe_limiting_p99(margin: SpeedMargin) -> str:
     estimated, replayed = "", "this replay"
     if steps := run.steps_searched_for_hardest:
         beyond, replayed = steps // 100, "the window"
-        take = "takes" if beyond == 1 else "take"
-        share = f"1 % of {format_count(steps)}{', rounded down' * (steps % 100 > 0)}"
         measured = (
             f"The p99 of the {format_count(steps)} steps of `{run.scenario}` is estimated from its "
-            f"window of {plural(run.steps_planned, 'step')}: it is {time}, as {beyond} of these "
-            f"steps ({share}) {take} longer"
+            f"window of {plural(run.steps_planned, 'step')}. It is the time that "
+            f"{plural(beyond, 'step')} of the window exceed{'s' * (beyond == 1)} (1 % of "
+            f"{format_count(steps)}{', rounded down' * (steps % 100 > 0)}): {time}"
         )
         estimated = " This estimate has no confidence interval."
     if not run.untimed_iterations > 1.0:
         return f"{measured}.{estimated}"
     return (
         f"{measured}. The p99 of iterations is larger in the closed loop than in {replayed}, so "
-        f"the limiting p99 is scaled up to {format_time(margin.limiting_p99_ns)}.{estimated}"
+        f"the p99 of {time} is scaled up to the limiting p99 of "
+        f"{format_time(margin.limiting_p99_ns)}, at most the longest step.{estimated}"
     )
 
 

@@ -103,10 +103,10 @@ def tabulate_thruster_use(ships: Sequence[ShipResult]) -> Table | None:
         for name, (mean, most, limit, rate) in use.thrusters.items()
     ]
     note = (
-        "Thrust is the commanded thrust in percent of the thruster's maximum thrust ahead. A limit "
-        "is the thrust limit or, for an azimuth thruster, the limit of its sector. The period "
-        "begins at the last loss of a thruster, or at the start if there is none. It ends when the "
-        "ship leaves its station, or at the end of the run. Lost thrusters are left out."
+        "Thrust is the commanded thrust, in percent of the thruster's maximum ahead thrust. A "
+        "limit is the thrust limit or, for an azimuth thruster, the limit of its sector. The "
+        "period begins at the last loss of a thruster, or at the start if there is none. It ends "
+        "when the ship leaves its station, or at the end of the run. Lost thrusters are left out."
     )
     title = "Use of each thruster in the reference loop"
     return Table.from_rows(rows, title, note=note, text_columns=3, folded=True) if rows else None

@@ -132,11 +132,10 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
-        f"Taken one by one, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
-        f"exceeded a limit for a quiet machine ({' or '.join(kinds)}). A ratio of step times "
-        "from such a replay is significant only if the whole interval of the ratio is outside the "
-        "range from 1/s to s, where s is the time of the slowest round of the replay divided by "
-        "that of its fastest round."
+        f"Single replays can be worse: {format_count(worse)} of {format_count(len(timed))} "
+        f"replays{windows} exceeded a limit for a quiet machine ({' or '.join(kinds)}). A ratio of "
+        "their step times is significant only if its interval excludes 1 by more than the spread "
+        "of their rounds (time of the slowest round divided by that of the fastest)."
     )
 
 

@@ -148,7 +148,7 @@ def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int,
     following = time.replace("`", "").format("30.0 µs")
     against = "Compared with daqp (qpsolvers fresh): too few common steps for a ratio (15 of 500)."
     assert f"{following}. {against}" in ending["next"]
-    estimated = "The p99 of the 450 steps of paper is estimated from its window of 15 steps: it is "
+    estimated = "The p99 of the 450 steps of paper is estimated from its window of 15 steps. It is "
     assert (estimated in ending["margin"]) is (of == 450)
 
 
@@ -575,11 +575,11 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     text = " ".join(list_speed_margin_sentences(data, verdict))
     assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
     assert (
-        "The p99 of the 450 steps of `turn` is estimated from its window of 30 steps: it is "
-        "20.0 µs, as 4 of these steps (1 % of 450, rounded down) take longer. The p99 of "
-        "iterations is larger in the closed loop than in the window, so the limiting p99 is scaled "
-        "up to 40.0 µs. This estimate has no confidence interval. After scaling, the longest step "
-        "is step "
+        "The p99 of the 450 steps of `turn` is estimated from its window of 30 steps. It is the "
+        "time that 4 steps of the window exceed (1 % of 450, rounded down): 20.0 µs. The p99 of "
+        "iterations is larger in the closed loop than in the window, so the p99 of 20.0 µs is "
+        "scaled up to the limiting p99 of 40.0 µs, at most the longest step. This estimate has no "
+        "confidence interval. After scaling, the longest step is step "
     ) in text
     scaled = "its time of 20.0 µs is scaled up to 60.0 µs. It reaches the deadline of 300 ms"
     assert scaled in text

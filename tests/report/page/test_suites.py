@@ -71,6 +71,7 @@ def _slow(records: Any) -> None:
 
 
 def _stopped(records: Any) -> None:
+    records.suite["closed_loop"] = [{"iteration_limits": [1, 50]}]
     for limit in (1, 50):
         options = {"settings": f"max_iter={limit}", "options": json.dumps({"max_iter": limit})}
         records.loop("osqp", steps=30, exact_cost=100.0, unconverged=30, **options)
