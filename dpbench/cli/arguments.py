@@ -26,10 +26,10 @@ _STORED = {
 """Arguments whose values are names of stored files, with their kind."""
 _BAD_INPUT = "2 bad input"
 _LOST = "1 a run was lost through a fault of dpbench or the machine (repeat the command)"
-_NOT_HELD = "with --strict, a ship does not stay on station in a closed loop"
+_NOT_HELD = "with --strict, a ship does not stay on station although its QPs are solved exactly"
 _BUSY = (
-    f"{_BAD_INPUT}, or another dpbench command is using the machine (still after the --wait time, "
-    "or at once with --no-wait)"
+    f"{_BAD_INPUT}, or another dpbench command is using the machine at the start (--no-wait) or "
+    "still at the end of the --wait time"
 )
 
 
@@ -232,8 +232,8 @@ COMMANDS: dict[str, CommandHelp] = {
         "Join the shards of a suite and write the report",
         options.add_gather_options,
         ("gather shard-* --out results/all", "gather a b --out results/all --open"),
-        "0 done; 1 runs are missing (complete them on this machine with `dpbench run` and the "
-        f"--out of this command) or, {_NOT_HELD}; {_BAD_INPUT}",
+        "0 done; 1 runs of the suite are missing (complete them on this machine with `dpbench run` "
+        f"and the --out of this command) or, {_NOT_HELD}; {_BAD_INPUT}",
     ),
     "report": CommandHelp(
         _BENCHMARK,
@@ -307,9 +307,9 @@ COMMANDS: dict[str, CommandHelp] = {
         f"training or test sequence in the final measurement; {_BUSY}; 130 interrupted (the best "
         "settings so far are written)",
         "Search for the fastest settings with which a solver is accurate on all training "
-        "sequences. Then measure the best settings on test sequences of other scenarios. Faster "
-        "settings may exist. Ctrl-C writes the best settings so far; the same command continues "
-        "the search.",
+        "sequences. Then measure the best settings on the training sequences and on test "
+        "sequences (by default, of other scenarios). Faster settings may exist. Ctrl-C writes the "
+        "best settings so far; the same command continues the search.",
     ),
     "init": CommandHelp(
         _SHIP,
@@ -328,9 +328,11 @@ COMMANDS: dict[str, CommandHelp] = {
         "                        and still hold station\n"
         "  NAME_loss_*.toml      losses of other failure groups, in the same sea\n"
         "  NAME_intact.toml      no loss, in the highest sea in which the ship holds\n"
-        "                        station (if higher than that of NAME_thrusters.toml)\n"
-        "  NAME_weak_side.toml   loss of NAME_thrusters.toml; weather from the side from\n"
-        "                        which the least wind drives the ship off station\n"
+        "                        station (written only without --sea, and if this sea is\n"
+        "                        higher than that of NAME_thrusters.toml)\n"
+        "  NAME_weak_side.toml   same loss as in NAME_thrusters.toml; weather from the\n"
+        "                        side on which the lowest wind speed drives the ship\n"
+        "                        off station\n"
         "  NAME_capability.svg   capability plot\n"
         "The weather comes from 30° off the bow, except in NAME_weak_side.toml.\n"
         "In the file of --thrusters, give the allowed sector or the barred zone of an azimuth "
@@ -354,7 +356,8 @@ COMMANDS: dict[str, CommandHelp] = {
         options.add_tune_options,
         ("tune my_ship_weather.toml --seas 4,5", "tune my_ship_weak_side.toml my_ship_intact.toml"),
         "0 with the best controller, the ship stays on station within --margin; 1 with the best "
-        f"controller, it exceeds --margin in the search or in the test; {_BAD_INPUT}",
+        "controller, the largest offset exceeds --margin in the search or in the test; "
+        f"{_BAD_INPUT}",
         "Search for controller weights and horizons with which the ship stays on station with a "
         "margin and with little thruster wear. Test them in other realisations of the sea and "
         "write a scenario with them. The largest offset in any of the scenarios is compared with "
@@ -376,8 +379,8 @@ COMMANDS: dict[str, CommandHelp] = {
         options.add_embedded_options,
         ("embedded paper-30-5 --target m7 --target a53", "embedded rough-60-10 --solver daqp"),
         "0 done; 1 a solver's instructions could not be counted, its largest horizon (--fit) is "
-        f"unknown, or two tools disagree; {_BAD_INPUT}, or no solver's instructions could be "
-        "counted",
+        "unknown or, with --second-opinion, two tools give different solutions or counts; "
+        f"{_BAD_INPUT}, or no solver's instructions could be counted",
         "Compile the C code of solvers and run it on an emulated core over a sequence of QPs. "
         "Report the instructions, memory and error of each step. Requires "
         "pip install 'dpbench[embedded]'.",
@@ -401,7 +404,7 @@ COMMANDS: dict[str, CommandHelp] = {
         "Check that the machine is quiet and timing is correct",
         options.add_doctor_options,
         ("doctor", "doctor --offline"),
-        f"0 done, even if the machine is not quiet; {_BAD_INPUT}",
+        f"0 done, even if the machine is not quiet or timing is not correct; {_BAD_INPUT}",
     ),
     "completion": CommandHelp(
         _HELP,
