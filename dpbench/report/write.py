@@ -31,7 +31,8 @@ def write_report(out: str | Path, *, baseline: str | None = None) -> Path:
 
     Parameters
     ----------
-    baseline : solver to compare with; by default the one the suite names, or the next best.
+    baseline : solver to compare with; by default the one the suite names, otherwise a faster one
+        that is not deployable or, if there is none, the next fastest deployable one.
 
     Returns
     -------

@@ -35,7 +35,8 @@ class RunsTable(FileModel):
     settings: list[str] = ["default"]
     """Names of settings: presets, tolerances such as "1e-4", or entries of [settings]."""
     routes: list[RouteName] = ["default"]
-    """Routes to the solver. native: its own interface; default: its default route."""
+    """Routes to the solver. native: its own interface; qpsolvers: the Python package; default:
+    qpsolvers where available, otherwise native."""
     policies: list[Policy] = ["fresh"]
     """Policies: data that a solver keeps between two steps."""
     iteration_limits: list[Annotated[int, Field(ge=1)]] = []

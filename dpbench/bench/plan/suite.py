@@ -264,7 +264,8 @@ class ReportTable(FileModel):
     """Settings of a suite's report: the solver to compare with, and the step it shows first."""
 
     baseline: str | None = None
-    """The solver to compare the recommendation with; by default the next best."""
+    """The solver to compare the recommendation with; by default a faster one that is not deployable
+    or, if there is none, the next fastest deployable one."""
     step: Count | None = None
     """Step that the report shows first."""
     configuration: str | None = None

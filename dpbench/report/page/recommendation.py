@@ -158,7 +158,8 @@ def build_recommendation(
 ) -> Recommendation:
     """Return the report's headline: solver to use, one to compare, notes and code to paste.
 
-    baseline : solver to compare with; by default a faster one, or the next.
+    baseline : solver to compare with; by default a faster one that is not deployable or, if there
+        is none, the next fastest deployable one.
 
     Raises InputError for a baseline that was not run.
     """
