@@ -54,7 +54,7 @@ def add_run_options(run: Command) -> None:
     output = run.add_argument_group("output")
     folder = (
         "result folder (default: results/SUITE or results/sequence-NAME, plus -part if only some "
-        "of the runs are selected)"
+        "cells or steps are selected)"
     )
     _option(output, "--out", "DIR", folder)
     add_ending_options(output)
@@ -83,7 +83,8 @@ def _add_suite_options(run: Command) -> None:
     _repeated(choice, "--settings", "NAME", settings)
     route = (
         "interface through which solvers are called: native (the solver library's own), qpsolvers "
-        "(the Python package) or default (each solver's own default); overrides the suite"
+        "(the Python package) or default (qpsolvers where available, otherwise native); overrides "
+        "the suite"
     )
     _repeated(choice, "--route", "ROUTE", route, dest="routes")
     policy = (
@@ -92,8 +93,8 @@ def _add_suite_options(run: Command) -> None:
     )
     _repeated(choice, "--policy", "POLICY", policy, dest="policies")
     steps = (
-        "stop closed loops and replays of scenarios after N steps; recorded sequences are replayed "
-        "whole"
+        "in scenarios, stop closed loops and replays after N steps; sequences of recorded QPs are "
+        "replayed whole"
     )
     _option(choice, "--steps", "N", steps, type=int)
     _add_module_option(choice)
@@ -102,15 +103,12 @@ def _add_suite_options(run: Command) -> None:
 def _add_execution_options(group: Command) -> None:
     """Add the options on parallel runs, resumption and waiting to a group of a command."""
     jobs = (
-        "number of cells to run in parallel (default: one per core); timed replays run one at a "
-        "time"
+        "number of cells to run in parallel (default: one per core; solve times are measured in "
+        "one replay at a time); a cell is one run: a solver with its settings, route and policy in "
+        "one scenario or on one sequence"
     )
     _option(group, "--jobs", "N", jobs, type=int)
-    again = (
-        "run finished cells again (a cell is a solver with its settings, route and policy in one "
-        "scenario or on one sequence); not related to --policy fresh"
-    )
-    _flag(group, "--fresh", again)
+    _flag(group, "--fresh", "run finished cells again; not related to --policy fresh")
     _add_wait_options(group)
 
 
@@ -149,8 +147,8 @@ def add_ending_options(group: Command) -> None:
     _flag(group, "--json", "print the result as JSON")
     _flag(group, "--quiet", "print only the path of the report")
     strict = (
-        "exit with 1 if a ship does not stay on station (5 m, 5°) in a closed loop, even with "
-        "exact solutions"
+        "exit with 1 if a ship does not stay on station (5 m, 5°) in a closed loop although its "
+        "QPs are solved exactly"
     )
     _flag(group, "--strict", strict)
 
@@ -160,8 +158,9 @@ def add_report_options(report: Command) -> None:
     folder = "result folder of `dpbench run` or `dpbench gather`"
     report.add_argument("dir", metavar="DIR", help=folder)
     baseline = (
-        "compare the solver that the report recommends with this one (default: the baseline in "
-        "the suite, or one chosen by speed)"
+        "compare the recommended solver with this one (default: the baseline in the suite; if it "
+        "names none, a faster solver that is not deployable or, if there is none, the next fastest "
+        "deployable one)"
     )
     _option(report, "--baseline", "SOLVER", baseline)
     more = report.add_argument_group("further documents")
@@ -182,8 +181,13 @@ def add_report_options(report: Command) -> None:
         "write a folder to submit to results/community of the dpbench repository (nothing is sent)"
     )
     _option(more, "--send", "DIR", sent)
-    _flag(more, "--tables", "only list the folder's tables and what each contains")
-    _option(more, "--latex", "TABLE", "only print a table as a LaTeX tabular (booktabs)")
+    tables = "list the folder's tables and what each contains; do not rewrite the report"
+    _flag(more, "--tables", tables)
+    latex = (
+        "print this table, named as in --tables, as a LaTeX tabular (booktabs); do not rewrite the "
+        "report"
+    )
+    _option(more, "--latex", "TABLE", latex)
     _option(more, "--columns", "A,B,C", "with --latex: only these columns, in this order")
     add_ending_options(report.add_argument_group("output"))
 
@@ -200,8 +204,8 @@ def add_compare_options(compare: Command) -> None:
     releases = "compare each solver's releases across the folders"
     _flag(compare, "--releases", releases)
     reference = (
-        "divide step times by those of this solver (default: undivided on one machine; on several, "
-        "paper_active_set, else daqp)"
+        "divide step times by those of this solver (default: none on one machine; on several, "
+        "paper_active_set or, if it was not timed, daqp)"
     )
     _option(compare, "--reference", "SOLVER", reference)
     _flag(compare, "--any-machine", argparse.SUPPRESS)
@@ -263,8 +267,8 @@ def add_worst_case_options(worst_case: Command) -> None:
     _add_call_options(worst_case.add_argument_group("solver"), has_settings=True)
     search = worst_case.add_argument_group("search")
     goal = (
-        "quantity to maximise: iterations (default) or error (error of the plan, as a multiple of "
-        "the maximum increment)"
+        "quantity to maximise: iterations (default) or error (of the planned control moves, as a "
+        "multiple of the maximum increment of the control force)"
     )
     _option(search, "--goal", "GOAL", goal, default="iterations")
     start = "scenario whose initial state and disturbances are varied (default: paper)"
@@ -279,8 +283,8 @@ def add_worst_case_options(worst_case: Command) -> None:
 def _add_call_options(group: Command, *, has_settings: bool = False) -> None:
     """Add the options on how a solver is called to a group of a command."""
     routes = (
-        "interface through which the solver is called: native (the solver library's own; default "
-        "where available) or qpsolvers (the Python package)"
+        "interface through which the solver is called: native (the solver library's own) or "
+        "qpsolvers (the Python package); default: native where available, otherwise qpsolvers"
     )
     _option(group, "--route", "ROUTE", routes)
     policies = (
@@ -309,8 +313,8 @@ def add_active_sets_options(visited: Command) -> None:
     """Add the arguments of `dpbench active-sets` to its parser."""
     visited.add_argument("names", nargs="+", metavar="NAME", help="scenario, sequence or .npz file")
     counted = (
-        "count the instructions saved on a Cortex-M7 by storing the control law of each active set "
-        "(requires pip install 'dpbench[embedded]')"
+        "count the instructions that storing the control law of each active set saves on a "
+        "Cortex-M7, compared with paper_active_set (requires pip install 'dpbench[embedded]')"
     )
     visited.add_argument("--instructions", action="store_true", help=counted)
 
@@ -355,8 +359,8 @@ def add_init_options(init: Command) -> None:
         init.add_argument_group("weather"),
         "--sea",
         "N",
-        "DP capability number of the sea, 1 to 9 (default: the highest held; with --thrusters, "
-        "after the worst loss)",
+        "DP capability number of the sea, 1 to 9 (default: the highest in which the ship holds "
+        "station; with --thrusters, after the loss in NAME_thrusters.toml)",
     )
     output = init.add_argument_group("output")
     _option(output, "--out", "DIR", "folder to write to (default: current folder)", default=".")
@@ -485,8 +489,8 @@ def add_tune_solver_options(tune: Command) -> None:
     )
     repeated(search, "--widen", "RANGE", widened, dest="widened")
     error = (
-        "largest allowed error of the first control move, as a share of the maximum increment "
-        "(default: 0.01)"
+        "largest allowed error of the first control move, as a share of the maximum increment of "
+        "the control force (default: 0.01)"
     )
     _option(search, "--error", "X", error, type=float, default=0.01, dest="error_move")
     trials = "number of sets of settings to try (default: 48); more trials may find better settings"
