@@ -457,7 +457,8 @@ def add_embedded_options(embedded: Command) -> None:
         core,
         "--steps",
         "N",
-        "run at most N steps of each sequence (default: all)",
+        "run at most N steps of each sequence (default: all; with --fit: 5; with "
+        "--second-opinion: 3)",
         type=int,
         default=0,
     )
