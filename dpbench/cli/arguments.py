@@ -247,7 +247,7 @@ COMMANDS: dict[str, CommandHelp] = {
     ),
     "compare": CommandHelp(
         _BENCHMARK,
-        "Compare result folders, configurations or solver releases",
+        "Compare result folders, solver settings or solver releases",
         options.add_compare_options,
         (
             "compare results/before results/after --html compare.html",
@@ -302,10 +302,10 @@ COMMANDS: dict[str, CommandHelp] = {
         "Search for a solver's fastest accurate settings",
         options.add_tune_solver_options,
         ("tune-solver osqp", "tune-solver 'osqp[rho=1.6]' --range 'rho=[0.1,10]'"),
-        "0 done: the best settings pass on every training and test sequence; 1 no settings are "
-        "accurate on every training sequence in the search, or the best settings fail on a "
-        f"training or test sequence in the final measurement; {_BUSY}; 130 interrupted (the best "
-        "settings so far are written)",
+        "0 done: the best settings are accurate and not late on every training and test sequence; "
+        "1 no settings are accurate on every training sequence, or the best settings are "
+        f"inaccurate or late on a sequence in the final measurement; {_BUSY}; 130 interrupted "
+        "(the best settings so far are written)",
         "Search for the fastest settings with which a solver is accurate on all training "
         "sequences. Then measure the best settings on the training sequences and on test "
         "sequences (by default, of other scenarios). Faster settings may exist. Ctrl-C writes the "
@@ -322,8 +322,8 @@ COMMANDS: dict[str, CommandHelp] = {
         ),
         text="Write NAME.toml (vessel), NAME_weather.toml (scenario) and NAME_suite.toml (suite). "
         "Comments in them explain how the main values were derived. With --thrusters, also "
-        "write a capability plot and scenarios in which the controller commands each thruster, "
-        "most with the loss of a failure group (thrusters that fail together):\n"
+        "write a capability plot and scenarios in which the controller commands each thruster. "
+        "In most of them, the ship loses a failure group (thrusters that fail together):\n"
         "  NAME_thrusters.toml   loss of the worst failure group that the ship can lose\n"
         "                        and still hold station\n"
         "  NAME_loss_*.toml      losses of other failure groups, in the same sea\n"
@@ -331,12 +331,12 @@ COMMANDS: dict[str, CommandHelp] = {
         "                        station (written only without --sea, and if this sea is\n"
         "                        higher than that of NAME_thrusters.toml)\n"
         "  NAME_weak_side.toml   same loss as in NAME_thrusters.toml; weather from the\n"
-        "                        side on which the lowest wind speed drives the ship\n"
-        "                        off station\n"
+        "                        direction in which the ship withstands the least wind\n"
         "  NAME_capability.svg   capability plot\n"
-        "The weather comes from 30° off the bow, except in NAME_weak_side.toml.\n"
+        "In the other files, the weather comes from 30° off the bow, with --thrusters on the side "
+        "on which the ship withstands less wind.\n"
         "In the file of --thrusters, give the allowed sector or the barred zone of an azimuth "
-        "thruster in degrees clockwise from ahead. Give the directions in which the thruster "
+        "thruster in degrees clockwise from ahead. The angles are those in which the thruster "
         "pushes the ship; its race (wash) goes the opposite way. For example, if the race of a "
         "port azimuth thruster must not point between 60° and 120°, towards the starboard one, set "
         "the columns barred_from_deg and barred_to_deg to 240 and 300.\n"

@@ -93,8 +93,8 @@ def _add_suite_options(run: Command) -> None:
     )
     _repeated(choice, "--policy", "POLICY", policy, dest="policies")
     steps = (
-        "in scenarios, stop closed loops and replays after N steps; sequences of recorded QPs are "
-        "replayed whole"
+        "stop the closed loops and replays of scenarios after N steps; this does not shorten "
+        "sequences of recorded QPs"
     )
     _option(choice, "--steps", "N", steps, type=int)
     _add_module_option(choice)
@@ -103,9 +103,9 @@ def _add_suite_options(run: Command) -> None:
 def _add_execution_options(group: Command) -> None:
     """Add the options on parallel runs, resumption and waiting to a group of a command."""
     jobs = (
-        "number of cells to run in parallel (default: one per core; solve times are measured in "
-        "one replay at a time); a cell is one run: a solver with its settings, route and policy in "
-        "one scenario or on one sequence"
+        "number of cells to run in parallel (default: one per core); replays that measure solve "
+        "times always run one at a time; a cell is one run: a solver with its settings, route and "
+        "policy in one scenario or on one sequence"
     )
     _option(group, "--jobs", "N", jobs, type=int)
     _flag(group, "--fresh", "run finished cells again; not related to --policy fresh")
@@ -158,9 +158,8 @@ def add_report_options(report: Command) -> None:
     folder = "result folder of `dpbench run` or `dpbench gather`"
     report.add_argument("dir", metavar="DIR", help=folder)
     baseline = (
-        "compare the recommended solver with this one (default: the baseline in the suite; if it "
-        "names none, a faster solver that is not deployable or, if there is none, the next fastest "
-        "deployable one)"
+        "compare the recommended solver with this one (default: the baseline that the suite names, "
+        "else a faster solver without compiled code, else the next fastest one with it)"
     )
     _option(report, "--baseline", "SOLVER", baseline)
     more = report.add_argument_group("further documents")
@@ -171,8 +170,8 @@ def add_report_options(report: Command) -> None:
     )
     _option(more, "--statement", "FILE", statement)
     comment = (
-        "write SOLVER.md, a comment for a pull request, in the result folder: this solver (all "
-        "settings) compared with others, and its worst steps in error, time and iterations"
+        "write SOLVER.md in the result folder: a comment for a pull request that compares this "
+        "solver (all settings) with others and lists its worst steps in error, time and iterations"
     )
     _option(more, "--for", "SOLVER", comment, dest="solver")
     against = "with --for: compare with this solver (default: osqp and daqp)"
@@ -204,14 +203,14 @@ def add_compare_options(compare: Command) -> None:
     releases = "compare each solver's releases across the folders"
     _flag(compare, "--releases", releases)
     reference = (
-        "divide step times by those of this solver (default: none on one machine; on several, "
-        "paper_active_set or, if it was not timed, daqp)"
+        "divide step times by those of this solver (default: do not divide if all folders come "
+        "from one machine; otherwise, paper_active_set or, if it was not timed, daqp)"
     )
     _option(compare, "--reference", "SOLVER", reference)
     _flag(compare, "--any-machine", argparse.SUPPRESS)
     margin = (
-        "relative difference in a step time, error or control metric up to which two runs are "
-        "equivalent (default: 0.05)"
+        "relative difference in a step time (solve time of one step), error or control metric up "
+        "to which two runs are equivalent (default: 0.05)"
     )
     _option(compare, "--margin", "SHARE", margin, type=float, default=0.05)
     alpha = "family-wise error rate (default: 0.05)"
@@ -313,8 +312,9 @@ def add_active_sets_options(visited: Command) -> None:
     """Add the arguments of `dpbench active-sets` to its parser."""
     visited.add_argument("names", nargs="+", metavar="NAME", help="scenario, sequence or .npz file")
     counted = (
-        "count the instructions that storing the control law of each active set saves on a "
-        "Cortex-M7, compared with paper_active_set (requires pip install 'dpbench[embedded]')"
+        "store the control law of each active set and count the instructions per step that this "
+        "saves on a Cortex-M7, compared with paper_active_set (requires pip install "
+        "'dpbench[embedded]')"
     )
     visited.add_argument("--instructions", action="store_true", help=counted)
 
@@ -482,7 +482,10 @@ def add_tune_solver_options(tune: Command) -> None:
     steps = "use at most N steps of each sequence (default: all)"
     _option(data, "--steps", "N", steps, type=int, default=0)
     search = tune.add_argument_group("search")
-    ranges = "range to search in place of all predefined ones, such as 'rho=[1e-3,10]'"
+    ranges = (
+        "search this solver option in this range, such as 'rho=[1e-3,10]', in place of all "
+        "predefined options and ranges"
+    )
     repeated(search, "--range", "RANGE", ranges, dest="ranges")
     widened = (
         "also search this solver option, in this range (form as in --range); the other options "
