@@ -84,13 +84,16 @@ def test_a_folder_of_other_things_is_refused(tmp_path: Path, capsys: Any) -> Non
 
 
 @pytest.mark.slow
-def test_the_paper_is_reproduced_from_nothing(tmp_path: Path, capsys: Any) -> None:
-    assert main(["paper", "--out", str(tmp_path)]) == 0
+def test_the_paper_is_reproduced_from_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)  # a short path, which is printed without a break
+    assert main(["paper", "--out", "."]) == 0
     output = capsys.readouterr()
     lines = output.out.splitlines()
     progress = re.compile(r"dpbench: (compiling the kernels|(\d+ %|all steps done) after \d+ s)")
     assert all(map(progress.match, output.err.splitlines())) and 5 <= len(lines) <= 15
-    assert max(len(line) for line in lines if str(tmp_path) not in line) <= 80
+    assert max(map(len, lines)) <= 80
     _check_figures(tmp_path)
     write_report(tmp_path / "runs")
     page = pd.read_csv(tmp_path / "runs" / "tables" / "paper.csv")
