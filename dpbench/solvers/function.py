@@ -123,7 +123,8 @@ def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:
         return FunctionWorkspace(name, policy, solve, options)
 
     # Read when a plug-in is loaded.
-    open_function.option_names = _list_option_names(solve)  # type: ignore[attr-defined]
+    names = _list_option_names(solve)
+    open_function.option_names = names  # type: ignore[attr-defined] # mypy knows no own attributes
     return open_function
 
 
