@@ -120,6 +120,16 @@ def describe_disturbed_baseline(disturbed: int, count: int) -> str:
     )
 
 
+def describe_quiet_baseline(stored: Sequence[Mapping[str, Any]]) -> str:
+    """Return a line on stored times of a quiet machine, of each `extra_info`; "" for no state."""
+    known = sum(KEY in extra for extra in stored)
+    if not known:
+        return ""
+    return (
+        f"machine quiet; reference kernel stored in {known} of {plural(len(stored), 'benchmark')}"
+    )
+
+
 def describe_unusable_times(base: "BenchmarkRun", path: Path) -> str:
     """Return a line on times of a stored baseline that no new run can judge; "" for none."""
     if not base.disturbed:

@@ -220,6 +220,14 @@ class RunComparison:
         exact = f"{join_with_and(known or ['failures'])}: no regression against {base}"
         return "; ".join([*times, exact, *allowed])
 
+    def describe_bound(self) -> list[str]:
+        """Return a line on the largest slowdown that the judged times do not exclude, if any."""
+        judged = {row.name: row.ratio for row in self.rows if row.ratio and not row.not_judged}
+        if not judged or self.worse:
+            return []
+        name = max(judged, key=lambda one: judged[one].high)
+        return [f"largest slowdown not excluded: × {significant(judged[name].high)} ({name})"]
+
     @property
     def outcome(self) -> str:
         """Word for the exit code: the regression, or why there is none."""
@@ -254,6 +262,9 @@ class RunComparison:
         """Verdict, what it means, and how many benchmarks have which verdict."""
         meaning = MEANINGS.get(self.verdict, "")
         counts = Counter(row.verdict for row in self.rows)
+        unjudged = sum(bool(row.not_judged) for row in self.rows)
+        if self.verdict in NOT_JUDGED and unjudged < self.timed:
+            meaning = meaning.replace("times", f"{unjudged} of {self.timed} times", 1)
         text = f"{self.verdict}{f' ({meaning})' if meaning else ''}"
         if len(counts) > 1:
             parts = [f"{counts[one]} {NOT_COMPARED.get(one, one)}" for one in ORDER if counts[one]]
@@ -298,7 +309,7 @@ def describe_end(
 ) -> list[str]:
     """Return lines on what was compared, whether a regression is shown, and what is not judged."""
     lines = [found.describe_scope(base, head), found.describe_verdict(base)]
-    return lines + found.describe_unjudged(disturbed_exit, option)
+    return lines + found.describe_bound() + found.describe_unjudged(disturbed_exit, option)
 
 
 def compare_runs(

@@ -16,6 +16,7 @@ from dpbench.ci.benchmarks import (
     SELECTION,
     Selection,
     describe_disturbed_baseline,
+    describe_quiet_baseline,
     find_source_files,
     list_imported_files,
     read_complaints,
@@ -34,7 +35,7 @@ class FailedBenchmarks:
         self._config = config
         self._deselected: set[str] = set()
         self._collected = 0
-        self._warning = ""
+        self._warning = self._note = ""
         self.last_line = ""
         self.reasons: dict[str, str] = {}
 
@@ -84,14 +85,16 @@ class FailedBenchmarks:
     def pytest_benchmark_update_json(self, output_json: dict[str, Any]) -> None:
         """Add what this plug-in notes to the given JSON document, in place."""
         output_json |= self._make_notes()
-        entries = output_json["benchmarks"]
-        disturbed = sum(bool(read_complaints(entry.get("extra_info", {}))) for entry in entries)
-        self._warning = describe_disturbed_baseline(disturbed, len(entries))
+        stored = [entry.get("extra_info", {}) for entry in output_json["benchmarks"]]
+        disturbed = sum(bool(read_complaints(extra)) for extra in stored)
+        self._warning = describe_disturbed_baseline(disturbed, len(stored))
+        self._note = describe_quiet_baseline(stored)
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """Warn where stored times are no use as a baseline."""
-        if self._warning:
-            terminalreporter.write_line(f"stored times: {self._warning}", yellow=True)
+        """Print whether stored times are of use as a baseline."""
+        if self._warning or self._note:
+            line = f"stored times: {self._warning or self._note}"
+            terminalreporter.write_line(line, yellow=bool(self._warning))
 
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:

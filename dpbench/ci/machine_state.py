@@ -16,6 +16,8 @@ from dpbench.bench.record.disturbance import (
 )
 from dpbench.bench.run.replay import time_speed_and_load_tests
 
+LEAST_WINDOW_S = 1.0
+"""Time below which counters are too coarse for a rate: a tick of stolen time is 10 ms."""
 LEAST_PROCESSOR_SHARE = 0.95
 """Least share of the wall time that a process computes, unless it gives up the processor itself."""
 KEY = "machine"
@@ -52,7 +54,7 @@ class MachineState:
             rounds=0.0,
             disturbed=0.0,
             rerun=0.0,
-            seconds=self.wall_s,
+            seconds=max(self.wall_s, LEAST_WINDOW_S),
             involuntary=self.involuntary_switches,
             steal_s=self.steal_s,
             throttled=self.throttle_events,

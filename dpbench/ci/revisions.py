@@ -49,7 +49,10 @@ from dpbench.report.formats import plural
 REMEDY = 'install the package in a .venv of each tree, or set `pythonpath = ["src"]` for pytest'
 """Ways to have a tree measured with its own package."""
 STOPPED = "stopped after two disturbed pairs in a row"
-ADVICE = f"{STOPPED}: run again when no other program is at work, or on another machine"
+ADVICE = (
+    f"{STOPPED}: run again when no other program is active, or with --attempts N (up to N pairs "
+    "without this stop), or on another machine"
+)
 HELP_EPILOG = """\
 Arguments after -- are passed to pytest.
 

@@ -51,6 +51,12 @@ def verdicts(base: BenchmarkRun, head: BenchmarkRun, **options: bool) -> tuple[s
         ({"steal_s": 0.1}, "10.0 % of the time stolen by the host"),
         ({"kernel_after_ns": 8e4}, "a reference kernel 2.00 times as slow at one end"),
         ({"throttle_events": 2.0}, "2 throttle events"),
+        # In half a second, 8 switches and one tick of 10 ms are no rates.
+        ({"wall_s": 0.5, "processor_s": 0.5, "involuntary_switches": 8.0, "steal_s": 0.01}, ""),
+        (
+            {"wall_s": 0.5, "processor_s": 0.5, "involuntary_switches": 12.0},
+            "12 involuntary context switches per second",
+        ),
     ],
 )
 def test_complaints_of_a_machine(changed: dict[str, float], text: str) -> None:
@@ -88,6 +94,22 @@ def test_a_disturbed_time_has_no_verdict(side: int, factor: float) -> None:
     assert passes.startswith("times not judged give exit code 0; --option CODE ")
     assert exact.startswith("exact measures are judged on a disturbed machine too: iterations, ")
     assert describe_end(found, "base", "head", 75)[2:] == [*ratio, exact]
+
+
+def test_a_comparison_counts_times_without_a_verdict_and_bounds_the_others() -> None:
+    """One of two times is disturbed; the interval of the other one has an upper end."""
+    loud = entry("loud", machine=QUIET | {"involuntary_switches": 120.0})
+    found = compare_runs([(run_of(entry("quiet"), entry("loud")), run_of(entry("quiet"), loud))])
+    assert found.headline == (
+        "disturbed (1 of 2 times not judged, other load disturbed the machine): 1 disturbed, "
+        "1 no difference shown"
+    )
+    (judged,) = (row.ratio for row in found.rows if row.name == "quiet")
+    assert judged is not None and judged.high > 1.05
+    bound = describe_end(found, "base", "head")[2]
+    assert bound == f"largest slowdown not excluded: × {judged.high:.2f} (quiet)"
+    slower = compare_runs([(run_of(entry("quiet")), run_of(entry("quiet", 1e-2)))])
+    assert not any("not excluded" in line for line in describe_end(slower, "base", "head"))
 
 
 def test_exact_measures_and_answers_have_a_verdict_on_a_disturbed_machine() -> None:
@@ -175,7 +197,8 @@ def test_an_increase_may_be_allowed_for_a_solver(allow: Any, verdict: str) -> No
     lines = describe_end(found, "base", "head")
     is_used = any(one[:2] == ("iterations", "osqp") for one in allow)
     unused = [f"allowed, but measured in no benchmark: {':'.join(one[:2])}" for one in allow]
-    assert lines[2:] == ([] if is_used else unused)
+    bound = ["largest slowdown not excluded: × 1.22 (piqp)"] if allowed else []
+    assert lines[2:] == bound + ([] if is_used else unused)
     shown = "no regression shown against base; 1 increase allowed"
     assert lines[1] == (shown if allowed else "a regression against base")
 
@@ -400,4 +423,4 @@ def test_a_factor_that_all_solvers_share_is_named(kernel_ns: Any, text: str) -> 
     )
     found = compare_runs([(base, head)])
     assert found.verdict == "no difference shown"
-    assert [line[: len(text)] for line in describe_end(found, "b", "h")[2:]] == [text] * bool(text)
+    assert [line[: len(text)] for line in describe_end(found, "b", "h")[3:]] == [text] * bool(text)

@@ -227,6 +227,11 @@ def test_a_baseline_of_a_disturbed_machine_has_a_warning(
     notes.pytest_benchmark_update_json(stored)
     notes.pytest_terminal_summary(terminal)
     assert terminal.write_line.call_args.args[0].startswith(f"stored times: {warning}")
+    machine["involuntary_switches"] = 3.0
+    notes.pytest_benchmark_update_json(stored)
+    notes.pytest_terminal_summary(terminal)
+    line = "stored times: machine quiet; reference kernel stored in 1 of 2 benchmarks"
+    terminal.write_line.assert_called_with(line, yellow=False)
 
 
 @pytest.mark.parametrize(("kernel", "count", "warns"), [(0, 3, 1), (0, 5, 0), (1, 3, 0)])
