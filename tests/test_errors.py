@@ -84,7 +84,10 @@ def test_an_error_is_the_same_from_another_process(error: InputError, text: str)
 @pytest.mark.parametrize(
     ("reason", "text"),
     [
-        ("importing osqp failed: no libm", "importing osqp failed: no libm; pip install osqp"),
+        (
+            "importing osqp failed: no libm",
+            "importing osqp failed: no libm; run `pip install osqp`",
+        ),
         ("not installed: pip install osqp", "not installed: pip install osqp"),
     ],
 )
@@ -112,7 +115,8 @@ def test_solvers_are_missing_only_if_none_can_be_used(monkeypatch: pytest.Monkey
     with pytest.raises(SolverUnavailableError) as error:
         require_any_solver_available(["hpipm", "hpipm_ocp", "qpax"])
     assert str(error.value) == (
-        "solvers hpipm, hpipm_ocp, qpax: no casadi; pip install casadi; no qpax; pip install qpax"
+        "solvers hpipm, hpipm_ocp, qpax: no casadi; run `pip install casadi`; no qpax; "
+        "run `pip install qpax`"
     )
 
 

@@ -48,8 +48,8 @@ ALLOW: dict[str, Any] = {
     "type": parse_allowance,
     "action": "append",
     "default": [],
-    "help": "accept an increase of a measure of a solver, such as iterations:osqp, or up to a "
-    "limit, as iterations:osqp=10%%; repeatable",
+    "help": "accept any increase of this measure of this solver, such as iterations:osqp, or an "
+    "increase up to a limit, such as iterations:osqp=10%%; repeatable",
 }
 """Option that gate, revisions and pytest have in common."""
 MARGIN_SHARE: dict[str, Any] = {
@@ -72,7 +72,7 @@ DISTURBED_OR_STORED_EXIT: dict[str, Any] = DISTURBED_EXIT | {
 }
 """Option of pytest, which stores a baseline."""
 GATE_EXIT: dict[str, Any] = DISTURBED_EXIT | {
-    "help": "exit code if times are not judged and no regression is shown, or a stored baseline is "
-    "disturbed or lacks a reference kernel (default: 0)"
+    "help": "exit code if times are not judged and no regression is shown, or if this command "
+    "stores a baseline that is disturbed or has no times of the reference kernel (default: 0)"
 }
 """Option of the gate, which stores a baseline and judges whether it can be compared."""

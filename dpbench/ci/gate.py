@@ -1,4 +1,4 @@
-"""Compare measurements of pytest-benchmark with the stored ones of the same machine.
+"""Compare results of pytest-benchmark with stored results of the same machine.
 
     python -m dpbench.ci.gate bench.json BASELINE [--renew] [--retries 3] [--margin SHARE]
         [--allow-gone] [--disturbed-exit CODE] [--allow MEASURE:SOLVER[=PERCENT]]
@@ -54,8 +54,12 @@ exit codes:
   0     no regression shown, or the baseline was stored
   1     a regression: longer times, more iterations, larger errors, or a failed or missing benchmark
   2     bad input, or no benchmark in common
-  CODE  of --disturbed-exit: times not judged and no regression shown, or a baseline stored that is
-        disturbed or lacks a reference kernel
+  CODE  (--disturbed-exit) times not judged and no regression shown, or this command stored a
+        baseline that is disturbed or has no times of the reference kernel
+
+disturbed:
+  Other programs, the host of a virtual machine or throttling slowed the machine. The reference
+  kernel is a fixed computation whose time shows the speed of the machine.
 
 examples:
   python -m dpbench.ci.gate now.json base.json

@@ -1,4 +1,4 @@
-"""Compare two revisions of a solver by its benchmarks, measured alternately.
+"""Compare two revisions of a solver by running its benchmarks alternately in both.
 
     python -m dpbench.ci.revisions BASE HEAD [--pairs 5] [--attempts N] [--markdown FILE]
         [-- PYTEST ARGUMENTS]
@@ -57,16 +57,17 @@ HELP_EPILOG = """\
 Arguments after -- are passed to pytest.
 
 disturbed:
-  Other programs, the host or throttling slowed the machine during a benchmark, so its time is
-  not judged, unless at least two pairs of runs show a slowdown beyond 1.5 that load does not
-  explain. Iterations, errors and failed tests are still judged. A disturbed pair of runs is
-  repeated; two in a row end the measurement, unless --attempts is set.
+  Other programs, the host of a virtual machine or throttling slowed the machine during a
+  benchmark. Its time is then not judged, unless in at least two pairs of runs the head takes more
+  than 1.5 times as long and load does not explain this. Iterations, errors and failed tests are
+  still judged. A disturbed pair of runs is repeated; two in a row end the measurement, unless
+  --attempts is set.
 
 exit codes:
   0     no regression shown, or a base without benchmarks
   1     a regression: longer times, more iterations, larger errors, or a failed or missing benchmark
   2     bad input
-  CODE  of --disturbed-exit: times not judged, no regression shown
+  CODE  (--disturbed-exit) times not judged, no regression shown
   130   interrupted by Ctrl-C (143: SIGTERM); the complete pairs are compared
 
 examples:
@@ -451,7 +452,8 @@ def _build_parser() -> argparse.ArgumentParser:
         "--attempts",
         type=int,
         metavar="N",
-        help="measure up to N pairs, even after two disturbed in a row (default: twice --pairs)",
+        help="measure up to N pairs and do not stop after two disturbed pairs in a row (without "
+        "this option: up to twice --pairs)",
     )
     parser.add_argument("--margin", **MARGIN_SHARE)
     parser.add_argument(

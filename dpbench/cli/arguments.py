@@ -3,6 +3,7 @@
 import argparse
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -28,8 +29,8 @@ _BAD_INPUT = "2 bad input"
 _LOST = "1 a run was lost through a fault of dpbench or the machine (repeat the command)"
 _NOT_HELD = "with --strict, a ship does not stay on station although its QPs are solved exactly"
 _BUSY = (
-    f"{_BAD_INPUT}, or another dpbench command is using the machine at the start (--no-wait) or "
-    "still at the end of the --wait time"
+    f"{_BAD_INPUT}, or another dpbench command used the machine, at the start (with --no-wait) or "
+    "when the --wait time ended"
 )
 
 
@@ -90,6 +91,10 @@ class _TerseParser(argparse.ArgumentParser):
 
 class _HelpFormatter(argparse.HelpFormatter):
     """A formatter of help that wraps descriptions and keeps the lines of examples."""
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        """Return the lines of an option's help, without a break in the name of an option."""
+        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         """Return a text wrapped; of a text with lines of its own, those of exit codes alone."""
@@ -254,7 +259,7 @@ COMMANDS: dict[str, CommandHelp] = {
             "compare results/mine --solver 'osqp[rho=1.6]' --solver daqp",
         ),
         f"0 no significant regression; 1 a significant regression; {_BAD_INPUT}; "
-        "CODE (--disturbed-exit) a step time has no verdict, and nothing regressed",
+        "CODE (--disturbed-exit) a step time could not be judged, and nothing regressed",
     ),
     "paper": CommandHelp(
         _BENCHMARK,
@@ -302,9 +307,10 @@ COMMANDS: dict[str, CommandHelp] = {
         "Search for a solver's fastest accurate settings",
         options.add_tune_solver_options,
         ("tune-solver osqp", "tune-solver 'osqp[rho=1.6]' --range 'rho=[0.1,10]'"),
-        "0 done: the best settings are accurate and not late on every training and test sequence; "
-        "1 no settings are accurate on every training sequence, or the best settings are "
-        f"inaccurate or late on a sequence in the final measurement; {_BUSY}; 130 interrupted "
+        "0 done: with the best settings, the solver is accurate and fast enough on every training "
+        "and test sequence; 1 no settings are accurate on every training sequence, or with the "
+        "best settings the solver is inaccurate or too slow on a sequence in the final "
+        f"measurement; {_BUSY}; 130 interrupted "
         "(the best settings so far are written)",
         "Search for the fastest settings with which a solver is accurate on all training "
         "sequences. Then measure the best settings on the training sequences and on test "
@@ -333,13 +339,13 @@ COMMANDS: dict[str, CommandHelp] = {
         "  NAME_weak_side.toml   same loss as in NAME_thrusters.toml; weather from the\n"
         "                        direction in which the ship withstands the least wind\n"
         "  NAME_capability.svg   capability plot\n"
-        "In the other files, the weather comes from 30° off the bow, with --thrusters on the side "
-        "on which the ship withstands less wind.\n"
-        "In the file of --thrusters, give the allowed sector or the barred zone of an azimuth "
-        "thruster in degrees clockwise from ahead. The angles are those in which the thruster "
-        "pushes the ship; its race (wash) goes the opposite way. For example, if the race of a "
-        "port azimuth thruster must not point between 60° and 120°, towards the starboard one, set "
-        "the columns barred_from_deg and barred_to_deg to 240 and 300.\n"
+        "In the other scenarios, the weather comes from 30° off the bow; if --thrusters is given, "
+        "it comes from the side from which the ship withstands less wind.\n"
+        "In the --thrusters file, give the allowed sector or the barred zone of an azimuth "
+        "thruster in degrees clockwise from ahead. The angles are the directions in which the "
+        "thruster pushes the ship; its race (wash) goes the opposite way. For example, if the race "
+        "of a port azimuth thruster must not point between 60° and 120°, towards the starboard "
+        "one, set the columns barred_from_deg and barred_to_deg to 240 and 300.\n"
         "If NAME.toml exists and only --sea is given, write the scenario and the suite of that "
         "ship for that sea.",
     ),

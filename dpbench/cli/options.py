@@ -158,8 +158,9 @@ def add_report_options(report: Command) -> None:
     folder = "result folder of `dpbench run` or `dpbench gather`"
     report.add_argument("dir", metavar="DIR", help=folder)
     baseline = (
-        "compare the recommended solver with this one (default: the baseline that the suite names, "
-        "else a faster solver without compiled code, else the next fastest one with it)"
+        "compare the recommended solver with this one (default: the baseline of the suite; without "
+        "it, the fastest solver that passes or, if that one is recommended, the next-fastest "
+        "deployable one)"
     )
     _option(report, "--baseline", "SOLVER", baseline)
     more = report.add_argument_group("further documents")
@@ -170,8 +171,8 @@ def add_report_options(report: Command) -> None:
     )
     _option(more, "--statement", "FILE", statement)
     comment = (
-        "write SOLVER.md in the result folder: a comment for a pull request that compares this "
-        "solver (all settings) with others and lists its worst steps in error, time and iterations"
+        "write SOLVER.md in the result folder: a pull-request comment that compares this solver "
+        "(all settings) with others and lists its worst steps in error, time and iterations"
     )
     _option(more, "--for", "SOLVER", comment, dest="solver")
     against = "with --for: compare with this solver (default: osqp and daqp)"
@@ -216,8 +217,8 @@ def add_compare_options(compare: Command) -> None:
     alpha = "family-wise error rate (default: 0.05)"
     _option(compare, "--alpha", "SHARE", alpha, type=float, default=0.05)
     disturbed = (
-        "exit code if a step time has no verdict (usually because of other load on the machine) "
-        "and nothing regressed (default: 0)"
+        "exit code if a step time could not be judged (usually because of other load on the "
+        "machine) and nothing regressed (default: 0)"
     )
     codes: dict[str, Any] = {"type": int, "choices": range(256), "default": 0}
     _option(compare, "--disturbed-exit", "CODE", disturbed, **codes)
@@ -246,8 +247,8 @@ def add_export_options(export: Command) -> None:
     _option(choice, "--every", "K", "write every K-th step (default: 1)", type=int, default=1)
     _option(choice, "--at", "K", "write only step K (the first step is 0)", type=int)
     part = (
-        "QPs of a cascade (controller, then thrust allocation) to write: controller (default) or "
-        "allocation"
+        "if the controller is a cascade, write the QPs of the first part (controller, the default) "
+        "or of the second one (allocation)"
     )
     _option(choice, "--part", "PART", part, default="controller")
     output = export.add_argument_group("output")

@@ -116,7 +116,7 @@ class Recipe:
         missing = [name for name in self.file.requires if importlib.util.find_spec(name) is None]
         if self.file.folder and self.source is None:
             return f"add --source {self.solver}=DIR, a folder with {self.file.folder}"
-        return f"not installed: pip install {' '.join(missing)}" if missing else ""
+        return f"not installed; run `pip install {' '.join(missing)}`" if missing else ""
 
     def with_settings(self, given: Settings) -> Settings:
         """Return the recipe's settings with those given; InputError for one that it has not."""

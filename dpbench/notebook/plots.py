@@ -112,7 +112,8 @@ class RunPlots:
         names = [_list_signals(run) for run in runs]
         if names.count(names[0]) != len(names):
             found = " and ".join(", ".join(one) for one in names if one != names[0])
-            raise InputError("plot", "run", found, f"runs with {', '.join(names[0])}")
+            allowed = f"runs with the signals {', '.join(names[0])}"
+            raise InputError("plot", "run", f"the signals {found}", allowed)
         laws = [
             replace(law, steps=run.signals)
             for law, run in zip(_convert_to_labelled_curves(runs), runs, strict=True)

@@ -43,9 +43,9 @@ NOTE = (
     "step with the maximum. Code includes constants; static memory includes the heap. Error: "
     "largest error of the first move, in maximum increments. The times on this machine are those "
     "of the same steps through the native interface at default settings, with a warm start where "
-    "supported. Solvers whose C code runs at other settings have no rank. Solvers whose p99 "
-    f"values differ by less than {100 * (APART - 1):.0f} % count as equal when their ranks by "
-    "instructions and by time on this machine are compared."
+    "supported. Solvers whose C code runs at other settings have no rank. Where ranks by "
+    "instructions and by time on this machine are compared, p99 values within "
+    f"{100 * (APART - 1):.0f} % of each other count as equal."
 )
 """Meaning of the columns of the table of counts."""
 

@@ -111,7 +111,7 @@ def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:
 
     def open_function(policy: Policy, options: Options) -> Workspace:
         if policy != "fresh":
-            raise InputError(where, "policy", repr(policy), "'fresh', as for every function")
+            raise InputError(where, "policy", repr(policy), "'fresh', as the solver is a function")
         try:
             inspect.signature(solve).bind(None, **options)
         except TypeError:

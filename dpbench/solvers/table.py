@@ -198,9 +198,8 @@ def find_solver_availability(name: str, *, imported: bool = True) -> Availabilit
     try:
         version = _get_installed_package_version(row.distribution)
     except metadata.PackageNotFoundError:
-        return Availability(
-            False, "", f"{row.distribution} is not installed: {row.install_command}"
-        )
+        reason = f"{row.distribution} is not installed; run `{row.install_command}`"
+        return Availability(False, "", reason)
     if not imported:
         return Availability(True, version)
     try:
@@ -227,7 +226,7 @@ def require_any_solver_available(names: Sequence[str]) -> None:
         here, remedy = find_solver_availability(name), find_solver_record(name).install_command
         if here.ok:
             return
-        faults[here.reason if remedy in here.reason else f"{here.reason}; {remedy}"] = None
+        faults[here.reason if remedy in here.reason else f"{here.reason}; run `{remedy}`"] = None
     if names:
         where = f"solver{'s' * (len(names) > 1)} {', '.join(names)}"
         raise SolverUnavailableError(where, "; ".join(faults))

@@ -175,7 +175,7 @@ def test_a_solver_that_is_not_installed_is_named(
     missing = Availability(False, reason="not installed")
     monkeypatch.setattr(table, "find_solver_availability", lambda solver: missing)
     line = refuse("capability", "osv", "--solver", "quadprog")
-    assert line.endswith("solver quadprog: not installed; pip install quadprog")
+    assert line.endswith("solver quadprog: not installed; run `pip install quadprog`")
     assert list(Path().iterdir()) == []
 
 

@@ -251,7 +251,7 @@ def test_a_run_of_missing_solvers_alone_is_refused(
     missing = Availability(False, reason="not installed")
     monkeypatch.setattr(table, "find_solver_availability", lambda solver: missing)
     line = refuse("run", "smoke", "--solver", "quadprog", "--out", "out", *words)
-    assert line.endswith("solver quadprog: not installed; pip install quadprog")
+    assert line.endswith("solver quadprog: not installed; run `pip install quadprog`")
     with pytest.raises(SolverUnavailableError):
         run_campaign("smoke", "out", solvers=["quadprog"])
     assert not Path("out").exists()

@@ -50,7 +50,7 @@ def test_a_recipe_whose_generator_is_not_installed(tmp_path: Path) -> None:
     (tmp_path / "recipe.toml").write_text(f'{TEXT}requires = ["no_such_package", "numpy"]\n')
     (tmp_path / "shim.c").write_text("")
     (recipe,) = select_recipes(["mine"], [tmp_path])
-    assert recipe.missing == "not installed: pip install no_such_package"
+    assert recipe.missing == "not installed; run `pip install no_such_package`"
     assert recipe.solver not in {other.solver for other in select_recipes([], [tmp_path])}
 
 

@@ -140,8 +140,13 @@ def test_names_are_taken_where_objects_are(loop: Run, replayed: Run) -> None:
 @pytest.mark.parametrize(
     ("function", "policy", "options", "words"),
     [
-        (len, "banana", {}, "policy: found 'banana'; allowed: 'fresh', as for every function"),
-        (len, "warm", {}, "policy: found 'warm'; allowed: 'fresh', as for every function"),
+        (
+            len,
+            "banana",
+            {},
+            "policy: found 'banana'; allowed: 'fresh', as the solver is a function",
+        ),
+        (len, "warm", {}, "policy: found 'warm'; allowed: 'fresh', as the solver is a function"),
         (lambda qp, tol=1: tol, "fresh", {"tl": 1}, "options: found {'tl': 1}; allowed: tol"),
         (lambda qp: qp, "fresh", {"a": 1}, "options: found {'a': 1}; allowed: none, as the fun"),
     ],
@@ -553,7 +558,7 @@ def test_a_sequence_with_nan_is_not_saved(tmp_path: Path) -> None:
 
 
 def test_a_scenario_in_place_of_a_sequence_and_a_step_in_place_of_a_qp_are_named() -> None:
-    words = r"found 'paper'; .*`record_sequence\('paper'\)`"
+    words = r"found 'paper', a scenario; .*`record_sequence\('paper'\)`"
     for take in (load_sequence, lambda name: replay(name, "daqp")):
         with pytest.raises(UnknownNameError, match=words):
             take("paper")

@@ -73,8 +73,9 @@ def test_a_missing_distribution_is_listed_with_reason_and_remedy(monkeypatch):
         raise importlib.metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(table, "_get_installed_package_version", missing)
-    assert find_solver_availability("hpipm").reason == "casadi is not installed: pip install casadi"
-    assert find_solver_availability("daqp").reason.endswith("pip install daqp")
+    reason = "casadi is not installed; run `pip install casadi`"
+    assert find_solver_availability("hpipm").reason == reason
+    assert find_solver_availability("daqp").reason.endswith("run `pip install daqp`")
     with pytest.raises(SolverUnavailableError, match=r"qpax is not installed.*pip install qpax"):
         open_workspace("qpax")
 

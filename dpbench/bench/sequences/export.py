@@ -155,8 +155,8 @@ def check_export_options(options: dict[str, Any]) -> None:
     for key in ("what", "horizons", "steps", "every", "format", "at", "part"):
         if options[key] != defaults.get(key):
             option = key.upper() if key == "what" else f"--{key}"
-            found = f"{option} {options[key]} with --all"
-            raise InputError("export", "", found, "--all alone or with --out")
+            found = f"{options[key]} with --all"
+            raise InputError("export", option, found, "--all alone or with --out")
 
 
 def _record_requested(

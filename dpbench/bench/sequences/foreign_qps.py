@@ -114,8 +114,8 @@ class _Stages:
         ]
         self.ends = np.cumsum([nu + nx for nu, nx in sizes]).tolist()
         if not 1 <= self.ends[-1] <= MOST_VARIABLES:
-            allowed = f"1 to {MOST_VARIABLES} states and inputs over all stages"
-            raise InputError(where, "Q, R", str(self.ends[-1]), allowed)
+            found = f"{self.ends[-1]} states and inputs over all stages"
+            raise InputError(where, "Q, R", found, f"1 to {MOST_VARIABLES} in total")
         begins = [0, *self.ends[:-1]]
         self.u = [np.arange(at, at + nu) for at, (nu, _) in zip(begins, sizes, strict=True)]
         self.x = [np.arange(end - nx, end) for end, (_, nx) in zip(self.ends, sizes, strict=True)]

@@ -207,8 +207,9 @@ def load_sequence(name_or_path: str | Path, *, units: UnitSystem = "scaled") -> 
         name = str(name_or_path)
         if name not in list_shipped_problem_names("scenarios"):
             raise make_unknown_problem_name_error(SEQUENCES, name, "a .npz path") from None
-        allowed = f"a sequence; for a scenario, `record_sequence('{name}')`"
-        raise UnknownNameError(error.where, error.key, error.found, allowed) from None
+        found = f"{error.found}, a scenario"
+        allowed = f"a sequence, such as that of `record_sequence('{name}')`"
+        raise UnknownNameError(error.where, error.key, found, allowed) from None
     if path.is_dir() or (path.suffix == ".mat" and path.is_file()):
         found = "a folder" if path.is_dir() else "a .mat file"
         raise InputError(str(path), "", found, f"{WHAT}; {ONE_WAY}")

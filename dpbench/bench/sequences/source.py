@@ -482,5 +482,5 @@ def _check_multipliers(where: str, k: int, qp: QuadraticProgram, claim: Optimum)
     size = max(1.0, *(float(np.abs(term).max(initial=0.0)) for term in terms))
     worst = max(measured.primal, measured.dual, measured.complementarity)
     if not worst <= STATIONARY * size:
-        what = f"a residual of {worst:.1e}"
+        what = f"a primal, dual or complementarity residual of {worst:.1e}"
         raise InputError(where, f"y, y_box[{k}]", what, f"at most {STATIONARY * size:.1e}")

@@ -73,7 +73,7 @@ def build_attainable_force_polytope(thrusters: ThrusterSet, sides: int) -> Attai
 def _list_force_corners_of_thruster(thruster: Thruster, sides: int, where: str) -> Matrix:
     """Return the corner forces (v, components) of one thruster's limits, in order."""
     if thruster.sector_rad is not None:
-        found = f"a sector of {thruster.name!r}"
+        found = f"a sector for thruster {thruster.name!r}"
         allowed = 'no sector_deg where limits = "attainable"'
         raise InputError(where, "thrusters.sector_deg", found, allowed)
     if thruster.kind != "azimuth":

@@ -115,7 +115,7 @@ def make_statement_svg(folder: Path, results: Results, data: PageData) -> str:
     """
     chosen = choose_solver(data.verdicts).chosen
     if chosen is None or chosen.state != "pass":
-        found = "no configuration that passes everywhere and can be deployed"
+        found = "no deployable configuration with the overall verdict pass"
         raise InputError(str(folder), "--statement", found, "results with a recommendation")
     picture = find_loop_picture(data, chosen.configuration.solver)
     caption = "" if picture is None else picture.caption

@@ -84,8 +84,8 @@ def _explain_step_times(data: PageData) -> str:
 
 BARS = (
     "The call overhead is the time of a call from Python that copies its data but solves nothing. "
-    "If the p50 of a solver is smaller than this time, its grey bar ends at the p50. If step times "
-    "are below 5 µs, their differences may be due to the interfaces, not the algorithms."
+    "Some interfaces copy less: the p50 is then smaller, and the grey bar ends at it. If step "
+    "times are below 5 µs, their differences may be due to the interfaces, not the algorithms."
 )
 
 
@@ -107,7 +107,7 @@ MATRIX = (
     "Each cell shows the verdict on a configuration (solver, call mode, settings) in one scenario "
     "or replay."
 )
-TIMED_LOOPS = "The verdict on a closed loop includes the times of its window."
+TIMED_LOOPS = "The times of a closed loop are judged in its window."
 
 
 def _explain_verdict_grid(data: PageData) -> str:

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, isfinite, isnan
+from math import inf, isclose, isfinite, isnan
 from typing import Any
 
 from dpbench.analysis.times.paired_times import (
@@ -476,26 +476,29 @@ def _list_limiting_steps(data: PageData, margin: SpeedMargin, *, has_p99: bool) 
 
 
 def _describe_limiting_p99(margin: SpeedMargin) -> str:
-    """Return sentences: how the limiting p99 was estimated, and how it is scaled up."""
+    """Return sentences: from which steps the limiting p99 comes, and how it is scaled up."""
     run, time = margin.p99.run, format_time(margin.p99.time_ns)
-    measured = f"The limiting p99 is that of {name_experiment(run)}"
-    estimated, replayed = "", "this replay"
-    if steps := run.steps_searched_for_hardest:
-        beyond, replayed = steps // 100, "the window"
-        measured = (
-            f"The p99 of the {format_count(steps)} steps of `{run.scenario}` is estimated from its "
-            f"window of {plural(run.steps_planned, 'step')}. It is the time that "
-            f"{plural(beyond, 'step')} of the window exceed{'s' * (beyond == 1)} (1 % of "
-            f"{format_count(steps)}{', rounded down' * (steps % 100 > 0)}): {time}"
-        )
-        estimated = " This estimate has no confidence interval."
-    if not run.untimed_iterations > 1.0:
-        return f"{measured}.{estimated}"
-    return (
-        f"{measured}. The p99 of iterations is larger in the closed loop than in {replayed}, so "
-        f"the p99 of {time} is scaled up to the limiting p99 of "
-        f"{format_time(margin.limiting_p99_ns)}, at most the longest step.{estimated}"
+    scaled = format_time(margin.limiting_p99_ns)
+    steps = run.steps_searched_for_hardest
+    if not steps:
+        measured = f"The limiting p99 is that of {name_experiment(run)}"
+        why = "the p99 of iterations is larger in the closed loop than in this replay"
+        is_scaled = run.untimed_iterations > 1.0
+        return f"{measured}{f': {time}, scaled up to {scaled}, because {why}' * is_scaled}."
+    estimated = (
+        f"In `{run.scenario}`, only a window of {format_count(run.steps_planned)} of the "
+        f"{format_count(steps)} steps was timed, so the p99 is an estimate without a confidence "
+        "interval."
     )
+    if not run.untimed_iterations > 1.0:
+        rounded = ", rounded down" * (steps % 100 > 0)
+        many = steps // 100
+        longer = f"{plural(many, 'step')} of the window {'is' if many == 1 else 'are'} longer"
+        return f"{estimated} It is {time}: {longer} (1 % of {format_count(steps)}{rounded})."
+    why = "the closed loop takes more iterations (p99) than the window"
+    if isclose(margin.limiting_p99_ns, run.algo_max_ns):
+        return f"{estimated} Because {why}, the estimate is the longest step of the window."
+    return f"{estimated} It is {time}, scaled up to {scaled}, because {why}."
 
 
 def _yield_longest_timing(data: PageData, c: Configuration) -> Iterator[str]:
@@ -503,12 +506,14 @@ def _yield_longest_timing(data: PageData, c: Configuration) -> Iterator[str]:
     run, stall_ns = data.find_longest_timing(c), find_largest_stall_ns(data.records)
     if run is None:
         return
-    stall = f"; calibration runs, which run no solver, have stalls of up to {format_time(stall_ns)}"
-    stall *= stall_ns > 0.0
+    stall = (
+        " It may contain a stall: calibration runs, which run no solver, have stalls of up to "
+        f"{format_time(stall_ns)}."
+    ) * (stall_ns > 0.0)
     wait = describe_longest_wait(data.records, run)
     yield (
         "Stalls do not scale with the speed of the computer. The largest single timing is "
-        f"{format_time(run.raw_max_ns)}{wait} in {name_experiment(run)}{stall}."
+        f"{format_time(run.raw_max_ns)}{wait} in {name_experiment(run)}.{stall}"
     )
 
 

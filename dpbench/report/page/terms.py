@@ -25,6 +25,7 @@ PHRASES = {
     **{name: name for name in _OWN_PHRASES.split(", ")},
     "error of the first move": "error of the first move (error_move)",
     "single timing": "single timing",
+    "exactly solved qp": "reference loop",
     "scaled up": "limiting p99",
     "limiting p99": "limiting p99",
     "speed margin": "speed margin",

@@ -385,7 +385,7 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     from_deg = find_weather_direction(ship.run for ship in known)
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     moves = any(ship.has_transfer for ship in kept)
-    before = " Offsets before the ship arrives on station do not count." * moves
+    before = " Approaches from outside these limits do not count." * moves
     largest = "The largest" if len(kept) == len(known) else "There, the largest"
     return (
         "With exactly solved QPs, the controller holds the ship on station "

@@ -63,14 +63,14 @@ def _describe_round_spread(records: Records, *, is_quiet: bool) -> list[str]:
         f"These results give no estimate of how much times differ from day to day, because "
         f"{join_with_and(why)}."
         if why
-        else "The median step times of the slowest and the fastest round differ by a factor of at "
-        f"most {significant(usual)} for half of the configurations, and of at most "
+        else "The median step time differs between rounds by a factor of at most "
+        f"{significant(usual)} for half of the configurations, and of at most "
         f"{significant(high)} for 95 % of them. Runs on other days can differ by more."
     )
-    beyond = "" if is_quiet else " by more than the spread of the rounds"
+    widened = "" if is_quiet else ", even after it is widened by the spread of the rounds"
     return [
         "In these results, a difference in step time is significant only if the 95 % interval of "
-        f"the ratio excludes 1{beyond}.",
+        f"the ratio excludes 1{widened}.",
         spread,
     ]
 
@@ -132,10 +132,10 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     windows = " and windows" * any(run.steps_searched_for_hardest for run in timed)
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
-        f"Single replays can be worse: {format_count(worse)} of {format_count(len(timed))} "
-        f"replays{windows} exceeded a limit for a quiet machine ({' or '.join(kinds)}). A ratio of "
-        "their step times is significant only if its interval excludes 1 by more than the spread "
-        "of their rounds (time of the slowest round divided by that of the fastest)."
+        f"Taken one by one, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
+        f"exceeded a limit for a quiet machine ({' or '.join(kinds)}). A ratio of times of such a "
+        "replay is significant only if its interval excludes 1 even after it is widened by the "
+        "factor between the slowest and the fastest round."
     )
 
 

@@ -481,18 +481,17 @@ def describe_short_times(records: Records, compared: Sequence[Verdict]) -> str:
     short = [verdict for verdict in compared if verdict.p50_ns < shortest_ns]
     if not short:
         return ""
-    differences = (
-        " Differences between such times may be due to the bindings, not the methods."
+    consequence = (
+        ". Differences between such times may be due to the bindings, not the methods."
         if len(short) == len(compared) > 1
-        else ""
+        else ", so ratios may be less accurate than their intervals."
     )
     names = join_with_and([verdict.configuration.marked_label for verdict in short])
     times = join_with_and([format_time(verdict.p50_ns) for verdict in short])
     what, are = ("The p50", "is") if len(short) == 1 else ("The p50 values", "are")
     return (
         f"{what} of {names}, {times}, {are} below "
-        f"{shortest_ns / 1e3:g} µs, the shortest time for which the timing was checked."
-        f"{differences}"
+        f"{shortest_ns / 1e3:g} µs, the shortest time for which the timing was checked{consequence}"
     )
 
 

@@ -237,7 +237,8 @@ class LinearMPC:
         """
         given = np.atleast_2d(np.asarray(self.reference, dtype=np.float64))
         if given.ndim != 2 or given.shape[1] != self.model.n_y or not np.isfinite(given).all():
-            expected = f"finite numbers of shape ({self.model.n_y},) or (K, {self.model.n_y})"
+            n_y = self.model.n_y
+            expected = f"finite numbers of shape ({n_y},), or (K, {n_y}) for K samples"
             raise ShapeError.from_shapes(self.name, "reference", given.shape, expected)
         table: Matrix = given[np.minimum(np.arange(samples), len(given) - 1)]
         return table

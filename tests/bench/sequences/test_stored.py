@@ -196,7 +196,7 @@ def forget_proof(arrays: Arrays) -> None:
         ("paper-30-5", change("y_box", (2, 4), 1e-3), "y, y_box[2]"),
         ("paper-30-5", change("active", (1, 20), 1), "active[1, 20]"),
         ("paper-30-5", lambda arrays: arrays.pop("active"), "active"),
-        ("paper-30-5", grow_multiplier, "found a residual"),
+        ("paper-30-5", grow_multiplier, "found a primal, dual or complementarity residual of "),
         ("thruster_loss_hard-30-5", change("y", (-1, 0), 1e-3), ""),
         ("thruster_loss_hard-30-5", forget_proof, "found no proof"),
     ],

@@ -90,7 +90,7 @@ def test_no_recommendation_no_statement(
     out = records.write(tmp_path / "out")
     assert main(["report", str(out), "--statement", str(tmp_path / "a.pdf")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "no configuration that passes everywhere and can be deployed" in line
+    assert "no deployable configuration with the overall verdict pass" in line
     assert not (tmp_path / "a.pdf").exists() and not (out / "report.html").exists()
 
 

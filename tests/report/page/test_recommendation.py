@@ -148,7 +148,9 @@ def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int,
     following = time.replace("`", "").format("30.0 µs")
     against = "Compared with daqp (qpsolvers fresh): too few common steps for a ratio (15 of 500)."
     assert f"{following}. {against}" in ending["next"]
-    estimated = "The p99 of the 450 steps of paper is estimated from its window of 15 steps. It is "
+    estimated = (
+        "In paper, only a window of 15 of the 450 steps was timed, so the p99 is an estimate"
+    )
     assert (estimated in ending["margin"]) is (of == 450)
 
 
@@ -575,14 +577,37 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     text = " ".join(list_speed_margin_sentences(data, verdict))
     assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
     assert (
-        "The p99 of the 450 steps of `turn` is estimated from its window of 30 steps. It is the "
-        "time that 4 steps of the window exceed (1 % of 450, rounded down): 20.0 µs. The p99 of "
-        "iterations is larger in the closed loop than in the window, so the p99 of 20.0 µs is "
-        "scaled up to the limiting p99 of 40.0 µs, at most the longest step. This estimate has no "
-        "confidence interval. After scaling, the longest step is step "
+        "In `turn`, only a window of 30 of the 450 steps was timed, so the p99 is an estimate "
+        "without a confidence interval. It is 20.0 µs, scaled up to 40.0 µs, because the closed "
+        "loop takes more iterations (p99) than the window. After scaling, the longest step is step "
     ) in text
     scaled = "its time of 20.0 µs is scaled up to 60.0 µs. It reaches the deadline of 300 ms"
     assert scaled in text
+
+
+@pytest.mark.parametrize(
+    "p99, sentence",
+    [
+        (9.0, "Because the closed loop takes more iterations (p99) than the window, the estimate "
+         "is the longest step of the window. "),
+        (4.0, "It is 20.0 µs: 4 steps of the window are longer (1 % of 450, rounded down). "),
+    ],
+)  # fmt: skip
+def test_an_estimated_p99_is_at_most_the_longest_step(
+    records: Any, p99: float, sentence: str
+) -> None:
+    """The window has a step of 30 µs with all iterations of the loop, five of at least 20 µs."""
+    records.loop("daqp", "turn", iterations_p99=p99, iterations_max=14.0)
+    cell = json.dumps({"source": {"kind": "hardest", "name": "turn hardest 30", "of": 450}})
+    window = {"sequence": "turn hardest 30", "scenario": "turn", "cell": cell}
+    window |= {"algo_max_ns": 30e3, "window_p99_ns": 20e3}
+    counts = {"iterations_p99": 4.0, "iterations_max": 14.0}
+    slow = {0: 1.5, 1: 1.4, 2: 1.3, 3: 1.2}
+    records.replay("daqp", steps=30, spread=0.0, slow=slow, **counts, **window)
+    data = Report.from_results(records.results()).data
+    (verdict,) = data.verdicts.all_verdicts
+    text = " ".join(list_speed_margin_sentences(data, verdict))
+    assert sentence + "The longest step is step 0 of `turn`" in text
 
 
 def test_the_table_has_the_times_that_give_each_speed_margin(records: Any) -> None:
