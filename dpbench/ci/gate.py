@@ -52,14 +52,17 @@ from dpbench.report.formats import plural
 HELP_EPILOG = """\
 exit codes:
   0     no regression shown, or the baseline was stored
-  1     a regression: longer times, more iterations, larger errors, or a failed or missing benchmark
+  1     a regression: longer times, more iterations, larger errors, or a failed
+        or missing benchmark
   2     bad input, or no benchmark in common
-  CODE  (--disturbed-exit) times not judged and no regression shown, or this command stored a
-        baseline that is disturbed or has no times of the reference kernel
+  CODE  (--disturbed-exit) times not judged and no regression shown, or this
+        command stored a baseline that is disturbed or has no times of the
+        reference kernel
 
 disturbed:
-  Other programs, the host of a virtual machine or throttling slowed the machine. The reference
-  kernel is a fixed computation whose time shows the speed of the machine.
+  Other programs, the host of a virtual machine or throttling slowed the
+  machine. The reference kernel is a fixed computation whose time shows the
+  speed of the machine.
 
 examples:
   python -m dpbench.ci.gate now.json base.json

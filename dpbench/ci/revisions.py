@@ -57,22 +57,24 @@ HELP_EPILOG = """\
 Arguments after -- are passed to pytest.
 
 disturbed:
-  Other programs, the host of a virtual machine or throttling slowed the machine during a
-  benchmark. Its time is then not judged, unless in at least two pairs of runs the head takes more
-  than 1.5 times as long and load does not explain this. Iterations, errors and failed tests are
-  still judged. A disturbed pair of runs is repeated; two in a row end the measurement, unless
+  Other programs, the host of a virtual machine or throttling slowed the
+  machine during a benchmark. Its time is then not judged, unless in at least
+  two pairs of runs the head takes more than 1.5 times as long and load does
+  not explain this. Iterations, errors and failed tests are still judged. A
+  disturbed pair of runs is repeated; two in a row end the measurement, unless
   --attempts is set.
 
 exit codes:
   0     no regression shown, or a base without benchmarks
-  1     a regression: longer times, more iterations, larger errors, or a failed or missing benchmark
+  1     a regression: longer times, more iterations, larger errors, or a failed
+        or missing benchmark
   2     bad input
   CODE  (--disturbed-exit) times not judged, no regression shown
   130   interrupted by Ctrl-C (143: SIGTERM); the complete pairs are compared
 
 examples:
-  python -m dpbench.ci.revisions ../base . --markdown compare.md -- test_slsqp.py
-  python -m dpbench.ci.revisions ../base . --pairs 3 --disturbed-exit 75 -- -k transfer
+  python -m dpbench.ci.revisions ../base . --markdown out.md -- test_slsqp.py
+  python -m dpbench.ci.revisions ../base . --disturbed-exit 75 -- -k transfer
 """
 CODES_WITHOUT_ERROR = (0, 1, 5)
 """Exit codes of a pytest that ran all its tests, or found none."""

@@ -167,7 +167,7 @@ def test_the_help_of_an_exit_code_is_of_what_the_command_does(
             command(["--help"])
         words = " ".join(capsys.readouterr().out.split())
         assert (
-            "or a stored baseline is disturbed or lacks a reference kernel (default: 0)" in words
+            "stores a baseline that is disturbed or has no times of the reference kernel" in words
         ) is stores
         assert "times are not judged and no regression is shown" in words
 

@@ -217,8 +217,8 @@ def test_a_replay_that_is_worse_than_the_limits_alone_is_counted(records: Any) -
         "other load disturbed them, and 1 " in load
     )
     assert load.endswith("remained disturbed (3.1 %, limit 5 %).")
-    assert "Single replays can be worse: 1 of 4 replays " in topic.tables[0].note
+    assert "Taken one by one, 1 of 4 replays " in topic.tables[0].note
     assert (
-        "exceeded a limit for a quiet machine (5 % disturbed rounds). A ratio of their step times "
+        "exceeded a limit for a quiet machine (5 % disturbed rounds). A ratio of times of such a "
         in topic.tables[0].note
     )

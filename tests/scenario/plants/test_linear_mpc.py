@@ -106,7 +106,7 @@ def test_its_signals_are_plotted_with_their_reference() -> None:
     labels = [{row["law"] for row in sets[panel["data"]["name"]]} for panel in (position, force)]
     assert labels == [{"reference", *both}, both]
     other = LinearMPC(**GIVEN | {"outputs": ("x_m",)}).truncate(5)
-    with pytest.raises(InputError, match=r"x_m.*allowed: runs with t_s, position_m"):
+    with pytest.raises(InputError, match=r"x_m.*allowed: runs with the signals t_s, position_m"):
         run.plot.signals(run_closed_loop(other, "daqp", plant=Cart))
 
 
