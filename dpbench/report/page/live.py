@@ -40,7 +40,7 @@ from dpbench.report.page.data import (
 )
 from dpbench.report.page.section import Section
 from dpbench.report.verdict.findings_text import shorten_findings
-from dpbench.report.verdict.verdict_text import MOST_NAMED
+from dpbench.report.verdict.verdict_text import MOST_NAMED, describe_which_solvers_pass
 
 Charts = dict[str, Any]
 RATIO_RESOLUTION = 4e-4
@@ -169,8 +169,9 @@ def _list_unscaled_experiments(data: PageData) -> list[str]:
 
 
 def _explain_further_verdicts(data: PageData) -> str:
-    """Return a text on the verdicts, runs in SI units, other call modes and names of replays."""
-    wording = [TIMED_LOOPS]
+    """Return a text on all verdicts, runs in SI units, other call modes and names of replays."""
+    wording = [describe_which_solvers_pass(data.verdicts)] if data.verdicts.of else []
+    wording.append(TIMED_LOOPS)
     if _list_unscaled_experiments(data):
         wording.append("Runs in SI units (N, N·m) do not count towards the overall verdict.")
     if elsewhere := _list_experiments_of_other_modes(tabulate_experiment_verdicts(data)):
