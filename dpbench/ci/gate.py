@@ -60,9 +60,12 @@ exit codes:
         reference kernel
 
 disturbed:
-  Other programs, the host of a virtual machine or throttling slowed the
-  machine. The reference kernel is a fixed computation whose time shows the
-  speed of the machine.
+  A benchmark is disturbed if other programs, the host of a virtual machine or
+  throttling slow the machine while it runs.
+
+reference kernel:
+  A fixed computation, timed before and after each benchmark. Its time shows
+  the speed of the machine.
 
 examples:
   python -m dpbench.ci.gate now.json base.json

@@ -57,12 +57,12 @@ HELP_EPILOG = """\
 Arguments after -- are passed to pytest.
 
 disturbed:
-  Other programs, the host of a virtual machine or throttling slowed the
-  machine during a benchmark. Its time is then not judged, unless in at least
-  two pairs of runs the head takes more than 1.5 times as long and load does
-  not explain this. Iterations, errors and failed tests are still judged. A
-  disturbed pair of runs is repeated; two in a row end the measurement, unless
-  --attempts is set.
+  A benchmark is disturbed if other programs, the host of a virtual machine or
+  throttling slow the machine while it runs. Its time is then not judged,
+  unless in at least two pairs of runs the head takes more than 1.5 times as
+  long and load does not explain this. Iterations, errors and failed tests are
+  still judged. A disturbed pair of runs is repeated; two in a row end the
+  measurement, unless --attempts is set.
 
 exit codes:
   0     no regression shown, or a base without benchmarks

@@ -29,8 +29,8 @@ _BAD_INPUT = "2 bad input"
 _LOST = "1 a run was lost through a fault of dpbench or the machine (repeat the command)"
 _NOT_HELD = "with --strict, a ship does not stay on station although its QPs are solved exactly"
 _BUSY = (
-    f"{_BAD_INPUT}, or another dpbench command used the machine, at the start (with --no-wait) or "
-    "when the --wait time ended"
+    f"{_BAD_INPUT}, or another dpbench command was using the machine: at the start (with "
+    "--no-wait) or still when the --wait time ended"
 )
 
 
@@ -307,9 +307,9 @@ COMMANDS: dict[str, CommandHelp] = {
         "Search for a solver's fastest accurate settings",
         options.add_tune_solver_options,
         ("tune-solver osqp", "tune-solver 'osqp[rho=1.6]' --range 'rho=[0.1,10]'"),
-        "0 done: with the best settings, the solver is accurate and fast enough on every training "
-        "and test sequence; 1 no settings are accurate on every training sequence, or with the "
-        "best settings the solver is inaccurate or too slow on a sequence in the final "
+        "0 done: with the best settings, the solver is accurate and within the time limits on "
+        "every training and test sequence; 1 no settings are accurate on every training sequence, "
+        "or with the best settings the solver is inaccurate or exceeds a time limit in the final "
         f"measurement; {_BUSY}; 130 interrupted "
         "(the best settings so far are written)",
         "Search for the fastest settings with which a solver is accurate on all training "
@@ -329,18 +329,19 @@ COMMANDS: dict[str, CommandHelp] = {
         text="Write NAME.toml (vessel), NAME_weather.toml (scenario) and NAME_suite.toml (suite). "
         "Comments in them explain how the main values were derived. With --thrusters, also "
         "write a capability plot and scenarios in which the controller commands each thruster. "
-        "In most of them, the ship loses a failure group (thrusters that fail together):\n"
+        "In most of these scenarios, the ship loses a failure group (thrusters that fail "
+        "together). The further files are:\n"
         "  NAME_thrusters.toml   loss of the worst failure group that the ship can lose\n"
         "                        and still hold station\n"
         "  NAME_loss_*.toml      losses of other failure groups, in the same sea\n"
-        "  NAME_intact.toml      no loss, in the highest sea in which the ship holds\n"
-        "                        station (written only without --sea, and if this sea is\n"
-        "                        higher than that of NAME_thrusters.toml)\n"
+        "  NAME_intact.toml      no loss, in the largest sea in which the ship holds\n"
+        "                        station (written only if --sea is not given and this\n"
+        "                        sea is larger than that of NAME_thrusters.toml)\n"
         "  NAME_weak_side.toml   same loss as in NAME_thrusters.toml; weather from the\n"
         "                        direction in which the ship withstands the least wind\n"
         "  NAME_capability.svg   capability plot\n"
-        "In the other scenarios, the weather comes from 30° off the bow; if --thrusters is given, "
-        "it comes from the side from which the ship withstands less wind.\n"
+        "In the other scenarios, the weather comes from 30° off the bow; with --thrusters, it "
+        "comes from the side (port or starboard) from which the ship withstands less wind.\n"
         "In the --thrusters file, give the allowed sector or the barred zone of an azimuth "
         "thruster in degrees clockwise from ahead. The angles are the directions in which the "
         "thruster pushes the ship; its race (wash) goes the opposite way. For example, if the race "

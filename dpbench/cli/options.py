@@ -93,8 +93,8 @@ def _add_suite_options(run: Command) -> None:
     )
     _repeated(choice, "--policy", "POLICY", policy, dest="policies")
     steps = (
-        "stop the closed loops and replays of scenarios after N steps; this does not shorten "
-        "sequences of recorded QPs"
+        "stop each closed loop and each replay of a scenario after N steps; recorded sequences are "
+        "replayed in full"
     )
     _option(choice, "--steps", "N", steps, type=int)
     _add_module_option(choice)
@@ -158,9 +158,9 @@ def add_report_options(report: Command) -> None:
     folder = "result folder of `dpbench run` or `dpbench gather`"
     report.add_argument("dir", metavar="DIR", help=folder)
     baseline = (
-        "compare the recommended solver with this one (default: the baseline of the suite; without "
-        "it, the fastest solver that passes or, if that one is recommended, the next-fastest "
-        "deployable one)"
+        "compare the recommended solver with this one (default: the baseline of the suite; if the "
+        "suite has none, a faster solver that passes but is not deployable; if there is none "
+        "either, the next-fastest deployable solver)"
     )
     _option(report, "--baseline", "SOLVER", baseline)
     more = report.add_argument_group("further documents")
@@ -247,8 +247,8 @@ def add_export_options(export: Command) -> None:
     _option(choice, "--every", "K", "write every K-th step (default: 1)", type=int, default=1)
     _option(choice, "--at", "K", "write only step K (the first step is 0)", type=int)
     part = (
-        "if the controller is a cascade, write the QPs of the first part (controller, the default) "
-        "or of the second one (allocation)"
+        "QPs to write if forces are planned first and then allocated to thrusters: those of the "
+        "plan (controller, the default) or of the allocation (allocation)"
     )
     _option(choice, "--part", "PART", part, default="controller")
     output = export.add_argument_group("output")

@@ -160,8 +160,8 @@ def _refuse_unsupported_controller(scenario: Scenario, controller: Controller) -
         )
     if scenario.estimation.kind != "measured":
         allowed = (
-            '"measured", because the measurement of the generated code must be a state that is '
-            "already filtered"
+            '"measured", because the input of the generated code is a state that is already '
+            "filtered"
         )
         raise InputError(where, "estimator.kind", f'"{scenario.estimation.kind}"', allowed)
     if not is_force and controller.amplitude == "hard":

@@ -307,7 +307,7 @@ class Scenario:
         for field in fields(self):
             mine, filed = getattr(self, field.name), getattr(own, field.name)
             if field.name not in _FREE and _list_values(mine) != _list_values(filed):
-                found = f"a direct change to {field.name}, which a copy would lose"
+                found = f"{field.name} changed in place; a copy would lose this change"
                 raise InputError(where, "", found, "changes with `with_keys` and `with_horizons`")
         files = copy_documents_with_values(self.files, values, where)
         files["name"] = self.name + suffix

@@ -184,7 +184,7 @@ def test_a_folder_with_other_things_is_left_alone(folder: Path, tmp_path: Path) 
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "report.html").write_text("my own", encoding="utf-8")
-    with pytest.raises(InputError, match="mine, a folder with files not from a run"):
+    with pytest.raises(InputError, match="mine, a folder with files that no run has written"):
         run_campaign("smoke", mine)
     assert (mine / "report.html").read_text(encoding="utf-8") == "my own"
     with pytest.raises(InputError, match="can be written"):

@@ -267,7 +267,7 @@ def lock_result_folder(
             allowed = "another folder; or remove this one"
             raise InputError(where, "", f"{folder} with results of suite {stored!r}", allowed)
     elif folder.is_dir() and any(folder.iterdir()) and not (folder / "cells").is_dir():
-        found = f"{folder}, a folder with files not from a run"
+        found = f"{folder}, a folder with files that no run has written"
         raise InputError(where, "", found, "a new or an empty folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)

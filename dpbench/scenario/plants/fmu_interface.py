@@ -183,7 +183,7 @@ class _VariableReader:
             "unit"
         )
         if base is None:
-            found = f"{variable.name!r} in {unit!r}, which {self._name} does not define"
+            found = f"{variable.name!r} in {unit!r}, a unit that {self._name} does not define"
             raise InputError(self._where, f"plant.fmu.{key}", found, allowed)
         others = (base.A, base.K, base.mol, base.cd)
         if (base.kg, base.m, base.s) != dimension or any(others) or base.offset:

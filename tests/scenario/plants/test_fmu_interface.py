@@ -68,7 +68,7 @@ def test_no_fmu_at_all_is_one_line_of_the_command_line(
     [
         ('fmiVersion="2.0"', 'fmiVersion="1.0"', "invalid FMU|FMI 1.0"),
         ("CoSimulation modelIdentifier", "ModelExchange modelIdentifier", "no co-simulation"),
-        ('unit="N"', 'unit="lbf"', r"found 'Fx' in 'lbf', which ship2\.fmu does not define"),
+        ('unit="N"', 'unit="lbf"', r"found 'Fx' in 'lbf', a unit that ship2\.fmu does not define"),
     ],
 )
 def test_a_model_description_that_does_not_fit(
