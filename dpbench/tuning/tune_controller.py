@@ -222,7 +222,8 @@ NO_PROMISE = (
     "The real ship differs from this model in mass, damping and thrust.",
     "Other seas, or these seas from another direction, were not tried.",
     "A longer time in the same sea may bring a larger offset than these realisations.",
-    "A swing that does not decay is not detected: look at the result of the next run.",
+    "A swing that does not decay is not detected: look at the result of the next run, and repeat "
+    "this command with a smaller --margin if the ship swings.",
     "Stability is not proven, and only the faults of the scenario were tried.",
     "Azimuths turn at any rate unless the scenario has `azimuth_turning = true`.",
     "Solve time grows with the horizons and was not measured: run the scenario in a suite.",

@@ -123,8 +123,8 @@ def test_a_failure_is_named_where_every_lost_ship_left_after_one(
     records.loop("daqp", "thruster_loss", cell=cell, **LOST)
     records.loop("daqp", "paper", **other)
     warning = _summary(records).warning
-    held = f"{NOT_HELD} in the weather of 1 of 2 scenarios (it holds it in 1)"
-    assert warning.startswith(f"{BANNER if other else held}{clause}, whatever the solver: in `")
+    part = f"{NOT_HELD} in the weather of 1 of 2 scenarios{clause} (it holds it in 1)"
+    assert warning.startswith(f"{BANNER + clause if other else part}, whatever the solver: in `")
 
 
 def test_an_intact_ship_that_leaves_is_named_before_ships_with_a_loss(records: Any) -> None:

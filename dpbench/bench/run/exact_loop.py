@@ -54,6 +54,8 @@ RISE_S = 10.0
 """Time at the end of a loop, at full size, over which the change of the offset is its trend."""
 UNDAMPED_SHARE = 0.9
 """Share of the swing since a loss from which on the swing at the end counts as undamped."""
+CAUSED_BY_LOSS = 2.0
+"""Factor on the swing before a loss below which the swing after it may be that of the weather."""
 
 
 StepReport = Callable[[int, int], None]
@@ -425,7 +427,7 @@ def compute_track_metrics(scenario: Scenario, state: Matrix) -> dict[str, float]
         "exact_heading_end_deg": float(heading[-1]),
         "exact_loss_offset_max_m": _largest(offset[after_loss]),
         "exact_loss_heading_max_deg": _largest(heading[after_loss]),
-        "exact_loss_swing_m": _measure_undamped_swing_m(scenario, state, after_loss),
+        "exact_loss_swing_m": _measure_undamped_swing_m(scenario, state, arrived),
         "exact_left_s": float(np.argmax(left)) * scenario.sample_s if left.any() else np.nan,
         "exact_transfer_offset_max_m": _largest(offset[~arrived]),
         "exact_transfer_s": _find_transfer_end(distance, arrived) * scenario.sample_s,
@@ -437,17 +439,27 @@ def _largest(values: Vector) -> float:
     return float(values.max()) if len(values) else np.nan
 
 
-def _measure_undamped_swing_m(scenario: Scenario, state: Matrix, after_loss: Flags) -> float:
+def _measure_undamped_swing_m(scenario: Scenario, state: Matrix, arrived: Flags) -> float:
     """Return the range [m] of a ship's position north or east in the last third since a loss.
 
-    0 where that is less than `UNDAMPED_SHARE` of the range since the loss. NaN without a loss.
-    after_loss : (K + 1,).
+    0 where that is less than `UNDAMPED_SHARE` of the range since the loss, or less than
+    `CAUSED_BY_LOSS` times the range in the last half of the time before it. NaN without a loss.
+    arrived : (K + 1,), whether the ship has arrived on station.
     """
-    position = (state[:, POSE] - scenario.build_reference_table(len(state)))[after_loss, :2]
-    if not len(position):
+    offset = (state[:, POSE] - scenario.build_reference_table(len(state)))[:, :2]
+    is_lost = np.arange(len(state)) >= _first_loss_sample(scenario)
+    after, before = offset[arrived & is_lost], offset[arrived & ~is_lost]
+    if not len(after):
         return np.nan
-    swing_m = float(np.ptp(position[2 * len(position) // 3 :], axis=0).max())
-    return swing_m if swing_m >= UNDAMPED_SHARE * np.ptp(position, axis=0).max() else 0.0
+    swing_m = _measure_range_m(after[2 * len(after) // 3 :])
+    least_m = UNDAMPED_SHARE * _measure_range_m(after)
+    usual_m = _measure_range_m(before[len(before) // 2 :])
+    return swing_m if swing_m >= max(least_m, CAUSED_BY_LOSS * usual_m) else 0.0
+
+
+def _measure_range_m(position: Matrix) -> float:
+    """Return the range [m] of a position (K, 2), north or east, the larger; 0 for K = 0."""
+    return float(np.ptp(position, axis=0).max()) if len(position) else 0.0
 
 
 def _find_transfer_end(distance: Vector, arrived: Flags) -> float:

@@ -116,8 +116,11 @@ def _warn_of_lost(lost: Sequence[ShipResult], known: Sequence[ShipResult]) -> It
     driven = [ship for ship in lost if ship not in unstable and not ship.is_lost_at_start]
     if driven:
         sensors = " with these sensors" * any(map(_has_noise_or_estimator, driven))
-        where = f"{_count_held(driven, known) or BANNER}{sensors}{_name_failures(driven)}"
-        opening = f"{where}, whatever the solver"
+        held = sum(ship.is_held for ship in known)
+        share = f"{len(driven)} of {len(known)} {_name_kind(known)}"
+        where = f"{LOST} in the weather of {share}" if held else BANNER
+        others = f" (it holds it in {held})" * bool(held)
+        opening = f"{where}{sensors}{_name_failures(driven)}{others}, whatever the solver"
         yield f"{opening}: {_describe_lost(driven)}."
         yield from map(explain_departure, _sort_by_importance(driven)[:MOST_NAMED])
     if away:
@@ -145,14 +148,6 @@ def format_overload(share: float) -> str:
     if math.isinf(share):
         return "a force that no thrust makes"
     return f"{100.0 * share:.0f} % of the thrust"
-
-
-def _count_held(driven: Sequence[ShipResult], known: Sequence[ShipResult]) -> str:
-    """Return `LOST` with how many ships the weather drives off and how many stay; "" if none do."""
-    if not (held := sum(ship.is_held for ship in known)):
-        return ""
-    counts = f"{len(driven)} of {len(known)} {_name_kind(known)} (it holds it in {held})"
-    return f"{LOST} in the weather of {counts}"
 
 
 def _name_kind(known: Sequence[ShipResult]) -> str:
@@ -602,7 +597,8 @@ def _describe_limits(known: Sequence[ShipResult]) -> list[str]:
     is_part = 0 < sum(ship.is_held for ship in known) < len(known)
     opening = f"Over all {len(known)} {_name_kind(known)}, limits are" if is_part else "Limits are"
     if high == "0 %":
-        return ["No limit is ever active, so no QP is hard."]
+        of_lost = ", apart from those of lost thrusters" * any(list_losses(s.run) for s in known)
+        return [f"No limit is ever active{of_lost}, so no QP is hard."]
     if low == high:
         return [f"{opening} active in {low} of the steps."]
     by_name = group_by_key(known, lambda ship: ship.run.study or ship.name)

@@ -170,6 +170,16 @@ def test_a_swing_that_does_not_decay_after_a_loss(since_loss: list[float], swing
     assert found["exact_loss_swing_m"] == pytest.approx(swing_m, nan_ok=True)
 
 
+@pytest.mark.parametrize(("before_m", "swing_m"), [(0.5, 2.0), (0.51, 0.0)])
+def test_a_swing_as_before_a_loss_is_not_due_to_it(before_m: float, swing_m: float) -> None:
+    """2 m after the loss, and 1 m or more before it; the first half of that time is not counted."""
+    faults = [{"at_s": 1.8, "limit_share": [1.0, 0.5, 1.0]}]
+    lossy = copy_scenario_with_values(load_scenario("calm"), {"faults": faults}, "a loss")
+    east = [3.0, 0.0, 0.0, before_m, -before_m, before_m, *[1.0, -1.0] * 5]
+    found = compute_station_metrics(lossy, loop_along(lossy, east), len(east) - 1)
+    assert found["exact_loss_swing_m"] == pytest.approx(swing_m)
+
+
 def test_offsets_after_a_loss_count_from_it_on() -> None:
     """Four samples at rest, a loss at the fifth, and 3 m off at most; nothing without a loss."""
     calm = load_scenario("calm")
