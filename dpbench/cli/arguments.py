@@ -307,9 +307,9 @@ COMMANDS: dict[str, CommandHelp] = {
         "Search for a solver's fastest accurate settings",
         options.add_tune_solver_options,
         ("tune-solver osqp", "tune-solver 'osqp[rho=1.6]' --range 'rho=[0.1,10]'"),
-        "0 done: with the best settings, the solver is accurate and within the time limits on "
-        "every training and test sequence; 1 no settings are accurate on every training sequence, "
-        "or with the best settings the solver is inaccurate or exceeds a time limit in the final "
+        "0 done: with the best settings, the solver is accurate and within the p99 limit and the "
+        "deadline on every training and test sequence; 1 no settings are accurate on every "
+        "training sequence, or the best settings do not meet these requirements in the final "
         f"measurement; {_BUSY}; 130 interrupted "
         "(the best settings so far are written)",
         "Search for the fastest settings with which a solver is accurate on all training "
@@ -340,8 +340,9 @@ COMMANDS: dict[str, CommandHelp] = {
         "  NAME_weak_side.toml   same loss as in NAME_thrusters.toml; weather from the\n"
         "                        direction in which the ship withstands the least wind\n"
         "  NAME_capability.svg   capability plot\n"
-        "In the other scenarios, the weather comes from 30° off the bow; with --thrusters, it "
-        "comes from the side (port or starboard) from which the ship withstands less wind.\n"
+        "In the other scenarios, the weather comes from 30° off the bow; with --thrusters, "
+        "this is 30° to port or to starboard, whichever is the side on which the ship withstands "
+        "less wind.\n"
         "In the --thrusters file, give the allowed sector or the barred zone of an azimuth "
         "thruster in degrees clockwise from ahead. The angles are the directions in which the "
         "thruster pushes the ship; its race (wash) goes the opposite way. For example, if the race "

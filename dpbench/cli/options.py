@@ -159,8 +159,8 @@ def add_report_options(report: Command) -> None:
     report.add_argument("dir", metavar="DIR", help=folder)
     baseline = (
         "compare the recommended solver with this one (default: the baseline of the suite; if the "
-        "suite has none, a faster solver that passes but is not deployable; if there is none "
-        "either, the next-fastest deployable solver)"
+        "suite has none, a faster passing solver that is not available as compiled code; if there "
+        "is none, the next-fastest passing solver)"
     )
     _option(report, "--baseline", "SOLVER", baseline)
     more = report.add_argument_group("further documents")
@@ -247,8 +247,8 @@ def add_export_options(export: Command) -> None:
     _option(choice, "--every", "K", "write every K-th step (default: 1)", type=int, default=1)
     _option(choice, "--at", "K", "write only step K (the first step is 0)", type=int)
     part = (
-        "QPs to write if forces are planned first and then allocated to thrusters: those of the "
-        "plan (controller, the default) or of the allocation (allocation)"
+        "QPs to write if forces are planned first and then allocated to thrusters: controller "
+        "(those of the plan; default) or allocation (those of the thruster allocation)"
     )
     _option(choice, "--part", "PART", part, default="controller")
     output = export.add_argument_group("output")

@@ -201,7 +201,8 @@ def _describe_adapted_options(verdict: Verdict) -> str:
     adapted = {} if record is None else record.adapted
     set_to = resolve_settings_with_fixed_options(c.solver_settings, c.solver) if adapted else {}
     texts = [
-        f"{name} is only an initial value in {c.solver}, as {switch} is on"
+        f"{name} is only an initial value in {c.solver}, as {switch} is on (fix it with "
+        f"{switch}=false)"
         for name, switch in adapted.items()
         if name in format_options_by_name(verdict) and set_to.get(switch)
     ]

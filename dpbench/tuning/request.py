@@ -268,7 +268,8 @@ def _describe_searched_options(adapter: _Adapter, space: SearchSpace) -> list[st
         if name not in searched
     ]
     lines += [
-        f"{name} is only an initial value in {adapter.record.name}, as {switch} is on"
+        f"{name} is only an initial value in {adapter.record.name}, as {switch} is on (fix it with "
+        f"{switch}=false)"
         for name, switch in adapter.record.adapted.items()
         if name in searched and set_to.get(switch)
     ]

@@ -31,6 +31,7 @@ from dpbench.report.commands_text import describe_machine_states
 from dpbench.report.formats import (
     Table,
     format_error,
+    format_share,
     format_time,
     join_with_and,
     significant,
@@ -94,6 +95,10 @@ class TunedRole:
             return f"inaccurate on {wrong} of {len(best)}"
         late = [finding for run in best if (finding := self.measured.find_late(run))]
         parts = [_describe_accuracy(late, len(best))]
+        worst = min(best, key=lambda run: run.true_share)
+        if worst.true_share < 1.0:
+            share = format_share(1.0 - worst.true_share)
+            parts.append(f"{share} of the solutions of {worst.sequence} not verified")
         others = {name: runs for name, runs in self.runs.items() if name != BEST}
         ratios = {n: score_runs(best, runs, requirements).ratio for n, runs in others.items()}
         faults = {n: self._describe_faults(runs, requirements) for n, runs in others.items()}

@@ -19,8 +19,8 @@ from dpbench.analysis.verdict.requirements import (
 from dpbench.analysis.verdict.verdict import Verdict, Verdicts, judge_solvers
 
 TIME_FIELDS = (
-    *("p50_ns", "p99_ns", "p99_interval", "p99_run", "timed_on", "rounds_ns", "replay_p99_ns"),
-    *("raw_p99_ns", "longest_ns", "longest_run", "raw_max_ns", "of_sequences"),
+    *("p50_ns", "p99_ns", "p99_interval", "p99_wait_ns", "p99_run", "timed_on", "rounds_ns"),
+    *("replay_p99_ns", "raw_p99_ns", "longest_ns", "longest_run", "raw_max_ns", "of_sequences"),
 )
 """Fields of a verdict that are step times, or name where they were measured."""
 

@@ -187,6 +187,7 @@ def judge_replay_times(
         "p99_interval": _estimate_p99_interval_ns(records, limiting.run)
         if is_measured
         else UNKNOWN,
+        "p99_wait_ns": _find_wait_at_p99_ns(records, limiting.run),
         "p99_run": limiting.run,
         "disturbed_spread": max(one.disturbed_spread for one in figures),
         "longest_ns": longest.longest_ns,
@@ -202,6 +203,14 @@ def _estimate_p99_interval_ns(records: Records, run: RunRecord) -> Interval:
     if times is None or run.steps_searched_for_hardest:
         return UNKNOWN
     return estimate_percentile_interval(times.algo_ns, 99)
+
+
+def _find_wait_at_p99_ns(records: Records, run: RunRecord) -> float:
+    """Return the wait for the core in the step whose time is nearest a replay's p99 [ns]."""
+    times = records.get_step_times(run)
+    if times is None:
+        return 0.0
+    return float(times.wait_ns[np.abs(times.algo_ns - compute_p99_ns(run, times.algo_ns)).argmin()])
 
 
 def compute_p99_ns(run: RunRecord, algo_ns: Floats) -> float:

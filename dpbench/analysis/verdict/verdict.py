@@ -61,7 +61,8 @@ class Verdict:
     steps : the steps with a judged answer; error_move : their largest error of the first move.
     p99_ns : limiting p99 of the algorithmic step time: the largest p99 of all replays and windows,
         each by as much longer as the closed loop has more iterations (`untimed_iterations.py`);
-        that of `p99_run`, with `p99_interval` [ns], unknown of a window or a longer p99.
+        that of `p99_run`, with `p99_interval` [ns], unknown of a window or a longer p99, and
+        `p99_wait_ns`, the wait for the core in the step at it.
     p50_ns : on the sequence `timed_on`, of those replayed whole one that all timed configurations
         have in common, else that of the worst p99, or of the worst p50 where none supports a p99;
         NaN where the configuration has timed all steps of none.
@@ -93,6 +94,7 @@ class Verdict:
     p50_ns: float = math.nan
     p99_ns: float = math.nan
     p99_interval: Interval = UNKNOWN
+    p99_wait_ns: float = 0.0
     p99_run: RunRecord | None = None
     timed_on: str = ""
     rounds_ns: tuple[float, float] = (math.nan, math.nan)

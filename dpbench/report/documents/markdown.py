@@ -18,6 +18,7 @@ from dpbench.report.embedded_text import yield_uncounted_sentences
 from dpbench.report.formats import (
     MISSING,
     describe_range_of_steps,
+    describe_wait,
     escape_markdown,
     escape_markdown_paragraph,
     explain_range_of_steps,
@@ -362,7 +363,9 @@ def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[
             verdict.configuration.call_text,
             verdict.state,
             format_time(verdict.p50_ns),
-            format_time(verdict.p99_ns) + format_p99_interval(verdict.p99_interval),
+            format_time(verdict.p99_ns)
+            + format_p99_interval(verdict.p99_interval)
+            + describe_wait(verdict.p99_ns, verdict.p99_wait_ns),
             format_time(verdict.longest_ns)
             + describe_hardest_wait(data.records, verdict.longest_run),
             MISSING

@@ -369,7 +369,8 @@ def describe_limiting_time(verdict: Verdict) -> str:
     if 0 < searched < LEAST_STRETCH:
         return f"longest step is {time}, over the {plural(searched, 'step')} of `{run.scenario}`"
     interval = format_p99_interval(verdict.p99_interval)
-    return f"limiting p99 is {time}{interval}, in {name_experiment(run)}"
+    wait = describe_wait(verdict.p99_ns, verdict.p99_wait_ns)
+    return f"limiting p99 is {time}{interval}{wait}, in {name_experiment(run)}"
 
 
 def format_p99_interval(interval: Interval) -> str:

@@ -609,6 +609,7 @@ def test_the_figures_are_of_the_replay_with_the_limiting_p99(records: Any) -> No
         "iterations": (3.0, 9.0),
         "disturbed_spread": 1.0,
         "p99_ns": 50e3,
+        "p99_wait_ns": 0.0,
         "timed_on": "calm",
         "rounds_ns": (20e3, 25e3),
         "replay_p99_ns": 20e3,

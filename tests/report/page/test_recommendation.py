@@ -30,7 +30,11 @@ from dpbench.report.page.recommendation import (
 )
 from dpbench.report.page.write import make_page_document
 from dpbench.report.report import Report
-from dpbench.report.verdict.verdict_text import describe_stopped_runs, format_p99_interval
+from dpbench.report.verdict.verdict_text import (
+    describe_limiting_time,
+    describe_stopped_runs,
+    format_p99_interval,
+)
 
 
 def _facts(records: Any) -> PageData:
@@ -96,6 +100,21 @@ def test_the_markdown_is_short_and_its_table_that_of_the_verdicts(written: Any) 
         assert row["longest step"] == format_time(verdict.longest_ns)
         assert row["largest error [maximum increments]"] == format_error(verdict.error_move)
         assert row["failed steps"] == str(verdict.failed_steps)
+
+
+def test_a_wait_for_the_core_is_named_beside_the_limiting_p99(records: Any) -> None:
+    """Twelve of 1000 steps took 4 ms in every round, 3 ms of it waiting."""
+    records.loop("daqp")
+    records.replay("daqp", median_us=20.0, spread=0.0)
+    frame = records._steps[-1]
+    frame["waited_ns"] = 0
+    frame.loc[frame["k"] < 12, ["total_ns", "waited_ns"]] = 4_000_000, 3_000_000
+    report = Report.from_results(records.results())
+    (verdict,) = report.data.verdicts.all_verdicts
+    wait = " (including a wait of 3.00 ms for the core)"
+    assert f"{wait}, in the replay of `paper`" in describe_limiting_time(verdict)
+    interval = format_p99_interval(verdict.p99_interval)
+    assert f"| 4.00 ms{interval}{wait} |" in make_report_markdown(report)
 
 
 def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(records: Any) -> None:
@@ -183,7 +202,8 @@ def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: 
         r"; limiting p99 is [\d.]+ µs \(95 %: .*\), in the replay of paper: the error",
         lines[0],
     )
-    initial = "; rho is only an initial value in osqp, as adaptive_rho is on."
+    adapts = "; rho is only an initial value in osqp, as adaptive_rho is on"
+    initial = f"{adapts} (fix it with adaptive_rho=false)."
     assert [line.endswith(initial) for line in lines] == [True, True]
     assert "| osqp | native warm, rho=1.6 | fail |" in make_report_markdown(report)
 
@@ -206,7 +226,8 @@ def test_a_grid_that_fails_everywhere_has_one_line(records: Any) -> None:
     assert line.endswith(
         "; eps_rel is left at osqp's default 0.001, so a solve can end before it reaches eps_abs."
     )
-    assert "; rho is only an initial value in osqp, as adaptive_rho is on; eps_rel is" in line
+    assert "; rho is only an initial value in osqp, as adaptive_rho is on (fix it with " in line
+    assert "adaptive_rho=false); eps_rel is" in line
     assert line in make_report_markdown(report)
 
 
