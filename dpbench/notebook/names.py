@@ -1,6 +1,7 @@
 """Names that the functions of the package take: of solvers, scenarios, suites and sequences."""
 
 from dpbench.display import make_html_table
+from dpbench.errors import require_type
 from dpbench.scenario.problem_files import SEQUENCES, list_shipped_problem_names
 from dpbench.solvers.settings import list_options_by_route
 from dpbench.solvers.table import (
@@ -24,6 +25,7 @@ class SolverNames(list[str]):
         >>> "rho" in list_solvers().options("osqp")["native"]
         True
         """
+        require_type("name", name, str, "the name of a solver")
         return list_options_by_route(name)
 
     def __repr__(self) -> str:

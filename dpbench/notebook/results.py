@@ -259,6 +259,9 @@ class Results(result_folder.Results):
         >>> results.paired_ratios("daqp", "quadprog")["second"].tolist()
         ['quadprog (qpsolvers fresh)']
         """
+        for choice in choices:
+            allowed = "names of configurations, each an argument: 'daqp', 'osqp high'"
+            require_type("choices", choice, str, allowed)
         if choices:
             self.recorded.require_file()
             rows = [one.table_row for one in compare_chosen(Records(self), choices)]
@@ -293,6 +296,7 @@ class Results(result_folder.Results):
         >>> "daqp & qpsolvers" in latex
         True
         """
+        require_type("table", table, str | pd.DataFrame, "the name of a table, or a data frame")
         require_lists_of_names({}, columns=columns, solvers=solvers)
         if isinstance(table, str):
             if table not in self.tables:
@@ -455,7 +459,7 @@ class _Tables(dict[str, pd.DataFrame]):
 
     def __missing__(self, name: str) -> pd.DataFrame:
         """Raise KeyError that names the nearest tables."""
-        raise KeyError(f"no table {name!r}; allowed: {format_allowed_names(name, list(self))}")
+        raise KeyError(f"no table {name!r}; allowed: {format_allowed_names(str(name), list(self))}")
 
 
 class _StoredTables(_Tables):

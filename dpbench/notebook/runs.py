@@ -459,7 +459,7 @@ def replay(
 
 def _refuse_unknown_choice(function: str, key: str, value: str, allowed: Collection[str]) -> None:
     """Raise InputError, named after a function, unless a value is one of those allowed."""
-    if value not in allowed:
+    if value not in tuple(allowed):  # A list has no hash to look for
         raise InputError(function, key, repr(value), f"one of {', '.join(allowed)}")
 
 

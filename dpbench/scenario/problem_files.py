@@ -280,7 +280,7 @@ def validate_settings_as_model(document: dict[str, Any], model: type[_Model], wh
             found = cause.found[:200]
             key = format_key_path([*first["loc"], *cause.keys], is_table=True)
         elif isinstance(value, dict):
-            found = f"keys {', '.join(value)}" if value else "no keys"
+            found = f"keys {', '.join(map(str, value))}" if value else "no keys"
         raise InputError(where, key, found, message) from None
 
 

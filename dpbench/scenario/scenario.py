@@ -289,6 +289,8 @@ class Scenario:
         ('weather-environment.wind.speed_mps=16.0', 16.0)
         """
         require_type("values", values, Mapping, "a mapping from keys to values")
+        for key in values:
+            require_type("values", key, str, "keys as text, such as 'environment.seed'")
         values = {
             key: value.tolist() if isinstance(value, np.generic | np.ndarray) else value
             for key, value in values.items()

@@ -1,7 +1,7 @@
 """A plain function as a solver of policy `fresh`: the shortest plug-in."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Concatenate
 
 from dpbench.errors import InputError, require_type, shorten_found
@@ -112,6 +112,8 @@ def opener(name: str, solve: Solve) -> Callable[[Policy, Options], Workspace]:
     def open_function(policy: Policy, options: Options) -> Workspace:
         if policy != "fresh":
             raise InputError(where, "policy", repr(policy), "'fresh', as the solver is a function")
+        allowed = "a mapping from names of options to values, or {}"
+        require_type("options", options, Mapping, allowed)
         try:
             inspect.signature(solve).bind(None, **options)
         except TypeError:

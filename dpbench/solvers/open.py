@@ -62,6 +62,7 @@ def open_workspace(
     <Workspace of osqp (native, warm, eps_abs=1e-05)>
     """
     require_type("solver", solver, str, "the name of a solver")
+    require_type("route", route, str | None, "the name of a route")
     require_type("policy", policy, str, "the name of a policy")
     allowed = "a name such as 'high', a tolerance as text such as '1e-4', or a mapping of options"
     require_type("settings", settings, str | Mapping, allowed)

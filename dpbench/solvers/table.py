@@ -3,13 +3,14 @@
 import importlib
 import sys
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import metadata
 from importlib.abc import MetaPathFinder
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
+from os import PathLike
 from pathlib import Path
 
 from dpbench.errors import (
@@ -17,6 +18,7 @@ from dpbench.errors import (
     SolverUnavailableError,
     UnknownNameError,
     format_allowed_names,
+    require_type,
 )
 from dpbench.solvers import plugins
 from dpbench.solvers.adapter import NativeAdapter, QpsolversAdapter, read_solved_flag_as_claim
@@ -167,9 +169,14 @@ def load_plugin_solver_from_file(path: str | Path, *, tried: bool = False) -> So
 
 def list_plugin_files(solver_module: PluginFiles) -> list[str]:
     """Return the files of plug-ins in an argument: one, several or none."""
-    if isinstance(solver_module, str | Path):
+    if isinstance(solver_module, str | PathLike):
         return [str(solver_module)]
-    return [*map(str, solver_module or ())]
+    allowed = "a Python file, or a list of Python files"
+    require_type("solver_module", solver_module, Iterable | None, allowed)
+    files = [*(solver_module or ())]
+    for file in files:
+        require_type("solver_module", file, str | PathLike, allowed)
+    return [*map(str, files)]
 
 
 def load_plugin_solvers(solver_module: PluginFiles) -> None:

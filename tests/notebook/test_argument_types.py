@@ -10,6 +10,16 @@ import dpbench
 from dpbench import CondensedQP, condense, load_scenario
 from dpbench.errors import ShapeError
 
+
+def _make_linear_mpc(**changed: Any) -> dpbench.LinearMPC:
+    """An integrator with one input, with arguments changed."""
+    one: dict[str, Any] = {key: [[1.0]] for key in "ABC"}
+    one |= {key: [1.0] for key in ("output_weight", "increment_weight", "u_max", "du_max")}
+    one |= {"name": "one", "sample_s": 0.1, "steps": 2, "u_min": [-1.0], "reference": [1.0]}
+    one |= {"prediction_horizon": 3, "control_horizon": 2}
+    return dpbench.LinearMPC.from_continuous(**one | changed)
+
+
 CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "problem": (lambda: CondensedQP("paper"), "CondensedQP: problem: found 'paper'; allowed: a C"),
     "outputs": (
@@ -34,6 +44,68 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "values": (lambda: load_scenario("paper").with_keys(5), "values: found 5; allowed: a mapping"),
     "policy": (lambda: dpbench.open_workspace("daqp", policy=["warm"]), "policy: found ['warm']"),
     "option": (lambda: dpbench.open_workspace("daqp", settings={5: 1}), "settings: found 5; all"),
+    "options": (lambda: dpbench.list_solvers().options(3), "name: found 3; allowed: the name of a"),
+    "no name": (lambda: dpbench.list_solvers().options(["osqp"]), "name: found ['osqp']; allowed"),
+    "choices": (
+        lambda: vars(dpbench.Results)["paired_ratios"](None, ["daqp", "osqp"]),
+        "choices: found ['daqp', 'osqp']; allowed: names of configurations, each an argument: 'd",
+    ),
+    "a table": (
+        lambda: vars(dpbench.Results)["to_latex"](None, 3),
+        "table: found 3; allowed: the name of a table, or a data frame",
+    ),
+    "a key": (
+        lambda: load_scenario("paper").with_keys({3: 4}),
+        "values: found 3; allowed: keys as text, such as 'environment.seed'",
+    ),
+    "options of a function": (
+        lambda: dpbench.opener("mine", len)("fresh", 3),
+        "options: found 3; allowed: a mapping from names of options to values, or {}",
+    ),
+    "a plug-in": (
+        lambda: dpbench.run_campaign("smoke", "x", solver_module=3),
+        "solver_module: found 3; allowed: a Python file, or a list of Python files",
+    ),
+    "plug-ins": (
+        lambda: dpbench.run_campaign("smoke", "x", solver_module=[3]),
+        "solver_module: found 3; allowed: a Python file, or a list of Python files",
+    ),
+    "a scheduler": (
+        lambda: dpbench.run_campaign("smoke", "x", engine="dask", scheduler=3),
+        "scheduler: found 3; allowed: the address of a Dask scheduler",
+    ),
+    "certificates": (
+        lambda: dpbench.run_campaign("smoke", "x", engine="dask", scheduler="tls://x:1", tls=3),
+        "tls: found 3; allowed: the files of the certificate authority, the certificate and the",
+    ),
+    "a route": (lambda: dpbench.open_workspace("daqp", route=[3]), "route: found [3]; allowed: th"),
+    "a reference": (lambda: dpbench.compare("a", "b", reference=[3]), "reference: found [3]; allo"),
+    "QPs": (
+        lambda: dpbench.export_sequence(3, "x.mat", format="mat"),
+        "what: found 3; allowed: a Scenario, a QPSequence, or the name or file of a scenario or",
+    ),
+    "horizons": (
+        lambda: dpbench.export_sequence("paper", "x.npz", horizons=30),
+        "horizons: found 30; allowed: text N_p/N_c, such as '30/5'",
+    ),
+    "exported steps": (
+        lambda: dpbench.export_sequence("paper-30-5", "x.npz", steps="9"),
+        "steps: found '9'; allowed: a whole number",
+    ),
+    "optima": (
+        lambda: dpbench.save_sequence("a.npz", dpbench.load_sequence("paper-30-5"), [3]),
+        "save_sequence: optima: found 3; allowed: a list of Optimum, one per QP",
+    ),
+    "a plant": (lambda: _make_linear_mpc(name=3), "LinearMPC: name: found 3; allowed: a name with"),
+    "signals": (lambda: _make_linear_mpc(inputs=3), "one: inputs: found 3; allowed: a sequence of"),
+    "a horizon": (
+        lambda: _make_linear_mpc(control_horizon=2.5),
+        "one: control_horizon: found 2.5; allowed: a whole number",
+    ),
+    "a sample": (
+        lambda: _make_linear_mpc(sample_s="1"),
+        "one: sample_s: found '1'; allowed: a num",
+    ),
     "a name": (lambda: dpbench.opener(3, len), "name: found 3; allowed: the name of the solver"),
     "slowdown": (
         lambda: dpbench.run_closed_loop("paper", "daqp", steps=2, slowdown="10"),
@@ -47,7 +119,7 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: dpbench.run_closed_loop("paper", "daqp", steps=2, backup=5),
         "backup: found 5; allowed: the name of a solver",
     ),
-    "a reference": (
+    "a setpoint": (
         lambda: condense("paper").emit(np.zeros(9), [0.0, 0.0, 0.0], np.zeros(3)),
         "emit: y_ref: found [0.0, 0.0, 0.0]; allowed: an array",
     ),
@@ -61,6 +133,16 @@ def test_a_wrong_type_is_named_with_its_argument(name: str) -> None:
         call()
     text = str(caught.value)
     assert words in text and "\n" not in text
+
+
+def test_a_list_where_a_choice_belongs_is_no_choice() -> None:
+    words = r"run_closed_loop: fallback: found \['hold'\]; allowed: one of shifted_plan, hold, clip"
+    with pytest.raises(dpbench.InputError, match=words):
+        dpbench.run_closed_loop("paper", "daqp", fallback=["hold"])
+    with pytest.raises(dpbench.InputError, match=r"environment\.seed: found keys 3; allowed: "):
+        load_scenario("paper").with_keys({"environment.seed": {3: 4}})
+    with pytest.raises(dpbench.InputError, match=r"`tls`: found 'a\.pem'; allowed: the files of"):
+        dpbench.run_campaign("smoke", "x", engine="dask", scheduler="tls://x:1", tls="a.pem")
 
 
 @pytest.mark.parametrize(

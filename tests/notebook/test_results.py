@@ -117,6 +117,8 @@ def test_every_table_in_latex_is_complete_ascii(results: Results) -> None:
 def test_an_unknown_table_is_named_with_the_nearest(results: Results) -> None:
     with pytest.raises(KeyError, match="no table 'verdict'; allowed: one of verdicts"):
         results.tables["verdict"]
+    with pytest.raises(KeyError, match="no table 3; allowed: one of "):
+        results.tables[3]
 
 
 def test_a_ratio_of_one_run_to_itself_is_empty_in_latex(results: Results) -> None:

@@ -13,7 +13,7 @@ from dpbench.bench.workers.child import has_compiled_kernels, start_forkserver
 from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob
 from dpbench.bench.workers.scratch import Scratch
-from dpbench.errors import InputError, SituationError
+from dpbench.errors import InputError, SituationError, require_type, shorten_found
 from dpbench.locks import WaitLimit, find_safe_lock_folder
 
 COMPILING = "compiling the kernels, once after installation: up to a minute"
@@ -111,6 +111,11 @@ def check_engine_options(
     name: str, jobs: int | None, scheduler: str | None, tls: TlsFiles | None
 ) -> int:
     """Return how many runs to do at a time; InputError for options that do not fit an engine."""
+    require_type("scheduler", scheduler, str | None, "the address of a Dask scheduler")
+    three_files = "the files of the certificate authority, the certificate and the key"
+    require_type("tls", tls, Sequence | None, three_files)
+    if tls is not None and len(tls) != 3:
+        raise InputError("`tls`", "", shorten_found(tls), three_files)
     if name not in ENGINES:
         raise InputError("`engine`", "", repr(name), " or ".join(ENGINES))
     if name == "local" and scheduler is not None:

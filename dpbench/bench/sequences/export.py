@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
+from numbers import Integral
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -107,7 +108,7 @@ def export_sequence(
     >>> export_sequence("turn", "step-4.npz", at=4).split(";")[0]
     'step-4.npz: 1 QP, n = 30, m = 30'
     """
-    require_type("out", out, str | PathLike, "a path")
+    _require_types(what, out, horizons, steps=steps, every=every, at=at)
     target = Path(out)
     if format not in FORMATS:
         raise InputError("`format`", "", repr(format), ", ".join(FORMATS))
@@ -140,6 +141,18 @@ def export_sequence(
     without = f"; {left_out} left out, as they have no optimum" if some else ""
     about = source.describe_sequence(recorded.sequence, recorded.optima or [])
     return f"{written}: {about}{without}"
+
+
+def _require_types(what: object, out: object, horizons: object, **numbers: object) -> None:
+    """Raise TypeError for an argument of `export_sequence` of another type, and for no path."""
+    named = "the name or file of a scenario or a sequence (TOML, .npz)"
+    kinds = str | Path | Scenario | QPSequence
+    require_type("what", what, kinds, f"a Scenario, a QPSequence, or {named}")
+    require_type("out", out, str | PathLike, "a path")
+    require_type("horizons", horizons, str | None, "text N_p/N_c, such as '30/5'")
+    for name, number in numbers.items():
+        kind = Integral if name == "every" else Integral | None
+        require_type(name, number, kind, "a whole number")
 
 
 def check_export_options(options: dict[str, Any]) -> None:

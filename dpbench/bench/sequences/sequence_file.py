@@ -130,6 +130,10 @@ def save_sequence(
     """
     require_type("save_sequence: path", path, str | PathLike, "a path")
     require_type("save_sequence: sequence", sequence, QPSequence, "a QPSequence")
+    allowed = "a list of Optimum, one per QP"
+    require_type("save_sequence: optima", optima, Sequence | None, allowed)
+    for optimum in optima or ():
+        require_type("save_sequence: optima", optimum, Optimum, allowed)
     if (path := Path(path)).suffix != ".npz":
         allowed = "a name that ends in .npz; for other formats, use `export_sequence()`"
         raise InputError("save_sequence", "path", repr(path.name), allowed)

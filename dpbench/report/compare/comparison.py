@@ -442,6 +442,7 @@ def compare(
     >>> {figure.change for figure in comparison.figures}
     {'same'}
     """
+    require_type("reference", reference, str | None, "the name of a solver")
     require_type("margin", margin, Real, "a number above 0, such as 0.05 for 5 %")
     require_type("alpha", alpha, Real, "a number above 0 and below 0.5")
     if not (margin > 0.0 and math.isfinite(margin)):

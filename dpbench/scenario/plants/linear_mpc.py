@@ -4,14 +4,22 @@ Its QPs are built as those of the ship's controller: from the incremental model 
 y = C x, with limits of u and of its change, condensed.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from numbers import Integral, Real
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dpbench.arrays import Matrix, Vector
-from dpbench.errors import InputError, ShapeError, require_integer_at_least, shorten_found
+from dpbench.errors import (
+    InputError,
+    ShapeError,
+    require_integer_at_least,
+    require_type,
+    shorten_found,
+)
 from dpbench.files.regular_files import is_plain_file_name
 from dpbench.mpc.condense import ControlProblem, Terminal
 from dpbench.mpc.condensed_qp import CondensedQP
@@ -97,11 +105,13 @@ class LinearMPC:
     controller: LinearController = field(init=False)
 
     def __post_init__(self) -> None:
+        require_type("LinearMPC: name", self.name, str, "a name without a path")
         if not is_plain_file_name(self.name):
             raise InputError("LinearMPC", "name", repr(self.name), "a name without a path")
         require_integer_at_least(f"{self.name}: steps", self.steps, 1)
-        if not (np.isfinite(self.sample_s) and self.sample_s > 0.0):
-            raise InputError(self.name, "sample_s", self.sample_s, "a number above 0")
+        for key in ("prediction_horizon", "control_horizon"):
+            require_type(f"{self.name}: {key}", getattr(self, key), Integral, "a whole number")
+        _require_sample_s(self.name, self.sample_s)
         A, B, C = (_to_array(self.name, key, getattr(self, key), 2) for key in "ABC")
         model = StateSpace(A, B, C)
         object.__setattr__(self, "model", model)
@@ -112,6 +122,7 @@ class LinearMPC:
             if isinstance(given, str):
                 allowed = f"a sequence of names, such as ({given!r},)"
                 raise InputError(self.name, key, repr(given), allowed)
+            require_type(f"{self.name}: {key}", given, Iterable, "a sequence of names")
             names = tuple(given) or tuple(f"{letter}{i}" for i in range(count))
             if len(names) != count or len(set(names)) != count:
                 allowed = f"{count} different names" if count > 1 else "1 name"
@@ -137,6 +148,7 @@ class LinearMPC:
         array([[0.1]])
         """
         name = str(others.get("name", "LinearMPC"))
+        _require_sample_s(name, sample_s)
         matrices = (_to_array(name, key, m, 2) for key, m in zip("ABC", (A, B, C), strict=True))
         model = discretise_zero_order_hold(StateSpace(*matrices), sample_s)
         return cls(A=model.A, B=model.B, C=model.C, sample_s=sample_s, **others)
@@ -264,6 +276,14 @@ class LinearMPC:
         if vector.shape != (size,):
             raise ShapeError.from_shapes(self.name, key, vector.shape, f"shape ({size},)")
         return vector
+
+
+def _require_sample_s(name: str, sample_s: float) -> None:
+    """Raise TypeError or InputError for a sample time that is not a number above 0."""
+    allowed = "a number above 0"
+    require_type(f"{name}: sample_s", sample_s, Real, allowed)
+    if not (np.isfinite(sample_s) and sample_s > 0.0):
+        raise InputError(name, "sample_s", sample_s, allowed)
 
 
 def _to_array(name: str, key: str, values: ArrayLike, dimensions: int) -> Matrix:
