@@ -28,7 +28,8 @@ _config: Any = numba.config  # type: ignore[attr-defined,unused-ignore] # as abo
 _app_dirs: Any = AppDirs
 _locator: Any = UserProvidedCacheLocator
 _Listener: Any = event.Listener
-COMPILING = "dpbench: compiling the kernels, once after installation: up to a minute"
+COMPILING = "compiling kernels before their first use: up to a minute"
+"""Line of a session and of a campaign; other scenarios may use further kernels later."""
 _OWN_PROCESSES = {"dpbench.cli", "dpbench.bench.workers.template"}
 """Modules of commands and workers, where a campaign has a line of its own."""
 _NO_PLACE = "cannot cache function"
@@ -66,14 +67,20 @@ class _CompilationNotice(_Listener):  # type: ignore[misc] # Numba's class is un
         is_due = not self.is_printed and _OWN_PROCESSES.isdisjoint(sys.modules)
         if is_due and kernel.__module__.startswith("dpbench."):
             self.is_printed = True
-            print(COMPILING, file=sys.stderr, flush=True)
+            print(f"dpbench: {COMPILING}", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
         """Do nothing at the end of a compilation; Numba requires this method."""
 
 
 _install_notice: Any = event.register
-_install_notice("numba:compile", _CompilationNotice())
+_notice = _CompilationNotice()
+_install_notice("numba:compile", _notice)
+
+
+def is_compilation_announced() -> bool:
+    """Return whether this session in Python has printed that kernels are compiled."""
+    return _notice.is_printed
 
 
 def list_numba_cache_folders() -> list[Path]:

@@ -72,7 +72,7 @@ def test_a_session_in_python_announces_compilation_once(tmp_path: Path) -> None:
         )
         return done.stderr.splitlines()
 
-    assert run("session") == [kernel_cache.COMPILING]
+    assert run("session") == [f"dpbench: {kernel_cache.COMPILING}"]
     assert run("session") == [] == run("command", "dpbench.cli")
 
 

@@ -14,9 +14,9 @@ from dpbench.bench.workers.executor import CellExecutor
 from dpbench.bench.workers.jobs import Batch, CellBatch, CellJob
 from dpbench.bench.workers.scratch import Scratch
 from dpbench.errors import InputError, SituationError, require_type, shorten_found
+from dpbench.kernel_cache import COMPILING, is_compilation_announced
 from dpbench.locks import WaitLimit, find_safe_lock_folder
 
-COMPILING = "compiling the kernels, once after installation: up to a minute"
 ENGINES = ("local", "dask")
 
 
@@ -35,7 +35,7 @@ class LocalEngine(ExitStack):
 
     def prepare(self, sources: SourceFiles, jobs: Sequence[CellJob], progress: Progress) -> None:
         """Start the server that forks processes, open temporary folders, check machine load."""
-        if not has_compiled_kernels():
+        if not (has_compiled_kernels() or is_compilation_announced()):
             progress.remark(COMPILING)
         self._sources = sources
         self._scratch = self.enter_context(Scratch(sources.folder))

@@ -5,6 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from dpbench import kernel_cache
+from dpbench.bench.engines import open_engine
+from dpbench.bench.engines.engine import SourceFiles
+from dpbench.bench.progress import Silent
 from dpbench.cli.main import main
 
 
@@ -35,3 +39,18 @@ def test_without_the_extra_the_line_names_it(
     line = refused(["--engine", "dask"], tmp_path, capsys)
     assert "--engine: dask needs the " in line and " package, which is not installed" in line
     assert "pip install 'dpbench[cluster]'" in line and "or use the local engine" in line
+
+
+@pytest.mark.parametrize("is_announced", [False, True])
+def test_a_session_announces_the_compilation_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_announced: bool
+) -> None:
+    """A closed loop in the session compiles most kernels, and the campaign after it the others."""
+    monkeypatch.setattr(kernel_cache._notice, "is_printed", is_announced)
+    monkeypatch.setattr(open_engine, "has_compiled_kernels", lambda: False)
+    remarks: list[str] = []
+    progress = Silent()
+    monkeypatch.setattr(progress, "remark", remarks.append)
+    with open_engine.LocalEngine(1) as engine:
+        engine.prepare(SourceFiles(tmp_path), [], progress)
+    assert remarks == [kernel_cache.COMPILING] * (not is_announced)
