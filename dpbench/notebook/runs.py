@@ -66,6 +66,8 @@ from dpbench.solvers.own_settings import encode_options_as_json, format_options_
 from dpbench.solvers.table import Availability, find_solver_availability
 
 MOST_LETTERS = 100  # Letters of a reason in the text form
+_OF_ALL_SOLVES = " in all rounds and the warm-up"
+"""What the failures of a replay are counted over; a failed step counts once in all rounds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +166,7 @@ class Run:
             "reported solved but not verified": self._unverified_text or "0",
             "failed steps": format_count(row["failed_steps"]),
             "late": self._late_text,
-            "failures": row["outcome_detail"],
+            f"failures{'' if self._is_closed_loop else _OF_ALL_SOLVES}": row["outcome_detail"],
             "largest error of the first move": format_error(row["error_move_max"]),
             f"median step time{note and f', {note}'}": time,
         }

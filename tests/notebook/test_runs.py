@@ -249,6 +249,21 @@ def test_a_function_that_fails_is_named_with_its_reason() -> None:
     assert re.search(words, repr(run))
 
 
+def test_the_failures_of_a_replay_are_those_of_the_rows_of_its_steps() -> None:
+    """Not those of the solves before each round, which have no row."""
+
+    def fail(qp: QuadraticProgram) -> Solution:
+        raise ZeroDivisionError
+
+    run = replay("paper-30-5", opener("failing", fail)("fresh", {}), repeats=2, warmup_steps=9)
+    cells = _Cells(run._repr_html_()).cells
+    number = cells[cells.index("failures in all rounds and the warm-up") + 1].partition(" × ")[0]
+    assert int(number) == len(run.steps) == 2 * 75 + 9
+    assert cells[cells.index("failed steps") + 1] == "75"
+    loop = run_closed_loop("paper", opener("failing", fail)("fresh", {}), steps=3)
+    assert "3 × ZeroDivisionError: " in loop._repr_html_()
+
+
 def test_objects_say_what_they_are_in_a_line(loop: Run, replayed: Run) -> None:
     scenario = load_scenario("paper")
     qp = condense(scenario).problem(condense(scenario).emit(np.ones(9), np.zeros(3), np.zeros(3)))
@@ -289,7 +304,7 @@ def test_what_only_the_library_refuses_is_in_the_outcome(replayed: Run) -> None:
     assert re.fullmatch(r"\d+ × TypeError: an integer is required", run.summary["outcome_detail"])
     assert run.summary["outcome_detail"] in _Cells(run._repr_html_()).cells
     assert replayed.summary["outcome_detail"] == ""
-    assert "failures" not in _Cells(replayed._repr_html_()).cells
+    assert "failures" not in replayed._repr_html_()
 
 
 def test_the_time_of_a_replay_is_the_least_over_its_rounds(loop: Run) -> None:

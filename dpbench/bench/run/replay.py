@@ -129,13 +129,14 @@ class ReplayRun:
             # Else the step size that OSQP has adapted in one round would change the next.
             solver.reset()
             for k in range(len(self._lead)):
-                if not is_usable(solver.answer(solver.formulate(self._lead.step(k)))):
+                step = solver.formulate(self._lead.step(k))
+                if not is_usable(solver.answer_without_record(step)):
                     solver.reset()
             return
         for k in range(min(self._preroll, steps)):
             if k in self._hung:
                 continue
-            solver.answer(solver.formulate(self.sequence.step(k)))
+            solver.answer_without_record(solver.formulate(self.sequence.step(k)))
             # A solver that remembers answers has seen this step now; its time is in no row.
             log.first_ns[k] = log.first_ns[k] or -1
         solver.reset()

@@ -183,6 +183,14 @@ class TimedSolver:
         self.reset()
         self.details.clear()
 
+    def answer_without_record(self, step: QPStep) -> Solution:
+        """Solve one step's QP as `answer`, but count no failure: no row of the run has it."""
+        counted = self.details.copy()
+        answer = self.answer(step)
+        self.details.clear()
+        self.details.update(counted)
+        return answer
+
     def answer(self, step: QPStep) -> Solution:
         """Solve one step's QP, timed, and return the answer to its condensed form.
 
