@@ -54,6 +54,7 @@ from dpbench.report.formats import (
 from dpbench.report.ship.ship_text import (
     ShipSummary,
     describe_departure_with_solver,
+    describe_ship_of_run,
     summarise_ships,
 )
 from dpbench.report.verdict.findings_text import describe_caching_sign
@@ -151,7 +152,7 @@ class Run:
             f"error_move ≤ {format_error(row['error_move_max'])}, p50 {time}{note and f' ({note})'}"
             f"{f'; {self._machine_text}' if self._machine_text else ''}"
             f"{f'; {self._caching_text}' if self.remembers else ''}"
-            f"{''.join(f'; {line}' for line in self._ship_warnings)}>"
+            f"{''.join(f'; {line}' for line in self._ship_lines)}>"
         )
 
     def _repr_html_(self) -> str:
@@ -160,7 +161,7 @@ class Run:
         time, note = self._time_text
         fields = {
             "warning": "inaccurate" if self._is_inaccurate else self._uncertified_text,
-            "ship": self._departure_text,
+            "ship in this run": self._own_ship_text,
             "steps": self._steps_text,
             "answers verified": format_share(row["true_share"]),
             "reported solved but not verified": self._unverified_text or "0",
@@ -278,25 +279,24 @@ class Run:
         return ShipResult(run.scenario, run)
 
     @property
-    def _departure_text(self) -> str:
-        """Sentence on a ship that this solver alone does not hold on station; "" for none."""
+    def _own_ship_text(self) -> str:
+        """Sentence on the ship of this run, which this solver alone may lose; "" without a ship."""
         if self.scenario is None:
             return ""
         exact, state = self._exact_ship, self.steps[list(STATE)].to_numpy()
         own: dict[str, Any] = compute_track_metrics(self.scenario, state)
         ship = ShipResult(exact.name, replace(exact.run, **own))
-        return describe_departure_with_solver(exact, ship)
+        return describe_departure_with_solver(exact, ship) or describe_ship_of_run(ship)
 
     @property
-    def _ship_warnings(self) -> list[str]:
-        """Sentences of the text form on a ship that leaves its station or does not arrive."""
+    def _ship_lines(self) -> list[str]:
+        """Sentences of the text form on this run's ship, and on one lost in the reference loop."""
         if self.scenario is None:
             return []
         has_arrived = self._exact_ship.state != "not arrived"
         away = self._ship.warning or ("" if has_arrived else self._ship.state)
-        own = f"largest offset of this run {significant(self.summary['r_max_m'])} m"
-        both = f"{own}; reference loop: {away}" if away else ""
-        return [text for text in (self._departure_text, both) if text]
+        exact = f"reference loop: {away}" if away else ""
+        return [text.removesuffix(".") for text in (self._own_ship_text, exact) if text]
 
     def _describe_control(self) -> dict[str, str]:
         """Return a closed loop's position errors, fallbacks and reference loop, by field name."""

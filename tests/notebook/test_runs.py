@@ -236,8 +236,29 @@ def test_a_ship_that_only_the_solver_loses_is_named() -> None:
     assert words in repr(run_closed_loop("move", zero))
     text = repr(run_closed_loop("move", zero, steps=30))
     assert "With this solver" not in text
-    exact = "m; reference loop: The ship is not at its setpoint at the end of `move`"
-    assert re.search(rf"; largest offset of this run [\d.]+ {exact}", text)
+    exact = "; reference loop: The ship is not at its setpoint at the end of `move`"
+    own = r"is not at its setpoint at the end \(largest offset 25\.0 m of 5 m, heading .+° of 5°\)"
+    assert re.search(rf"; In this run, the ship {own}{exact}", text)
+
+
+def test_a_run_shows_whether_its_ship_stays_on_station(loop: Run, replayed: Run) -> None:
+    """With its largest offset and heading error beside the limits, also of a lost ship."""
+    turned = rf"{loop.summary['heading_max_deg']:.3g}° of 5°\)"
+    far = r"largest offset 1\.77 m of 5 m"
+    words = rf"In this run, the ship stays on station \({far}, heading error {turned}"
+    cells = _Cells(loop._repr_html_()).cells
+    for text in (repr(loop), cells[cells.index("ship in this run") + 1]):
+        assert re.search(words, text)
+    assert "In this run" not in repr(replayed) + replayed._repr_html_()
+    steps = loop.steps.assign(e_m=np.linspace(1.0, 9.0, STEPS))
+    lost = replace(loop, steps=steps, summary=loop.summary.copy())
+    lost.summary["exact_left_s"] = 0.3  # the reference loop loses it, too
+    words = (
+        r"In this run, the ship leaves its station at \d\.\d* s \(largest offset 9\.\d* m of 5 m"
+    )
+    assert re.search(words, repr(lost))
+    moved = run_closed_loop("move", "daqp")
+    assert "the ship stays on station (largest offset after its arrival 0.4" in repr(moved)
 
 
 def test_a_function_that_fails_is_named_with_its_reason() -> None:
@@ -274,7 +295,7 @@ def test_objects_say_what_they_are_in_a_line(loop: Run, replayed: Run) -> None:
         (replayed, ("daqp", "replay paper", "12 of 12 steps")),
     ):
         text = repr(shown)
-        assert len(text) < 150 and "\n" not in text
+        assert len(text) < 220 and "\n" not in text
         assert all(word in text for word in words), text
 
 

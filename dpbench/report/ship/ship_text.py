@@ -257,6 +257,31 @@ def describe_departure_with_solver(exact: ShipResult, own: ShipResult) -> str:
     )
 
 
+_IN_RUN = {
+    "on station": "stays on station",
+    "leaves": "leaves its station at {left} s",
+    "leaves and returns": "leaves its station at {left} s and returns",
+    "not arrived": "is not at its setpoint at the end",
+}
+"""Results for the ship of one closed loop in words, by `ShipResult.state`."""
+
+
+def describe_ship_of_run(own: ShipResult) -> str:
+    """Return a sentence on the ship of a solver's loop, with its largest offsets and their limits.
+
+    "" without a ship. After a transfer, offsets count from the arrival on.
+    """
+    if own.state == "not run":
+        return ""
+    run, since = own.run, " after its arrival" * own.has_transfer
+    state = _IN_RUN[own.state].format(left=significant(run.exact_left_s))
+    return (
+        f"In this run, the ship {state} (largest offset{since} "
+        f"{significant(run.exact_offset_max_m)} m of {run.station_radius_m:.3g} m, heading error "
+        f"{significant(run.exact_heading_max_deg)}° of {HEADING_DEG:g}°)."
+    )
+
+
 def _format_wind(run: RunRecord) -> str:
     """Return the mean wind of a run's scenario in brackets; "" without wind."""
     scenario = (run.scenario_documents or {}).get("scenario", {})
