@@ -12,7 +12,7 @@ from dpbench.analysis.times.solver_tables import TIMES
 from dpbench.report.charts.ship_tables import make_error_panels, make_force_panels, make_path_tables
 from dpbench.scenario.scenario import load_scenario
 
-pytest.importorskip("matplotlib", reason="an extra")
+to_rgb = pytest.importorskip("matplotlib.colors", reason="an extra").to_rgb
 
 STEPS = 40
 SCENARIO = load_scenario("paper")
@@ -119,19 +119,30 @@ def test_times_stand_against_limit_and_deadline() -> None:
     assert bars[5] == [1.0, 1.0]  # without a p99 the bar has no length
 
 
-def test_accuracy_has_hollow_points_for_what_does_not_pass() -> None:
+def test_accuracy_has_shapes_of_settings_and_fills_of_verdicts() -> None:
+    """As in the figure of the page: circles and squares, hollow for late or fail."""
     columns = {"solver": ["osqp", "osqp", "daqp"], "error": [0.1, 1e-5, 0.0]}
     columns |= {"family": ["first order", "first order", "active set"], "p50_us": [20.0, 60.0, 5.0]}
-    table = pd.DataFrame(columns | {"verdict": ["fail", "pass", "pass"]})
+    columns |= {"verdict": ["fail", "inconclusive", "pass"]}
+    table = pd.DataFrame(columns | {"settings": ["default", "high", "default"]})
     figure = _printed().draw_accuracy(table, 0.01)
     (axes,) = figure.axes
-    osqp, daqp = axes.collections
-    hollow, filled = osqp.get_facecolors()
-    assert hollow.tolist() == [1.0, 1.0, 1.0, 1.0] and filled.tolist() != hollow.tolist()
+    low, high, daqp = axes.collections
+    hollow, pale, filled = (of.get_facecolors()[0, :3].tolist() for of in (low, high, daqp))
+    assert hollow == [1.0, 1.0, 1.0] and filled == pytest.approx(to_rgb("#0072b2"), abs=0.06)
+    assert pale == pytest.approx([0.7, 0.7 + 0.3 * 158 / 255, 0.7 + 0.3 * 115 / 255])
+    corners = [len(of.get_paths()[0].vertices) for of in (low, high, daqp)]
+    assert corners[0] == corners[2] > corners[1] == 5
     assert daqp.get_offsets().tolist() == [[5.0, 1e-16]]
     assert [text.get_text() for text in axes.texts] == ["osqp", "daqp"]
     assert axes.texts[0].xy == (60.0, 1e-5)
-    assert _legend(figure) == ["active set", "first order"]
+    states = ["pass", "borderline", "inconclusive", "late or fail"]
+    verdicts = [f"verdict {state}" for state in states]
+    assert _legend(figure) == ["active set", "first order", "default", "high", *verdicts]
+    (legend,) = figure.legends
+    markers = [line.get_marker() for line in legend.get_lines()]
+    assert markers == ["o", "o", "o", "s", "o", "o", "o", "o"]
+    assert legend.get_lines()[-1].get_markerfacecolor() == "#ffffff"
     assert axes.get_xlabel() == "p50 of the step time [µs]"
 
 
@@ -139,6 +150,7 @@ def test_labels_of_a_short_logarithmic_axis_stand_apart() -> None:
     """From 40 to 70 µs, where each of nine ticks would have a label."""
     columns = {"solver": ["osqp", "daqp"], "error": [1e-5, 1e-6], "p50_us": [70.0, 40.0]}
     columns |= {"family": ["first order", "active set"], "verdict": ["pass", "pass"]}
+    columns["settings"] = ["default", "default"]
     figure = _printed().draw_accuracy(pd.DataFrame(columns), 0.01)
     figure.draw_without_rendering()
     (axes,) = figure.axes

@@ -124,12 +124,13 @@ def draw_verdict_tiles(table: pd.DataFrame, *, stacked: bool = False) -> Any:
 
 FULL = {"pass": 0.95, "borderline": 0.6, "inconclusive": 0.3, "late": 0.0, "fail": 0.0}
 """Opacity of a point by verdict."""
-_LEGEND = {
+VERDICT_FILLS = {
     "pass": style.INK,
     "borderline": style.SOFT,
     "inconclusive": style.LINE,
     "late or fail": style.PAPER,
 }
+"""Fills of points of colour `INK` in the legend of verdicts."""
 _LEGEND_COLUMNS = alt.ExprRef("narrow ? 1 : 3")
 """Three legends are side by side on a phone."""
 _FIGURES = (
@@ -237,10 +238,10 @@ def draw_accuracy(table: pd.DataFrame, error_limit: float, *, with_names: bool =
 
 def _draw_opacity_legend() -> Any:
     """Return an invisible chart layer whose legend tells the fill of marks by verdict."""
-    scale = style.names_scale(_LEGEND, _LEGEND.values())
+    scale = style.names_scale(VERDICT_FILLS, VERDICT_FILLS.values())
     looks_of: dict[str, Any] = {"symbolType": "circle", "symbolStrokeColor": style.INK}
     legend = style.legend_below(columns=_LEGEND_COLUMNS, symbolStrokeWidth=1.5, **looks_of)
-    unseen = style.inline_chart(*({"look": look} for look in _LEGEND)).mark_point(
+    unseen = style.inline_chart(*({"look": look} for look in VERDICT_FILLS)).mark_point(
         filled=True, size=0, opacity=0, aria=False
     )
     return unseen.encode(fill=alt.Fill("look:N", scale=scale, title="verdict", legend=legend))

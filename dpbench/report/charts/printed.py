@@ -10,12 +10,14 @@ import pandas as pd
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 
 from dpbench.analysis.verdict.requirements import STATES
 from dpbench.bench.record.schema import FORCES
 from dpbench.report.charts import style
+from dpbench.report.charts.overview import FULL, VERDICT_FILLS, shorten_settings
 from dpbench.report.charts.ship_tables import STEP, TIME, Panel, PathTables
 
 COLUMN_IN = 3.5
@@ -27,6 +29,8 @@ _SMALL: dict[str, Any] = {"fontsize": 7}
 _LIMIT: dict[str, Any] = {"color": style.FAIL, "linestyle": "--", "linewidth": 0.8}
 _MARKERS = dict(zip(STATES, ("o", "^", "D", ">", "X", "s"), strict=True))
 """The shapes of `STATE_SHAPES`."""
+_SETTINGS_MARKERS = "osPD^v><"
+"""The shapes that Vega gives to the settings, in alphabetical order."""
 _COLOURS = dict(zip(STATES, style.STATE_COLOURS, strict=True))
 
 
@@ -139,27 +143,51 @@ def draw_deadline_chart(table: pd.DataFrame, deadline_ms: float, p99_ms: float) 
 def draw_accuracy(table: pd.DataFrame, error_limit: float) -> Figure:
     """Return a Matplotlib figure of largest error over median step time, a line per solver.
 
-    table, error_limit : as of `charts.overview.draw_accuracy`; hollow points do not pass.
+    Colours are families, shapes settings, and fills verdicts, as of `FULL`.
+    table, error_limit : as of `charts.overview.draw_accuracy`.
     """
     figure, (axes,) = _make_axes([3.6], width=2 * COLUMN_IN)
-    families = [f for f in style.FAMILY_COLOURS if f in set(table["family"])]
+    levels = sorted(table["settings"].unique())
+    markers = {level: _SETTINGS_MARKERS[i % 8] for i, level in enumerate(levels)}
     for solver, own in table.groupby("solver", sort=False):
         colour = style.FAMILY_COLOURS[own["family"].iloc[0]]
         errors = own["error"].clip(lower=style.FLOOR)
         axes.plot(own["p50_us"], errors, color=colour, linewidth=0.8, alpha=0.5)
-        fills = [colour if state == "pass" else "white" for state in own["verdict"]]
-        axes.scatter(own["p50_us"], errors, s=22, c=fills, edgecolors=colour, zorder=3)
+        for row, error in zip(own.to_dict("records"), errors, strict=True):
+            look: dict[str, Any] = {
+                "facecolors": _mix_with_paper(colour, row["verdict"]),
+                "edgecolors": colour,
+            }
+            axes.scatter(
+                row["p50_us"], error, 22, marker=markers[row["settings"]], zorder=3, **look
+            )
         best = errors.argmin()
         corner = (own["p50_us"].iloc[best], errors.iloc[best])
         axes.annotate(str(solver), corner, (3, 3), textcoords="offset points", **_SMALL)
-    for family in families:
-        axes.plot([], [], "o", color=style.FAMILY_COLOURS[family], label=family)
+    _draw_accuracy_legend(axes, set(table["family"]), markers)
     axes.axhline(error_limit, **_LIMIT)
-    ylabel = "largest error of the first move in the replays"
+    ylabel = "largest error of the first move in the replays\n[maximum increments]"
     axes.set(xscale="log", yscale="log", xlabel="p50 of the step time [µs]", ylabel=ylabel)
     for axis in (axes.xaxis, axes.yaxis):
         _label_log_axis(axis)
     return _add_legend(figure, axes)
+
+
+def _mix_with_paper(colour: str, state: str) -> list[float]:
+    """Return the fill of a point, opaque above its line, by family colour and verdict."""
+    share = FULL.get(state, FULL["inconclusive"])
+    return [share * part + 1.0 - share for part in to_rgb(colour)]
+
+
+def _draw_accuracy_legend(axes: Axes, families: set[str], markers: dict[str, str]) -> None:
+    """Add entries of families, settings and verdicts to the legend of given Matplotlib axes."""
+    for family in (family for family in style.FAMILY_COLOURS if family in families):
+        axes.plot([], [], "o", color=style.FAMILY_COLOURS[family], label=family)
+    for level, name in shorten_settings([*markers]).items():
+        axes.plot([], [], markers[level], color=style.INK, label=name)
+    for states, fill in VERDICT_FILLS.items():
+        looks: dict[str, Any] = {"color": style.INK, "markerfacecolor": fill}
+        axes.plot([], [], "o", label=f"verdict {states}", **looks)
 
 
 def _make_axes(
