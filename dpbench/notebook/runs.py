@@ -161,7 +161,7 @@ class Run:
         time, note = self._time_text
         fields = {
             "warning": "inaccurate" if self._is_inaccurate else self._uncertified_text,
-            "ship in this run": self._own_ship_text,
+            "ship": self._own_ship_text,
             "steps": self._steps_text,
             "answers verified": format_share(row["true_share"]),
             "reported solved but not verified": self._unverified_text or "0",
