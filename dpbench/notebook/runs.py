@@ -68,7 +68,7 @@ from dpbench.solvers.table import Availability, find_solver_availability
 
 MOST_LETTERS = 100  # Letters of a reason in the text form
 _OF_ALL_SOLVES = " in all rounds and the warm-up"
-"""What the failures of a replay are counted over; a failed step counts once in all rounds."""
+"""Population of the failures of a replay; a failed step counts once in all rounds."""
 
 
 @dataclass(frozen=True, eq=False)
