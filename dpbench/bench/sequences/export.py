@@ -329,6 +329,10 @@ def _render_test_set(stem: str, sequence: QPSequence, count: int) -> str:
     return _TEST_SET.format(stem=stem, class_name=class_name, title=title, description=description)
 
 
+_MAT_TEXT = b"MATLAB 5.0 MAT-file, written by dpbench".ljust(116)
+"""Text at the start of a MATLAB file: without the time, so that the same arrays give equal bytes."""
+
+
 def save_mat(path: Path, recorded: Recorded) -> Path:
     """Write a sequence to a MATLAB file, version 5, and return its path.
 
@@ -342,6 +346,8 @@ def save_mat(path: Path, recorded: Recorded) -> Path:
     with write_file_atomically(path) as part:
         contents = {**_collect_arrays(recorded), "meta": _collect_meta(recorded)}
         savemat(str(part), contents, appendmat=False)
+        with part.open("r+b") as file:  # savemat writes the time there
+            file.write(_MAT_TEXT)
     return path
 
 

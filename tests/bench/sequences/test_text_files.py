@@ -38,6 +38,21 @@ def test_a_matlab_file_has_units_sample_time_scenario_and_version(tmp_path: Path
     assert meta["name"].startswith("paper-30-5") and meta["dpbench"]
 
 
+def test_a_matlab_file_has_the_same_bytes_at_any_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The text before the version, bytes 0 to 115, begins as readers expect and has no time."""
+    contents = []
+    for now in ("Tue Dec  1 13:06:02 2026", "Wed Dec  2 14:07:03 2026"):
+        monkeypatch.setattr("time.asctime", lambda *_, now=now: now)
+        export_sequence("paper-30-5", tmp_path / "a.mat", format="mat", steps=3)
+        contents.append((tmp_path / "a.mat").read_bytes())
+    assert contents[0] == contents[1]
+    text = contents[0][:116].decode("ascii")
+    assert text.startswith("MATLAB 5.0 MAT-file") and text.isprintable()
+    assert contents[0][124:128] == b"\x00\x01IM"
+
+
 def test_csv_tables_have_the_arrays_to_the_last_digit(tmp_path: Path) -> None:
     export_sequence("turn-30-5", tmp_path / "tables", format="csv", steps=2)
     problem = load_recorded(resolve_sequence_path("turn-30-5")).sequence.problem(1)
