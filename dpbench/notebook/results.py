@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from dpbench.analysis.records.records import Records
-from dpbench.analysis.suites.study import NOTHING, Study, find_studies
 from dpbench.analysis.times.chosen_pairs import compare_chosen
 from dpbench.analysis.times.paired_times import RATIO_COLUMNS
 from dpbench.analysis.verdict.ship_results import find_ship_results
@@ -32,6 +31,12 @@ from dpbench.errors import (
     require_type,
 )
 from dpbench.files.regular_files import make_folder_if_missing
+from dpbench.notebook.captions import (
+    NO_RATIO_NOTE,
+    RATIO_NOTE,
+    describe_table_with_runs,
+    yield_notes_on_columns,
+)
 from dpbench.notebook.latex import escape_latex, make_tabular
 from dpbench.notebook.plots import ResultPlots
 from dpbench.report.commands_text import describe_disturbed_times
@@ -41,7 +46,6 @@ from dpbench.report.ship.ship_text import summarise_ships
 if TYPE_CHECKING:
     from dpbench.report.report import Report
 
-_TIME_ENDINGS = ("_us", "_ms", "_ns")
 _NAME = "table"
 """Key of a data frame's `attrs`: the name of the table."""
 _OF_UNIT = ("effect", "low", "high", "median")
@@ -51,48 +55,6 @@ VERDICT_COLUMNS = (
     *("error_move", "p50_us", "limiting_p99_us"),
 )
 """The columns of the verdicts in LaTeX."""
-RATIO_NOTE = (
-    "Ratio: geometric mean of the step times of the second over those of the first, on the same "
-    "steps. Low and high: its 95 % interval, for these measurements only: two runs can differ by "
-    "more."
-)
-NO_RATIO_NOTE = (
-    "No ratio: two configurations must be timed on the same QPs. One solver at several horizons "
-    "solves different QPs: vary the horizon in a study, whose effects on step times have intervals."
-)
-EXCESS_NOTE = (
-    "Excess error: 95 % radial error less that of the reference in the same realisation, mean over "
-    "points. Excess cost: 100 times the logarithm of the ratio of closed-loop costs. Low and high: "
-    "95 % interval of the mean, for each row alone; empty with too few pairs, or if differences "
-    f"of each point are equal to within {100.0 * NOTHING:.4f} cm or %; a mean not above that is 0."
-)
-EFFECTS_NOTE = (
-    "Low and high: 95 % interval of the effect, over realisations (over points if each has one), "
-    "for each row alone. No effect: other load can explain that on the step time (disturbed). An "
-    "effect without low and high: the same in every realisation, to within "
-    f"{100.0 * NOTHING:.4f} of its unit, or of too few pairs. The column `interval` tells them "
-    "apart."
-)
-
-
-def _describe_realisations(study: Study, points: int) -> str:
-    """Return a sentence on the number of realisations at so many points of a study."""
-    return (
-        f"Study `{study.name}`: {plural(points, 'point')}, "
-        f"at most {plural(study.seas_per_point, 'realisation')} each."
-    )
-
-
-def _describe_studies(studies: Sequence[Study]) -> list[str]:
-    """Return sentences on the points and realisations in each study's means, and on the others."""
-    # The report draws, and Altair takes its time.
-    from dpbench.report.topics.study import yield_excluded_points_sentences
-
-    compared = [
-        _describe_realisations(study, len(study.points) - len(study.points_left_out))
-        for study in studies
-    ]
-    return [*compared, *yield_excluded_points_sentences(studies)]
 
 
 class RatioTable(pd.DataFrame):
@@ -282,7 +244,7 @@ class Results(result_folder.Results):
         document needs the package `booktabs`. A ratio of one run to itself is an empty cell. If
         all rows have one `unit`, it is in the heads of the values. For a table of the report, or
         rows of one, the last line is a comment with a caption: contents, and rounds and steps of
-        the replays. For step time ratios it defines the ratio and its interval.
+        the replays. It defines step time ratios, their intervals and that of the limiting p99.
 
         table : a name in `tables`, or a data frame, such as some rows of one. columns : some of its
         columns, by default all; of "verdicts" those that identify a configuration, its verdict,
@@ -326,42 +288,14 @@ class Results(result_folder.Results):
             for name in frame
             if not are_verdicts or (name in VERDICT_COLUMNS and not frame[name].isna().all())
         ]
-        caption = self._describe_table(source) if source in self.tables else ""
-        if {"ratio", "finding"} <= {*frame}:
-            caption = f"{caption} {RATIO_NOTE}".lstrip()
-            caption += " An empty ratio: both names are of one run." if of_one_run.any() else ""
-        frame = frame[list(columns or usual)].rename(columns=_find_heads_with_unit(frame))
-        if (
-            are_verdicts
-            and {"p50_us", "limiting_p99_us"} <= {*frame}
-            and not {"timed_on", "p99_on"} & {*frame}
-        ):
-            caption += " `results.verdict()` has the replays of the p50 and the limiting p99 in its"
-            caption += " columns"
-            caption += " `timed_on` and `p99_on`."
+        chosen: list[Any] = list(columns or usual)
+        parts = []
+        if source in self.tables:
+            parts.append(describe_table_with_runs(self, source, self.tables[source]))
+        parts += yield_notes_on_columns(frame, chosen, are_verdicts=source == "verdicts")
+        caption = " ".join(parts)
+        frame = frame[chosen].rename(columns=_find_heads_with_unit(frame))
         return make_tabular(frame) + (f"% Caption: {escape_latex(caption)}\n" if caption else "")
-
-    def _describe_table(self, name: str) -> str:
-        """Return a caption of a table: its contents, and how step times were measured."""
-        # The report draws, and Altair takes its time.
-        from dpbench.report.report import describe_table
-
-        caption = describe_table(name, self.tables[name])
-        if name == "study_excess":
-            studies = find_studies(Records(self))
-            caption = " ".join([caption, EXCESS_NOTE, *_describe_studies(studies)])
-        if name in ("study_effects", "study_interactions"):
-            counts = (_describe_realisations(s, len(s.points)) for s in find_studies(Records(self)))
-            caption = " ".join([caption, EFFECTS_NOTE, *counts])
-        is_timed = any(column.endswith(_TIME_ENDINGS) for column in self.tables[name].columns)
-        runs = self.runs[(self.runs["mode"] == "replay") & (self.runs["rounds"] > 0)]
-        if not (is_timed and len(runs)):
-            return caption
-        rounds, steps = (
-            " to ".join(dict.fromkeys((str(int(n.min())), str(int(n.max())))))
-            for n in (runs["rounds"], runs["steps_done"])
-        )
-        return f"{caption} Replays: {steps} steps, each step's fastest of {rounds} rounds."
 
     def to_csv(self, folder: str | Path) -> None:
         """Write all tables of the report that have rows as CSV files into a folder.

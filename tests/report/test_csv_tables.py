@@ -207,6 +207,30 @@ def test_the_legend_explains_every_table_and_column(written: Any) -> None:
         assert set(_table(written.folder, name).columns) <= explained | plain, name
 
 
+def test_the_caption_of_verdicts_defines_the_interval_of_the_p99_and_empty_cells(
+    records: Any, tmp_path: Path
+) -> None:
+    """Only where they are printed; daqp has a p99, and osqp was not timed."""
+    records.loop("daqp")
+    records.replay("daqp", steps=1000)
+    write_results(tmp_path, records.results())
+    results = dpbench.load_results(tmp_path)
+    interval = (
+        "p99 low and high: 95 \\% interval of the limiting p99; empty for a window and for a p99 "
+        "that is scaled up, infinite if too few steps take longer."
+    )
+    caption = results.to_latex("verdicts", columns=["solver", "p99_low_us"]).splitlines()[-1]
+    assert interval in caption and "An empty cell" not in caption
+    assert interval not in results.to_latex("verdicts")
+    records.loop("osqp")
+    write_results(tmp_path, records.results())
+    results = dpbench.load_results(tmp_path)
+    empty = "An empty cell: the configuration was not run or not timed, or, for a p99, had neither"
+    assert empty in results.to_latex("verdicts")
+    assert empty in results.to_latex(results.verdict(), columns=["solver", "p50_us"])
+    assert empty not in results.to_latex("verdicts", columns=["solver", "error_move"])
+
+
 def test_the_caption_of_a_study_defines_it(records: Any, tmp_path: Path) -> None:
     """The reference loop leaves its station at point 1, which is in no mean."""
     for solver in ("daqp", "osqp"):

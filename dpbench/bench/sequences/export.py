@@ -330,7 +330,7 @@ def _render_test_set(stem: str, sequence: QPSequence, count: int) -> str:
 
 
 _MAT_TEXT = b"MATLAB 5.0 MAT-file, written by dpbench".ljust(116)
-"""Text at the start of a MATLAB file: without the time, so that the same arrays give equal bytes."""
+"""Text at the start of a MATLAB file; without the time, so that equal arrays give equal bytes."""
 
 
 def save_mat(path: Path, recorded: Recorded) -> Path:
