@@ -48,9 +48,11 @@ from dpbench.report.verdict.verdict_text import (
 )
 
 MOST_BYTES = 9000
-"""Largest size of the report [B]: one or two screens."""
+"""Largest size of the report [B], about two screens; its head is never cut."""
 MOST_ROWS = 24
 """Configurations up to which the report lists all of them, not only the best of each solver."""
+MOST_LISTED = 48
+"""Largest number of configurations in the table of solvers."""
 MOST_EXCEPTIONS = 3
 """Configurations that a remark names; more are counted."""
 MOST_STUDY_ROWS = 8
@@ -74,60 +76,68 @@ FAILED_STEPS = (
     "in each run in which it fails. In a replay or window, a step counts if it fails in any round "
     "or in the warm-up."
 )
+FILES = (
+    "All figures and steps are in `report.html`; the other files are `tables/*.csv`, "
+    "`figures/*.svg`, `runs.parquet` and `steps.parquet`."
+)
 TERMS = "Terms: `docs/glossary.md` of dpbench."
 
 
 def make_report_markdown(report: Report) -> str:
     """Return the report as Markdown text of limited length: recommendation, table of solvers."""
-    data, recommendation, topics = report.data, report.recommendation, report.topics
-    lead = [topic.lines[0] for topic in topics if topic.leads]
+    data, results, recommendation = report.data, report.results, report.recommendation
+    made = describe_how_results_were_made(data.records, results.suite, results.machine)
+    ending = f"\n\n{FILES}\n\n## {HOW_MADE}\n\n{escape_markdown_paragraph(made)}\n"
+    most_bytes = MOST_BYTES - len(ending.encode())
+    counts = "\n\n".join(_make_counts_tables(report.topics))
+    head = "\n\n".join(filter(None, _yield_head(report)))
+    sections = [head, counts, *_yield_remarks(report), *_yield_study_tables(report.topics)]
+    sections = _shorten(sections, most_bytes, recommendation, counts)
+    return join_sections(sections, most_bytes, "report.html") + ending
+
+
+def _yield_head(report: Report) -> Iterator[str]:
+    """Yield the paragraphs down to the table of solvers and its notes."""
+    data, recommendation = report.data, report.recommendation
+    lead = [topic.lines[0] for topic in report.topics if topic.leads]
     wording = [note for about, note in recommendation.notes if about == "stopped"]
     if data.verdicts.of or not lead:
         wording = [recommendation.sentence, *(note for _, note in recommendation.notes)]
-    after = list(filter(None, [describe_failures_in_si(data, beyond_verdicts=True)]))
-    after += _yield_verdicts_by_scenario(data, recommendation)
-    after += [*yield_disturbance_sentences(data.studies), *yield_tolerance_sentences(data.studies)]
-    after += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
-    after += yield_excluded_points_sentences(data.studies)
+    suite = report.results.suite
+    yield f"# dpbench: suite `{escape_markdown(str(suite.get('name', 'results')))}`"
+    yield escape_markdown_paragraph(f"{describe_subject(data.records, suite)}.")
+    yield from make_ship_lines(recommendation.ship)
+    texts = [*lead, *wording, recommendation.machine, recommendation.requirements]
+    yield from map(escape_markdown_paragraph, texts)
+    listed = _list_verdicts(data.verdicts)[:MOST_LISTED]
+    yield make_solver_table(data, listed)
+    yield _explain_columns(data, listed)
+    yield _unlisted_text(data.verdicts, len(listed))
+    if data.verdicts.of:
+        yield escape_markdown_paragraph(describe_which_solvers_pass(data.verdicts))
+
+
+def _yield_remarks(report: Report) -> Iterator[str]:
+    """Yield the paragraphs between the notes on the table of solvers and the tables of studies."""
+    data, topics = report.data, report.topics
+    remarks = [*describe_failing_settings_and_grids(data.records, data.verdicts)]
+    remarks.append(describe_failures_in_si(data, beyond_verdicts=True))
+    remarks += _yield_verdicts_by_scenario(data, report.recommendation)
+    remarks += yield_disturbance_sentences(data.studies)
+    remarks += yield_tolerance_sentences(data.studies)
+    remarks += [f"{topic.title}: {topic.lines[0]}" for topic in topics if not topic.leads]
+    remarks += yield_excluded_points_sentences(data.studies)
     if data.counts.sequences:
-        after += yield_uncounted_sentences(data.counts.not_counted)
-    parts = [
-        f"# dpbench: suite `{escape_markdown(str(report.results.suite.get('name', 'results')))}`",
-        escape_markdown_paragraph(f"{describe_subject(data.records, report.results.suite)}."),
-        *make_ship_lines(recommendation.ship),
-        *map(
-            escape_markdown_paragraph,
-            [*lead, *wording, recommendation.machine, recommendation.requirements],
-        ),
-        make_solver_table(data, listed := _list_verdicts(data.verdicts)),
-        _explain_columns(data, listed),
-        _unlisted_text(data.verdicts, len(listed)),
-        escape_markdown_paragraph(
-            describe_which_solvers_pass(data.verdicts) if data.verdicts.of else ""
-        ),
-        *(counts := _make_counts_tables(topics)),
-        *map(
-            escape_markdown_paragraph,
-            [*describe_failing_settings_and_grids(data.records, data.verdicts), *after],
-        ),
-        *_yield_study_tables(topics),
-        "All figures and steps are in `report.html`; the other files are `tables/*.csv`, "
-        "`figures/*.svg`, `runs.parquet` and `steps.parquet`.",
-    ]
-    text = "\n\n".join(part for part in parts if part) + "\n"
-    made = describe_how_results_were_made(
-        data.records, report.results.suite, report.results.machine
-    )
-    ending = f"\n## {HOW_MADE}\n\n{escape_markdown_paragraph(made)}\n"
-    most_bytes = MOST_BYTES - len(ending.encode())
-    text = _shorten(text, most_bytes, recommendation, "\n\n".join(counts))
-    return truncate_text(text, most_bytes, "report.html") + ending
+        remarks += yield_uncounted_sentences(data.counts.not_counted)
+    yield from map(escape_markdown_paragraph, remarks)
 
 
-def _shorten(text: str, most_bytes: int, recommendation: Recommendation, counts: str) -> str:
-    """Return a report without as many of its dispensable parts as it takes to fit.
+def _shorten(
+    sections: Sequence[str], most_bytes: int, recommendation: Recommendation, counts: str
+) -> list[str]:
+    """Return the sections of a report without as many dispensable parts as it takes to fit.
 
-    counts : tables of instruction counts. The legend of the table and the verdicts stay.
+    counts : section of instruction counts. The legend of the table and the verdicts stay.
     """
     ship = recommendation.ship
     dispensable = {
@@ -136,10 +146,11 @@ def _shorten(text: str, most_bytes: int, recommendation: Recommendation, counts:
         f" {escape_markdown_paragraph(ship.details)}": "",
         f" {escape_markdown_paragraph(_find_margin_details(recommendation))}": "",
     }
+    shortened = list(filter(None, sections))
     for part, shorter in dispensable.items():
-        if part.strip() and len(text.encode()) > most_bytes:
-            text = text.replace(part, shorter, 1)
-    return text
+        if part.strip() and len("\n\n".join(shortened).encode()) > most_bytes:
+            shortened = [section.replace(part, shorter, 1) for section in shortened]
+    return shortened
 
 
 def _find_margin_details(recommendation: Recommendation) -> str:
@@ -181,16 +192,19 @@ def _make_counts_tables(topics: Sequence[Topic]) -> list[str]:
 
 
 def _yield_study_tables(topics: Sequence[Topic]) -> Iterator[str]:
-    """Yield the tables of studies that have intervals: title, first rows, note."""
+    """Yield a section for each table of a study with intervals: title, first rows, note."""
     tables = [table for topic in topics if topic.id == "study" for table in topic.tables]
     for table in tables:
         if table.note:
-            yield f"{escape_markdown(table.title)}:"
+            more = len(table.rows) - MOST_STUDY_ROWS
             rows = table.rows[:MOST_STUDY_ROWS]
-            yield make_markdown_table(table.printed_heads, rows, table.text_columns)
-            more = len(table.rows) - len(rows)
-            yield f"{more} more rows: `tables/study_*.csv`." if more else ""
-            yield escape_markdown_paragraph(table.note)
+            parts = [
+                f"{escape_markdown(table.title)}:",
+                make_markdown_table(table.printed_heads, rows, table.text_columns),
+                f"{more} more rows: `tables/study_*.csv`." if more > 0 else "",
+                escape_markdown_paragraph(table.note),
+            ]
+            yield "\n\n".join(filter(None, parts))
 
 
 def _list_verdicts(verdicts: Verdicts) -> list[Verdict]:
@@ -379,11 +393,15 @@ def make_solver_rows(data: PageData, verdicts: Iterable[Verdict]) -> list[tuple[
     ]
 
 
-def truncate_text(text: str, most_bytes: int, elsewhere: str) -> str:
-    """Return a text cut to whole lines within a number of bytes; it names the file with more."""
-    raw = text.encode()
-    if len(raw) <= most_bytes:
-        return text
-    notice = f"\n\nFurther results are left out here; they are in `{elsewhere}`.\n"
-    most = most_bytes - len(notice.encode())
-    return raw[:most].decode(errors="ignore").rsplit("\n", 1)[0].rstrip() + notice
+def join_sections(sections: Iterable[str], most_bytes: int, elsewhere: str) -> str:
+    """Return as many sections as fit into a number of bytes, each whole, but at least the first.
+
+    If some are left out, the text names the file with more.
+    """
+    kept = [section for section in sections if section]
+    text = "\n\n".join(kept)
+    notice = f"Further results are left out here; they are in `{elsewhere}`."
+    while len(text.encode()) > most_bytes and len(kept) > 1:
+        kept.pop()
+        text = "\n\n".join([*kept, notice])
+    return text

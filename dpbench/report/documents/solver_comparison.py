@@ -19,7 +19,7 @@ from dpbench.analysis.verdict.verdict import (
 )
 from dpbench.errors import UnknownNameError, format_allowed_names
 from dpbench.report.commands_text import describe_versions
-from dpbench.report.documents.markdown import make_ship_lines, make_solver_table, truncate_text
+from dpbench.report.documents.markdown import join_sections, make_ship_lines, make_solver_table
 from dpbench.report.formats import (
     describe_wait,
     escape_markdown,
@@ -45,7 +45,7 @@ from dpbench.solvers.own_settings import split_into_solver_and_options_text
 USUAL = ("osqp", "daqp")
 """Solvers to compare with by default."""
 COMMENT_BYTES = 4000
-"""Largest size of a comment [B]: one screen."""
+"""Largest size of a comment [B], about one screen; its table of solvers is never cut."""
 MOST_CONFIGURATIONS = 3
 """Rows of the solver itself, or one for each of its settings where these are more."""
 
@@ -76,21 +76,23 @@ def compare_solver(
     names = join_with_and([v.configuration.solver for v in chosen]) or "no other solver"
     solvers = [v.configuration.solver for v in (rows[0], *chosen)]
     versions = describe_versions(data.records, report.results.suite, solvers)
-    ending = "\n\n".join(map(escape_markdown_paragraph, (machine, versions))) + "\n"
-    parts = [
+    ending = "".join(f"\n\n{escape_markdown_paragraph(text)}" for text in (machine, versions))
+    head = [
         f"# {escape_markdown(solver)} compared with {escape_markdown(names)}",
         *make_ship_lines(report.recommendation.ship),
         escape_markdown_paragraph(_describe_verdict(rows[0], data.verdicts.of[solver][0], own)),
         make_solver_table(data, [*rows, *chosen]),
+    ]
+    sections = [
+        "\n\n".join(filter(None, head)),
         "\n".join(f"- {escape_markdown(_compare_step_times(data, rows[0], v))}" for v in chosen),
         _make_worst_table(data, worst, chosen),
         "\n".join(f"    {one_line(s.export_command)}" for s in worst if s.export_command),
         COLD if any(s.export_command and s.run.policy == "warm" for s in worst) else "",
         escape_markdown_paragraph(describe_requirements(data.requirements)),
     ]
-    text = "\n\n".join(part for part in parts if part) + "\n"
-    kept = truncate_text(text, COMMENT_BYTES - len(ending.encode()) - 1, "report.md")
-    return f"{kept}\n{ending}", worst
+    kept = join_sections(sections, COMMENT_BYTES - len(ending.encode()) - 1, "report.md")
+    return f"{kept}{ending}\n", worst
 
 
 COLD = (

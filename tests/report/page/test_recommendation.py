@@ -18,7 +18,7 @@ from dpbench.analysis.verdict.verdict import (
 )
 from dpbench.bench.record.cell import Configuration
 from dpbench.errors import InputError
-from dpbench.report.documents.markdown import MOST_BYTES, make_report_markdown
+from dpbench.report.documents.markdown import MOST_BYTES, MOST_LISTED, make_report_markdown
 from dpbench.report.documents.solver_comparison import compare_solver, format_worst_steps
 from dpbench.report.formats import format_error, format_rounded_down, format_time
 from dpbench.report.page.data import PageData
@@ -174,13 +174,39 @@ def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int,
 
 
 @pytest.mark.slow
-def test_a_markdown_of_very_many_solvers_is_cut_at_a_line(records: Any) -> None:
+def test_a_markdown_of_very_many_solvers_counts_the_rows_that_it_leaves_out(records: Any) -> None:
     for i in range(150):
         records.loop(f"somebody_elses_solver_{i:03d}")
     text = make_report_markdown(Report.from_results(records.results()))
-    assert len(text.encode()) <= MOST_BYTES
-    assert "left out here; they are in `report.html`.\n\n## How these results were made\n" in text
-    assert all(line.endswith("|") for line in text.splitlines() if line.startswith("|"))
+    assert text.count("\n| somebody_elses_solver_") == MOST_LISTED
+    more = f"The verdicts on {150 - MOST_LISTED} more configurations are in `tables/verdicts.csv`."
+    assert more in text and "\n\nA call mode is a route" in text
+
+
+def test_a_markdown_that_is_too_long_leaves_out_whole_sections(
+    records: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last first; never a row of a table, its note or the paragraph on the files."""
+    for sea in range(1, 7):
+        for east in (0.0, 1.0):
+            for solver, more in (("daqp", 0.0), ("osqp", 0.02 + 0.002 * sea)):
+                error_m = 0.5 + 0.1 * east * (1 + 0.1 * sea) + more
+                records.sea(solver, int(east), sea, {"start.east_m": east}, r_95_m=error_m)
+    report = Report.from_results(records.results())
+    files = "\n\nAll figures and steps are in `report.html`;"
+    whole, _, made = make_report_markdown(report).partition(files)
+    _, *tables = re.split(r"\n\n(?=seas: (?:comparison|effect))", whole)
+    counts = set()
+    for most in range(len(whole.encode()) + 2000, 2000, -50):
+        monkeypatch.setattr("dpbench.report.documents.markdown.MOST_BYTES", most)
+        text, found, ending = make_report_markdown(report).partition(files)
+        kept = [table for table in tables if table in text]
+        assert kept == tables[: len(kept)] and found and ending == made
+        assert text.count("\n| ") == sum(table.count("\n| ") for table in kept)
+        if len(kept) < len(tables):
+            assert text.endswith("Further results are left out here; they are in `report.html`.")
+        counts.add(len(kept))
+    assert counts == {0, 1, 2}
 
 
 def test_settings_of_ones_own_have_a_verdict_on_screen_and_in_markdown(records: Any) -> None:
