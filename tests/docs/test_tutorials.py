@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from dpbench import load_results
+from dpbench.bench.plan.plan import plan_suite
+from dpbench.bench.plan.suite import load_path_and_suite
 from dpbench.solvers import plugins
 from tests.docs.markdown_blocks import DOCS, PAGES, README, Block, blocks_of
 from tests.docs.page_commands import PageCommands
@@ -30,6 +32,24 @@ def test_a_plant_of_ones_own_takes_one_short_file() -> None:
     for script in scripts:
         assert len(script.splitlines()) < 80
         assert all(call in script for call in ("run_closed_loop", "run_campaign", "add_runs"))
+
+
+def test_the_tutorial_on_the_paper_counts_the_presets_of_quadprog_as_configurations() -> None:
+    """`high` has the options of `default`, and its own rows."""
+    cells = [
+        planned
+        for planned in plan_suite(load_path_and_suite("standard")[1])
+        if planned.cell.solver == "quadprog" and planned.cell.scenario_name == "paper"
+        if planned.cell.units == "scaled" and not planned.refused
+    ]
+    configurations = {
+        (planned.cell.route, planned.cell.policy, settings)
+        for planned in cells
+        for settings in (planned.cell.settings, *planned.alias_settings)
+    }
+    assert {settings for *_, settings in configurations} == {"default", "high"}
+    text = (DOCS / "tutorials" / "reproduce-the-paper.md").read_text("utf-8")
+    assert f"Only quadprog was run, in {len(configurations)} configurations" in text
 
 
 @pytest.fixture(scope="module")
