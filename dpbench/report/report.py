@@ -6,6 +6,7 @@ The tables are written as `tables/*.csv` with a legend, and read again.
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -205,6 +206,8 @@ TABLES: dict[str, str] = read_words(__file__)["tables"]
 DESCRIPTION = "description"
 """Key of a data frame's `attrs`: the description of a table that is not in `TABLES`."""
 COLUMNS: dict[str, str] = read_words(__file__)["columns"]
+NAMES: dict[str, str] = read_words(__file__)["names"]
+COLUMNS_OF: dict[str, dict[str, str]] = read_words(__file__)["columns_of"]
 _TEXT_COLUMNS = [name for name, (kind, _) in RUN_COLUMNS.items() if kind == "str"]
 _ARMED = r"^'(?=[-=+@])"
 """The apostrophe that keeps a spreadsheet from reading a text as a formula."""
@@ -254,6 +257,24 @@ def describe_table(name: str, table: pd.DataFrame) -> str:
     return TABLES.get(name) or str(table.attrs.get(DESCRIPTION, ""))
 
 
+def describe_columns(name: str, table: pd.DataFrame) -> dict[str, str]:
+    """Return the meaning of each column of a table; columns without one are left out.
+
+    A table of a topic, such as `paper_2`, has the columns of its topic only.
+    """
+    own = COLUMNS_OF.get(name if name in TABLES else re.sub(r"_\d+$", "", name), {})
+    of_runs = RUN_MEANINGS if name in ("runs", "ships", "anytime") else {}
+    shared = COLUMNS if name in TABLES and name != "runs" else {}
+    known = NAMES | of_runs | shared | own
+    patterns = [pattern for pattern in known if "*" in pattern]
+    found = {
+        column: known.get(column)
+        or next((known[pattern] for pattern in patterns if fnmatchcase(column, pattern)), "")
+        for column in map(str, table)
+    }
+    return {column: meaning for column, meaning in found.items() if meaning}
+
+
 def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
     """Write the report's tables as CSV with a README; remove those of earlier reports.
 
@@ -261,13 +282,10 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
     """
     written = {name: table for name, table in tables.items() if len(table)}
     contents = {f"{name}.csv": partial(encode_csv, table) for name, table in written.items()}
-    of_both = RUN_MEANINGS | COLUMNS
-    of_runs = {"runs": RUN_MEANINGS, "ships": of_both, "anytime": of_both}
-    known = {name: of_runs.get(name, COLUMNS) for name in written}
     wording = {
         escape_markdown(name): (
             TABLES.get(name) or escape_markdown_paragraph(describe_table(name, table)),
-            {column: known[name][column] for column in table if column in known[name]},
+            describe_columns(name, table),
         )
         for name, table in written.items()
     }
