@@ -48,7 +48,8 @@ def test_figures_have_each_timed_solver_by_either_backend(results: Results, figu
         words = [layer.get("encoding", {}).get("text") for layer in draw().to_dict()["layer"]]
         assert {"field": "solver", "type": "nominal"} in words
         title = "largest error of the first move in the replays"
-        assert axes.get_ylabel() == title and title in json.dumps(draw().to_dict())
+        assert axes.get_ylabel() == f"{title}\n[maximum increments]"
+        assert title in json.dumps(draw().to_dict())
     with pytest.raises(InputError, match="one of altair, matplotlib"):
         draw(backend="pdf")
 

@@ -74,6 +74,22 @@ def test_without_a_loss_all_thrust_counts_and_the_rate_limit_is_named(
     assert text.endswith("balance the mean load, with little thrust left for its variation.")
 
 
+@pytest.mark.parametrize(("end_s", "is_explained"), [(26.8, False), (30.0, True)])
+def test_no_cause_is_named_while_the_weather_rises(
+    records: Any, end_s: float, is_explained: bool
+) -> None:
+    """The weather of the scenario rises for 30 s."""
+    cell = json.dumps({"scenario": records.scenario("thrusters").files})
+    assert json.loads(cell)["scenario"]["scenario"]["environment"]["ramp_s"] == 30.0
+    thrusters = {name: [0.1, 0.3, 0.1, 0.0] for name in NAMES}
+    use = {"window_s": [0.0, end_s], "thrust": [0.2, 0.66], "thrusters": thrusters}
+    stored = {"exact_thruster_use": json.dumps(use)}
+    records.loop("daqp", "thrusters", steps=600, cell=cell, **stored, **LOST)
+    (ship,) = find_ship_results(Report.from_results(records.results()).data.records)
+    rises = "The weather still rises then (ramp_s = 30): no cause is found."
+    assert explain_departure(ship).endswith(rises) is not is_explained
+
+
 def test_each_thruster_has_a_row_and_its_part_of_a_line(records: Any) -> None:
     of = {"bow": [0.12, 0.16, 0.0, 0.0], "port main": [0.05, 0.364, 0.25, 0.07]}
     ship = ship_with_use(records, of)

@@ -22,6 +22,7 @@ from dpbench.bench.judge.rules import percentile_or_nan
 from dpbench.bench.record.cell import Configuration, sort_key_of_settings
 
 MACHINE_DISTURBED: Final = "machine disturbed"
+TOO_FEW_STEPS: Final = "too few steps"
 """Finding on a difference that other load can explain."""
 UNSTABLE = "unstable"
 """Finding on a difference whose sign depends on the measure, such as the mean or the p99."""
@@ -88,7 +89,7 @@ class PairedComparison:
         if self.is_of_one_run:
             return "one run"
         if not math.isfinite(self.ratio.high):
-            return "too few steps"
+            return TOO_FEW_STEPS
         if self.is_tied:
             return "tied"
         if self.is_unstable:

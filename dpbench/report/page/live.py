@@ -71,10 +71,12 @@ def _explain_step_times(data: PageData) -> str:
         f" {join_with_and(names)} {is_are} absent, because {its} replays (excluding windows) were "
         "not timed completely."
     ) * bool(names)
-    left_out = len(list_best_verdict_of_own_settings(data.verdicts)) - MOST_OWN
+    custom = len(list_best_verdict_of_own_settings(data.verdicts))
+    left_out = custom - MOST_OWN
+    what = "each solver and of each of its custom settings" if custom else "each solver"
     more = f" {left_out} more custom settings: `tables/verdicts.csv`." * (left_out > 0)
     return (
-        "Step time of each solver in its best configuration (best verdict, then fastest; if all "
+        f"Step time of {what} in its best configuration (best verdict, then fastest; if all "
         "fail, fewest failed steps, then smallest error). The "
         f"marker shows the p50 in the replay of {replay}{which}. The bar ends at the limiting p99, "
         "the line at the longest step and the dashed line at the largest single timing. The grey "

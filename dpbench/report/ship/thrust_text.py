@@ -50,6 +50,9 @@ def explain_departure(ship: ShipResult) -> str:
     at_rate = ""
     if rates and rates[fastest] >= NOTICED:
         at_rate = f", but `{fastest}` is at its rate limit in {100.0 * rates[fastest]:.0f} %"
+    ramp_s = _read_ramp_s(ship)
+    if begin_s == 0.0 and end_s < ramp_s:
+        return f"{used}. The weather still rises then (ramp_s = {ramp_s:g}): no cause is found."
     reason = "cannot balance the mean load in all axes at once"
     if _is_mean_load_balanced(ship, use):
         is_near = use.thrust[1] >= NEARLY_ALL
@@ -59,6 +62,12 @@ def explain_departure(ship: ShipResult) -> str:
         f"{used}. No thruster is {AT_LIMIT} in most steps{at_rate}: the {_name_remaining(use)}"
         f"thrusters {reason}."
     )
+
+
+def _read_ramp_s(ship: ShipResult) -> float:
+    """Return the time over which the weather of a ship's scenario rises [s]; 0 if unknown."""
+    environment = (ship.run.scenario_documents or {}).get("scenario", {}).get("environment") or {}
+    return float(environment.get("ramp_s", 0.0))
 
 
 def _is_mean_load_balanced(ship: ShipResult, use: ThrusterUse) -> bool:

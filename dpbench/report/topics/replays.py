@@ -1,5 +1,6 @@
 """Topics on replays and loops: routes, formulations, settings, two solvers, a search, control."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
@@ -24,6 +25,7 @@ from dpbench.analysis.times.contrasts import (
 )
 from dpbench.analysis.times.paired_times import (
     MACHINE_DISTURBED,
+    TOO_FEW_STEPS,
     TimedReplay,
     compare_settings_of_solvers,
     match_times_by_step,
@@ -222,7 +224,7 @@ def build_settings_topic(records: Records, verdicts: Verdicts) -> Topic | None:
         }
         for one in found
     ]
-    note = "Geometric mean of the step time ratios on common steps, in one call mode. "
+    note = "Geometric mean of the step time ratios on common steps. "
     note += "The intervals are valid for these measurements only."
     windows = any(run.steps_searched_for_hardest for run in records.runs)
     texts += ["Windows are not counted."] if windows else []
@@ -258,15 +260,14 @@ def build_race_topic(records: Records, requirements: Requirements) -> Topic | No
     replays = list(yield_matched_replays(records, first, second))
     if len({run.configuration.call_text for (run, _), _ in replays}) != 1:
         return None
-    rows, decided, apart, disturbed = [], [], [], []
+    rows, decided = [], list[str]()
+    undecided: dict[str, list[str]] = {}
     for pair in replays:
         (run, here), (_, there) = pair
         ratio, why_none = _compare_race(records, *pair)
         where = f"`{run.sequence}` ({run.configuration.call_text})"
-        if why_none == MACHINE_DISTURBED:
-            disturbed.append(where)
-        elif why_none:
-            apart.append(where)
+        if why_none:
+            undecided.setdefault(why_none, []).append(where)
         else:
             decided.append(f"{ratio} in {where}")
         p50 = [format_time(median_of_known(times.algo_ns)) for times in (here, there)]
@@ -279,8 +280,7 @@ def build_race_topic(records: Records, requirements: Requirements) -> Topic | No
     leads = {
         "Not accurate on every step: ": _list_inaccurate(replays, requirements),
         f"Step time of `{first}` over that of `{second}`: ": decided,
-        "Without a ratio, as not interleaved: ": apart,
-        "Not decided, as the machine was disturbed: ": disturbed,
+        **{f"Not decided ({why}): ": named for why, named in undecided.items()},
     }
     lead = " ".join(f"{text}{join_with_and(named)}." for text, named in leads.items() if named)
     note = "Geometric mean of the paired ratios of all common steps."
@@ -307,6 +307,8 @@ def _compare_race(records: Records, first: TimedReplay, second: TimedReplay) -> 
     if separate := run.explain_separate_timing(rival):
         return "", separate
     ratio = estimate_paired_time_ratio(*match_times_by_step(here, there))
+    if not math.isfinite(ratio.high):
+        return _format_ratio(ratio), TOO_FEW_STEPS
     spread = max(compute_round_spread(records, *replay) for replay in (first, second))
     is_disturbed = spread > 1.0 and ratio.is_within_spread(spread)
     return _format_ratio(ratio), MACHINE_DISTURBED * is_disturbed

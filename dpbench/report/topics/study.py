@@ -237,7 +237,8 @@ def _describe_loosest_tolerances(study: Study) -> str:
         for c in cheap.values()
     ]
     wording = (
-        f"The loosest tolerance with an {limits.replace('and excess', 'and an excess')}: "
+        "The loosest tolerance (`default` is not compared) with an "
+        f"{limits.replace('and excess', 'and an excess')}: "
         f"{join_with_and(parts)}"
         if parts
         else ""

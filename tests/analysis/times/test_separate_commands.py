@@ -36,7 +36,7 @@ EARLY = {"turns": "a1", "campaign_utc": "2026-11-28T08:00:00.000+00:00"}
 LATE = {"turns": "b2", "campaign_utc": "2026-11-28T09:30:00.000+00:00"}
 EARLY["judged_utc"], LATE["judged_utc"] = "2026-11-28T08:05:00Z", "2026-11-28T09:42:10Z"
 EXACT = {"spread": 0.0, "rounds": 1}
-UNDECIDED = "Not decided, as the machine was disturbed:"
+UNDECIDED = "Not decided (machine disturbed):"
 STOLEN = {"replay_s": 1.0, "steal_s": 0.1}
 QUIET = {"replay_s": 2.0, "involuntary_switches": 4, "steal_s": 0.0}
 
@@ -79,7 +79,7 @@ def test_every_place_names_separate_commands_in_place_of_a_ratio(records: Any) -
     assert text in written and "times as long" not in written
     race = build_race_topic(records.view(), Requirements())
     assert race is not None
-    assert race.tables[0].rows[0][-1] == SEPARATE and "without a ratio" in race.lines[0].lower()
+    assert race.tables[0].rows[0][-1] == SEPARATE and f"Not decided ({SEPARATE}): " in race.lines[0]
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_every_place_names_separate_commands_in_place_of_a_ratio(records: Any) -
         (
             19.0,
             STOLEN,
-            "Not decided, as the machine was disturbed: `paper` (",
+            "Not decided (machine disturbed): `paper` (",
             ", machine disturbed",
         ),
         (10.0, STOLEN, "Step time of `osqp` over that of `daqp`: 1.99", ")"),

@@ -43,7 +43,7 @@ from dpbench.scenario.scenario import load_scenario, load_vessel
 from dpbench.ship.thrusters import Screw, ThrusterSet
 from dpbench.ship.vessel import HullDrag
 
-HEADING = "Solver for the QPs of these runs, without a recommendation for the ship"
+HEADING = "Solver for the QPs of these runs only"
 
 
 def _good(records: Any, tmp_path: Path) -> Path:

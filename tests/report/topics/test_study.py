@@ -254,10 +254,11 @@ def test_the_loosest_tolerance_states_its_accuracy(records: Any) -> None:
         records.sea("osqp", 0, sea, {EAST: 1.0}, settings="1e-2", **shared, **accuracy)
     found = topic.build_study_topic(find_studies(records.view()))
     assert found is not None and found.lines[-1] == (
-        "`seas`: The loosest tolerance with an excess error significantly below 1 cm and an excess "
-        "cost significantly below 1 %: `osqp` (1e-2) with 25.0 % of the steps verified. `osqp` "
-        "(1e-2) does not pass the requirements: the error of the first move is up to 0.028 (limit "
-        "0.01) and 168 of 240 steps were reported as solved but not verified."
+        "`seas`: The loosest tolerance (`default` is not compared) with an excess error "
+        "significantly below 1 cm and an excess cost significantly below 1 %: `osqp` (1e-2) with "
+        "25.0 % of the steps verified. `osqp` (1e-2) does not pass the requirements: the error of "
+        "the first move is up to 0.028 (limit 0.01) and 168 of 240 steps were reported as solved "
+        "but not verified."
     )
     text = make_report_markdown(Report.from_results(records.results()))
     assert found.lines[-1] in text.splitlines()
