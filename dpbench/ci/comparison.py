@@ -238,11 +238,11 @@ class RunComparison:
         return f"exit code {self.exit_code(disturbed)} ({self.outcome})"
 
     def describe_unjudged(self, disturbed: int, option: str = "--disturbed-exit") -> list[str]:
-        """Return lines on the machine factor, unused allowances, disturbed times, the exit code.
+        """Return lines on the bound, machine factor, unused allowances, disturbed times, exit code.
 
         option : the one that selects the exit code.
         """
-        lines = [self.machine] if self.machine else []
+        lines = self.describe_bound() + ([self.machine] if self.machine else [])
         lines += [f"allowed, but measured in no benchmark: {one}" for one in self.unused]
         unjudged = [row for row in self.rows if np.isfinite(row.disturbed_ratio)]
         if unjudged:
@@ -309,7 +309,7 @@ def describe_end(
 ) -> list[str]:
     """Return lines on what was compared, whether a regression is shown, and what is not judged."""
     lines = [found.describe_scope(base, head), found.describe_verdict(base)]
-    return lines + found.describe_bound() + found.describe_unjudged(disturbed_exit, option)
+    return lines + found.describe_unjudged(disturbed_exit, option)
 
 
 def compare_runs(

@@ -108,6 +108,7 @@ def test_a_comparison_counts_times_without_a_verdict_and_bounds_the_others() -> 
     assert judged is not None and judged.high > 1.05
     bound = describe_end(found, "base", "head")[2]
     assert bound == f"largest slowdown not excluded: × {judged.high:.2f} (quiet)"
+    assert found.describe_unjudged(0)[0] == bound, "in the lines of `revisions` too"
     slower = compare_runs([(run_of(entry("quiet")), run_of(entry("quiet", 1e-2)))])
     assert not any("not excluded" in line for line in describe_end(slower, "base", "head"))
 
