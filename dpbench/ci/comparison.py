@@ -220,7 +220,7 @@ class RunComparison:
         exact = f"{join_with_and(known or ['failures'])}: no regression against {base}"
         return "; ".join([*times, exact, *allowed])
 
-    def describe_bound(self) -> list[str]:
+    def _describe_bound(self) -> list[str]:
         """Return a line on the largest slowdown that the judged times do not exclude, if any."""
         judged = {row.name: row.ratio for row in self.rows if row.ratio and not row.not_judged}
         if not judged or self.worse:
@@ -242,7 +242,7 @@ class RunComparison:
 
         option : the one that selects the exit code.
         """
-        lines = self.describe_bound() + ([self.machine] if self.machine else [])
+        lines = self._describe_bound() + ([self.machine] if self.machine else [])
         lines += [f"allowed, but measured in no benchmark: {one}" for one in self.unused]
         unjudged = [row for row in self.rows if np.isfinite(row.disturbed_ratio)]
         if unjudged:

@@ -616,7 +616,7 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     text = _summary(records).text
     assert text.startswith(
         "With exactly solved QPs, the controller holds the ship on station (5 m, 5°) in 2 of 2 "
-        "scenarios of 36 s. Approaches from outside these limits do not count. The largest "
+        "scenarios of 36 s. Apart from approaches, the largest "
         "offset is 1.77 m, at the start of `paper` (0.0400 m at its end)."
     )
     assert text.endswith(

@@ -86,8 +86,9 @@ def _explain_step_times(data: PageData) -> str:
 
 BARS = (
     "The call overhead is the time of a call from Python that copies its data but solves nothing. "
-    "Some interfaces copy less: the p50 is then smaller, and the grey bar ends at it. If step "
-    "times are below 5 µs, their differences may be due to the interfaces, not the algorithms."
+    "An interface that copies less can have a p50 below this time; its grey bar ends at the p50. "
+    "If step times are below 5 µs, their differences may be due to the interfaces, not the "
+    "algorithms."
 )
 
 
@@ -109,7 +110,7 @@ MATRIX = (
     "Each cell shows the verdict on a configuration (solver, call mode, settings) in one scenario "
     "or replay."
 )
-TIMED_LOOPS = "The times of a closed loop are judged in its window."
+TIMED_LOOPS = "The verdict on a closed loop also depends on the step times of its window."
 
 
 def _explain_verdict_grid(data: PageData) -> str:

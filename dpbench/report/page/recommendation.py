@@ -496,8 +496,9 @@ def _describe_limiting_p99(margin: SpeedMargin) -> str:
         longer = f"{plural(many, 'step')} of the window {'is' if many == 1 else 'are'} longer"
         return f"{estimated} It is {time}: {longer} (1 % of {format_count(steps)}{rounded})."
     why = "the closed loop takes more iterations (p99) than the window"
-    if isclose(margin.limiting_p99_ns, run.algo_max_ns):
-        return f"{estimated} Because {why}, the estimate is the longest step of the window."
+    is_capped = isclose(margin.limiting_p99_ns, margin.longest_ns)
+    if is_capped and run.run_id == margin.hardest.run.run_id:
+        return f"{estimated} Because {why}, the estimate is the longest step."
     return f"{estimated} It is {time}, scaled up to {scaled}, because {why}."
 
 

@@ -405,11 +405,12 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     from_deg = find_weather_direction(ship.run for ship in known)
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     moves = any(ship.has_transfer for ship in kept)
-    before = " Approaches from outside these limits do not count." * moves
-    largest = "The largest" if len(kept) == len(known) else "There, the largest"
+    opening = "" if len(kept) == len(known) else "There, "
+    opening += f"{'apart' if opening else 'Apart'} from approaches, " * moves
+    largest = f"{opening}{'the' if opening else 'The'} largest"
     return (
         "With exactly solved QPs, the controller holds the ship on station "
-        f"({_format_station_limits(farthest)}){weather} {where}.{before} {largest} offset is "
+        f"({_format_station_limits(farthest)}){weather} {where}. {largest} offset is "
         f"{significant(run.exact_offset_max_m)} m{at} "
         f"({significant(run.exact_offset_end_m)} m at {end})."
     )

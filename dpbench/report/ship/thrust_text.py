@@ -66,7 +66,7 @@ def explain_departure(ship: ShipResult) -> str:
 
 def _read_ramp_s(ship: ShipResult) -> float:
     """Return the time over which the weather of a ship's scenario rises [s]; 0 if unknown."""
-    environment = (ship.run.scenario_documents or {}).get("scenario", {}).get("environment") or {}
+    environment = ship.run.files["scenario"].get("environment") or {}
     return float(environment.get("ramp_s", 0.0))
 
 

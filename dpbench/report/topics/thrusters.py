@@ -94,8 +94,8 @@ def _describe_thruster_load(
     return (
         f"At least one thruster is at its thrust limit in "
         f"{100.0 * hardest.at_limit_thrusters:.0f} % of the {plural(hardest.steps_done, 'step')} "
-        f"of `{hardest.scenario}` (in the solver's closed loop that deviates least from the "
-        "reference loop). "
+        f"of `{hardest.scenario}` (in the closed loop, of all solvers, that deviates least "
+        "from the reference loop). "
         f"{whole} of the {plural(len(configurations), 'configuration')} run in {names} "
         f"{'is' if whole == 1 else 'are'} accurate on every step{all_runs}."
     )
