@@ -8,8 +8,8 @@ controller meets the same seas: common random numbers.
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass, field, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -57,20 +57,26 @@ class LoopScore:
 
     share : largest offset, in multiples of the station's limits.
     wear_per_h : mean travel of the forces in an hour, in multiples of the largest forces.
+    largest_in : scenario and sea of the largest offset; "" where there is only one of each.
     """
 
     share: float
     wear_per_h: float
+    largest_in: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class Realisation:
-    """One sea of a DP capability number (None: the scenario's weather) by its seed, drawn once."""
+    """One sea of a DP capability number (None: the scenario's weather) by its seed, drawn once.
+
+    label : scenario and number, as far as the realisations of a search differ in them.
+    """
 
     scenario: Scenario
     number: int | None
     seed: int
     steps: int
+    label: str
     drawn: WeatherDraw = field(default_factory=dict, repr=False)
 
 
@@ -141,8 +147,10 @@ def draw_realisations(
     for scenario, number in product(scenarios, numbers):
         seed = scenario.files["scenario"]["environment"]["seed"] + first
         own = min(steps or scenario.steps, scenario.steps)
+        parts = [scenario.name] * (len(scenarios) > 1)
+        parts += [f"DP number {number}"] * (len(numbers) > 1)
         for at in range(seed, seed + count):
-            sea = Realisation(scenario, number, at, own)
+            sea = Realisation(scenario, number, at, own, ", ".join(parts))
             env = change_sea_of_scenario(scenario, sea).environment
             drawn = env.draw_wind_and_waves_at_stages(own, scenario.sample_s, SUBSTEPS)
             found.append(replace(sea, drawn=drawn))
@@ -162,7 +170,7 @@ def change_sea_of_scenario(scenario: Scenario, sea: Realisation) -> Scenario:
     return copy_scenario_with_values(scenario, values, f"scenario {scenario.name}")
 
 
-def rate_controller(options: Options, seas: Iterable[Realisation]) -> LoopScore:
+def rate_controller(options: Options, seas: Sequence[Realisation]) -> LoopScore:
     """Run a closed loop with other weights and horizons in each sea; return the score."""
     shares, wear = [], []
     for sea in seas:
@@ -172,8 +180,9 @@ def rate_controller(options: Options, seas: Iterable[Realisation]) -> LoopScore:
         shares.append(share)
         wear.append(travel * 3600.0 / (loop.steps * loop.sample_s))
     # A ship whose state is no number is off station.
-    share, mean = np.nan_to_num([np.max(shares), np.mean(wear)], nan=np.inf, posinf=np.inf)
-    return LoopScore(float(share), float(mean))
+    known = np.nan_to_num(shares, nan=np.inf, posinf=np.inf)
+    mean = np.nan_to_num(np.mean(wear), nan=np.inf, posinf=np.inf)
+    return LoopScore(float(np.max(known)), float(mean), seas[int(np.argmax(known))].label)
 
 
 def _run_loop_in_sea(scenario: Scenario, drawn: WeatherDraw) -> tuple[float, float]:
@@ -340,7 +349,8 @@ def _describe_score(score: LoopScore, margin: float) -> str:
     offset, limit = 100.0 * score.share, round(100.0 * margin, 9)
     is_within = score.share <= margin
     digits = next((d for d in range(9) if (round(offset, d) <= limit) == is_within), 9)
-    return f"offset {offset:.{digits}f} %, wear {significant(score.wear_per_h)} per hour"
+    where = f" ({score.largest_in})" if score.largest_in else ""
+    return f"offset {offset:.{digits}f} %{where}, wear {significant(score.wear_per_h)} per hour"
 
 
 class _KeptTrials:
@@ -362,10 +372,10 @@ class _KeptTrials:
             raise SituationError("--out", found)
         for number, line in enumerate(lines, 2):
             try:
-                name, share, wear = json.loads(line)
-                self._scores[name] = LoopScore(float(share), float(wear))
+                name, share, wear, largest_in = json.loads(line)
+                self._scores[name] = LoopScore(float(share), float(wear), str(largest_in))
             except (ValueError, TypeError) as error:
-                allowed = "a name and two numbers"
+                allowed = "a name, two numbers and a text"
                 raise InputError(str(path), f"line {number}", repr(line[:80]), allowed) from error
         if whole != text:
             write_text_atomically(path, whole)
@@ -377,7 +387,7 @@ class _KeptTrials:
     def store_score(self, name: str, score: LoopScore) -> None:
         """Store the score of a finished trial on disk, by the trial's name."""
         with self._path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps([name, score.share, score.wear_per_h]) + "\n")
+            file.write(json.dumps([name, *astuple(score)]) + "\n")
 
 
 def tune_controller(

@@ -114,11 +114,12 @@ def test_of_several_scenarios_the_largest_offset_counts_and_the_mean_wear(tmp_pa
     own = make_unchanged_options(scenarios[0])
     alone = [rate_controller(own, draw_realisations([s], [], 0, 1, 60)) for s in scenarios]
     assert alone[0].share > alone[1].share
+    assert {one.largest_in for one in alone} == {""}
     for order in (scenarios, scenarios[::-1]):
         seas = draw_realisations(order, [], 0, 1, 60)
         assert sorted(sea.steps for sea in seas) == [40, 60]
         both = rate_controller(own, seas)
-        assert both.share == alone[0].share
+        assert (both.share, both.largest_in) == (alone[0].share, "weather")
         assert both.wear_per_h == pytest.approx(np.mean([one.wear_per_h for one in alone]))
 
 
