@@ -278,16 +278,17 @@ class Tuning:
         if fastest in ("", YOURS) and self.best.options == self.request.start:
             return ["keep your settings: the search found none faster"]
         on_all = "accurate and in time on all sequences"
+        use_best = "use the best settings if they pass in closed loops"
         if not fastest:
-            return [f"use the best settings: no others that were measured are {on_all}"]
+            return [f"{use_best}: no others that were measured are {on_all}"]
         ratio = score_runs(test.runs[BEST], test.runs[fastest], limits).ratio
         if ratio > 1.0 - ALIKE:
             gain = f"not more than {100.0 * ALIKE:g} % faster on the test sequences"
             return [f"{use}: the best settings are {gain} (ratio {significant(ratio)})"]
         name = "your settings" if fastest == YOURS else f"the preset {fastest}"
         return [
-            f"use the best settings: on the test sequences, they take {significant(ratio)} times "
-            f"the step time of {name}, the fastest of the others that are {on_all}"
+            f"{use_best}: on the test sequences, they take {significant(ratio)} times the step "
+            f"time of {name}, the fastest of the others that are {on_all}"
         ]
 
     @property

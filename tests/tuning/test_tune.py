@@ -248,7 +248,8 @@ def test_a_search_ends_with_the_settings_to_use(
         )
         return replace(found, roles=roles).lines[-1]
 
-    gain = "use the best settings: on the test sequences, they take {} times the step time of {}, "
+    advice = "use the best settings if they pass in closed loops"
+    gain = advice + ": on the test sequences, they take {} times the step time of {}, "
     for wrong, other, name in (
         ((), "yours", "your settings"),
         (("yours",), "high", "the preset high"),
@@ -256,7 +257,7 @@ def test_a_search_ends_with_the_settings_to_use(
     ):
         ratio = f"{times['best'] / times[other]:.3f}"
         assert conclude(*wrong).startswith(gain.format(ratio, name))
-    none = "use the best settings: no others that were measured are accurate and in time on all seq"
+    none = f"{advice}: no others that were measured are accurate and in time on all seq"
     assert conclude("yours", *LEVELS).startswith(none)
     fail = "the best settings fail on the training sequences: do not use them"
     assert conclude("best", "yours") == f"{fail}; use the preset high"
