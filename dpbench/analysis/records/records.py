@@ -48,11 +48,15 @@ def find_inaccurate_steps(steps: pd.DataFrame, limit: float) -> tuple[int, int]:
 
 
 class FailedSteps(NamedTuple):
-    """Steps that fail in any round of a run: number, status of most, and the first of them."""
+    """Steps that fail in any round of a run.
+
+    status : that of most; first : the first of them; infeasible : those whose QP is infeasible.
+    """
 
     steps: int
     status: str
     first: int
+    infeasible: int = 0
 
 
 NO_FAILED_STEPS = FailedSteps(0, "", -1)
@@ -157,7 +161,8 @@ class Records:
             failed = table[mask_failed_steps(table)]
             for run_id, steps in failed.groupby("run_id", observed=True):
                 k, status = steps["k"], str(steps["status"].mode()[0])
-                found[str(run_id)] = FailedSteps(k.nunique(), status, int(k.min()))
+                infeasible = k[steps["certificate"] == "infeasible"].nunique()
+                found[str(run_id)] = FailedSteps(k.nunique(), status, int(k.min()), infeasible)
         return found
 
     def find_inaccurate_steps(self, run: RunRecord, limit: float) -> tuple[int, int]:

@@ -159,7 +159,8 @@ class Finding:
 
     runs : the runs it was found in, first the worst in which the ship stays on station.
     value : an error, a time [ns], a share of timings, or steps, by kind.
-    steps : the steps or timings of the figure; status : that of most failed steps.
+    steps : the steps or timings of the figure; status : that of most failed steps; infeasible :
+        the failed steps whose QP is infeasible.
     first : the first failed or inaccurate step of the worst run; −1 where it is not known.
     machine : of a share of late timings, the share that the machine explains; of a time with waits
         for the processor core, the time without them [ns].
@@ -174,6 +175,7 @@ class Finding:
     machine: float = math.nan
     status: str = ""
     first: int = -1
+    infeasible: int = 0
     limit: float = math.nan
     factor: float = math.nan
 

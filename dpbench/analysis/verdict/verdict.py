@@ -357,10 +357,7 @@ def find_wrong_answers(
             replace(f, steps=steps, first=first)
             for f, (steps, first) in zip(inaccurate, located, strict=True)
         ),
-        *(
-            replace(f, steps=own.steps, status=own.status, first=own.first)
-            for f, own in zip(failed, known, strict=True)
-        ),
+        *(replace(f, **own._asdict()) for f, own in zip(failed, known, strict=True)),
     ]
 
 
@@ -587,6 +584,11 @@ def explain_deployment_blocker(solver: str) -> str:
     return "not in the table of this installation" if known is None else known.reason_not_deployable
 
 
+def select_run_in_both_modes(own: Sequence[Verdict]) -> Sequence[Verdict]:
+    """Return the verdicts with a closed loop and a replay; all of them where none has both."""
+    return [verdict for verdict in own if verdict.loops and verdict.replays] or own
+
+
 def list_best_verdict_of_each_solver(verdicts: Verdicts) -> list[Verdict]:
     """Return each solver's best verdict, sorted by `sort_best_first`.
 
@@ -597,7 +599,7 @@ def list_best_verdict_of_each_solver(verdicts: Verdicts) -> list[Verdict]:
     fastest = {verdict.configuration.solver: verdict for verdict in rank_solvers(verdicts)}
     chosen = []
     for solver, own in verdicts.of.items():
-        whole = [verdict for verdict in own if verdict.loops and verdict.replays] or own
+        whole = select_run_in_both_modes(own)
         best = min(whole, key=lambda v: STATES.index(v.state)).state
         alike = [verdict for verdict in whole if verdict.state == best]
         if (first := fastest.get(solver)) not in alike:

@@ -1,7 +1,7 @@
 """Findings that a verdict rests on as clauses."""
 
 from collections.abc import Iterator, Sequence
-from math import isnan
+from math import isnan, nan
 
 from dpbench.analysis.records.loop_ratios import LOOP_SIGNS
 from dpbench.analysis.records.machine import sum_disturbances
@@ -145,6 +145,8 @@ def describe_finding(finding: Finding) -> str:
         number=format_count(finding.steps),
         first=first_step,
         fail="fails" if (finding.steps or finding.value) == 1 else "fail",
+        infeasible=_describe_infeasible(finding),
+        scaled=_describe_scaled_p99(finding),
         ending=_describe_ending(finding.status, first),
         caching=describe_caching_sign(first.configuration.solver, first.caching_sign),
         outcome=first.outcome,
@@ -170,6 +172,22 @@ def describe_finding(finding: Finding) -> str:
         over=over,
         also_over=f" ({'' if over else 'above the limit '}also in {also})" if also else "",
     )
+
+
+def _describe_infeasible(finding: Finding) -> str:
+    """Return how many failed steps have an infeasible QP, as a clause; "" for none."""
+    if not finding.infeasible:
+        return ""
+    if finding.infeasible < finding.steps:
+        return f", {format_count(finding.infeasible)} of them with an infeasible QP,"
+    return ", all with an infeasible QP," if finding.steps > 1 else ", with an infeasible QP,"
+
+
+def _describe_scaled_p99(finding: Finding) -> str:
+    """Return a p99 scaled up to the closed loop, in brackets; "" where it reads the same."""
+    text = format_time(finding.value * finding.runs[0].untimed_iterations)
+    is_alike = text in (format_time(finding.value), format_time(nan))
+    return "" if is_alike else f" (scaled up to its closed loop: {text})"
 
 
 def _format_explained(share: float, only: str = "") -> str:

@@ -27,6 +27,7 @@ from dpbench.analysis.verdict.verdict import (
     Verdicts,
     find_solver_record_or_none,
     list_best_verdict_of_each_solver,
+    select_run_in_both_modes,
 )
 from dpbench.bench.judge.rules import LEAST_STRETCH
 from dpbench.bench.record.cell import Configuration
@@ -149,10 +150,12 @@ def _name_solver_with_settings(verdicts: Verdicts, verdict: Verdict) -> str:
 def format_settings_with_other_states(verdicts: Verdicts, verdict: Verdict, mode: str = "") -> str:
     """Return the settings of a solver's best verdict in brackets; "" where all have its state.
 
-    If that is no pass, also the states with the other settings. mode : call mode that precedes.
+    If that is no pass, also the states with the other settings. Where some configurations were run
+    in both modes, those without a loop or a replay do not count. mode : call mode that precedes.
     """
     c = verdict.configuration
-    by_settings = group_by_key(verdicts.of.get(c.solver, ()), lambda v: v.configuration.settings)
+    whole = select_run_in_both_modes(verdicts.of.get(c.solver, ()))
+    by_settings = group_by_key(whole, lambda v: v.configuration.settings)
     others = {
         settings: min((v.state for v in own), key=STATES.index)
         for settings, own in by_settings.items()

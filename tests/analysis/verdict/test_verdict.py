@@ -122,6 +122,46 @@ def test_the_first_failed_step_of_a_window_is_not_named(records: Any) -> None:
 
 
 @pytest.mark.parametrize(
+    ("steps", "infeasible", "clause"),
+    [
+        (3, 0, "3 of 120 steps fail"),
+        (3, 2, "3 of 120 steps, 2 of them with an infeasible QP, fail"),
+        (3, 3, "3 of 120 steps, all with an infeasible QP, fail"),
+        (1, 1, "1 of 120 steps, with an infeasible QP, fails"),
+    ],
+)
+def test_failed_steps_with_an_infeasible_qp_are_counted(
+    steps: int, infeasible: int, clause: str, records: Any
+) -> None:
+    records.loop("osqp")
+    finding = Finding("failed", tuple(records.view().runs), 3.0, steps, infeasible=infeasible)
+    assert describe_finding(finding).startswith(f"{clause} in `paper`")
+
+
+def test_failed_steps_with_an_infeasible_qp_are_read_from_the_steps(records: Any) -> None:
+    """At step 5 the solver gives an iterate although its QP is infeasible."""
+    records.replay("osqp", failed=2, lost=(3,))
+    steps = records._steps[-1]
+    infeasible = steps["k"] == 5
+    steps.loc[infeasible, "certificate"], steps.loc[infeasible, "unconverged"] = "infeasible", True
+    (found,) = records.view().failed_steps_by_run.values()
+    assert (found.steps, found.first, found.infeasible) == (2, 3, 1)
+
+
+@pytest.mark.parametrize("kind", ["p99 late", "window late", "p99 borderline"])
+def test_a_p99_is_given_as_measured_and_as_scaled_up(kind: Any, records: Any) -> None:
+    """Tables have the scaled one; both are given where they differ in the digits shown."""
+    records.replay("osqp")
+    (run,) = records.view().runs
+    for factor, scaled in ((1.0, ""), (1.0001, ""), (1.25, "5.00 ms")):
+        of_loop = replace(run, untimed_iterations=factor)
+        text = describe_finding(Finding(kind, (of_loop,), 4e6, limit=3e6, factor=1.1))
+        assert "its p99 is 4.00 ms in" in text and "limit of 3.00 ms" in text
+        words = f" (scaled up to its closed loop: {scaled})"
+        assert text.endswith(words if scaled else "3.00 ms")
+
+
+@pytest.mark.parametrize(
     ("most", "after"),
     [
         (4000, " after at most 4\u202f000 iterations"),

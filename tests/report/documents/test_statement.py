@@ -135,15 +135,16 @@ def test_it_has_the_verdict_where_it_is_valid_and_what_is_not(drawn: str, writte
 def test_a_verdict_names_its_settings_where_others_have_another() -> None:
     """The best of two settings is late, the other one fails; a pass names its settings alone."""
 
-    def judge(settings: str, state: str) -> Any:
-        return SimpleNamespace(
-            configuration=SimpleNamespace(solver="osqp", settings=settings), state=state
-        )
+    def judge(settings: str, state: str, loops: int = 1) -> Any:
+        configuration = SimpleNamespace(solver="osqp", settings=settings)
+        return SimpleNamespace(configuration=configuration, state=state, loops=loops, replays=1)
 
     best = judge("high", "late")
     for others, expected in (
         ([judge("default", "fail")], " (high; with default: fail)"),
         ([judge("default", "late")], ""),
+        # A call mode that was not run in closed loop has no verdict to compare.
+        ([judge("default", "late"), judge("default", "inconclusive", loops=0)], ""),
         ([], ""),
     ):
         verdicts: Any = SimpleNamespace(of={"osqp": [*others, best]})
