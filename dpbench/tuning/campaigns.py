@@ -242,16 +242,19 @@ def measure_settings(
     progress: Progress,
     presets: Sequence[str] = (DEFAULT,),
     *,
+    purpose: str = "",
     wait_s: float | None = None,
 ) -> MeasuredRuns:
     """Time settings of a solver and some of its presets side by side; return the runs.
 
+    purpose : of the sequences, added to the title of the suite.
     The suite is written beside `folder`, which is the result folder. Finished runs are kept, unless
     an interruption left the times of one sequence to two commands: all are timed again then.
     """
     suite = folder.with_suffix(".toml")
     folder.parent.mkdir(parents=True, exist_ok=True)
-    write_text_atomically(suite, format_suite_as_toml(solver, problems, settings, presets))
+    text = format_suite_as_toml(solver, problems, settings, presets, purpose)
+    write_text_atomically(suite, text)
     measured = MeasuredRuns(())
     for fresh in (False, True):
         run_campaign(
@@ -280,13 +283,14 @@ def format_suite_as_toml(
     problems: Sequence[TunedProblem],
     settings: Settings,
     presets: Sequence[str],
+    purpose: str = "",
 ) -> str:
     """Return a suite as TOML: the solver with presets and other settings on some sequences."""
     named = settings if isinstance(settings, Mapping) else {}
     unnamed = [] if isinstance(settings, Mapping) else settings
     choices = [solver.name, *(f"{solver.name}[{format_options_as_toml(own)}]" for own in unnamed)]
     lines = [
-        f"title = {json.dumps(f'Settings of {solver.name}')}",
+        f"title = {json.dumps(f'Settings of {solver.name}{purpose}')}",
         f"solvers = {json.dumps(choices, ensure_ascii=False)}",
         "baseline_law = false",
         f"rounds = {ROUNDS}",

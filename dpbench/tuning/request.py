@@ -100,6 +100,15 @@ class SearchRequest:
         return self.trials + len(self.first_trials)
 
     @property
+    def sequences_by_purpose(self) -> str:
+        """Names of the training and of the test sequences as a text."""
+        training, test = (
+            ", ".join(problem.name for problem in problems)
+            for problems in (self.training, self.test)
+        )
+        return f"training: {training}; test: {test}"
+
+    @property
     def given(self) -> str:
         """Names of the settings that are tried besides those the search draws; "" for none."""
         yours, names = int(self.start is not None), join_with_and(self.presets[1:])

@@ -570,6 +570,7 @@ def _measure_roles(
         request.folder / FINAL,
         progress,
         presets,
+        purpose=f" ({request.sequences_by_purpose})",
         wait_s=wait_s,
     )
     roles = []

@@ -78,6 +78,7 @@ class _Campaigns:
         progress: Progress,
         presets: Sequence[str] = ("default",),
         *,
+        purpose: str = "",
         wait_s: float | None = None,
     ) -> MeasuredRuns:
         self.batches.append(len(settings))
@@ -544,6 +545,9 @@ def test_settings_are_found_measured_and_written(
     assert "test sequences (move-60-10[:300:8]): " in " ".join(said.split())
     final = load_results(Path("out/final"))
     runs = final.runs
+    assert final.suite["title"] == (
+        "Settings of osqp (training: calm-60-10[:300:8]; test: move-60-10[:300:8])"
+    )
     steps = final.steps.merge(runs[runs["settings"] == "best"][["run_id", "sequence"]])
     (named,) = re.findall(r"% of the limit, at step (\d+) of (\S+) \(", " ".join(said.split()))
     errors = steps[steps["sequence"] == named[1]].groupby("k")["error_move"].max()
