@@ -498,7 +498,7 @@ def _describe_limiting_p99(margin: SpeedMargin) -> str:
     why = "the closed loop takes more iterations (p99) than the window"
     is_capped = isclose(margin.limiting_p99_ns, margin.longest_ns)
     if is_capped and run.run_id == margin.hardest.run.run_id:
-        return f"{estimated} Because {why}, the estimate is the longest step."
+        return f"{estimated} As {why}, the longest step of the window is taken as its p99."
     return f"{estimated} It is {time}, scaled up to {scaled}, because {why}."
 
 

@@ -404,9 +404,11 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         at, end = f", {_format_time_of_offset(run)} of {_locate_ship(farthest)}", "its end"
     from_deg = find_weather_direction(ship.run for ship in known)
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
-    moves = any(ship.has_transfer for ship in kept)
     opening = "" if len(kept) == len(known) else "There, "
-    opening += f"{'apart' if opening else 'Apart'} from approaches, " * moves
+    if moved := [ship for ship in kept if ship.has_transfer]:
+        approach = "the approach" if len(moved) == 1 else "the approaches"
+        approach += f" in {_name_ships(moved)}" * (len(known) > 1)
+        opening += f"{'apart' if opening else 'Apart'} from {approach}, "
     largest = f"{opening}{'the' if opening else 'The'} largest"
     return (
         "With exactly solved QPs, the controller holds the ship on station "

@@ -635,8 +635,8 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
 @pytest.mark.parametrize(
     "p99, sentence",
     [
-        (9.0, "Because the closed loop takes more iterations (p99) than the window, the estimate "
-         "is the longest step. "),
+        (9.0, "As the closed loop takes more iterations (p99) than the window, the longest step of "
+         "the window is taken as its p99. "),
         (4.0, "It is 20.0 µs: 4 steps of the window are longer (1 % of 450, rounded down). "),
     ],
 )  # fmt: skip
