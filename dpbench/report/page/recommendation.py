@@ -464,13 +464,13 @@ def _list_limiting_steps(data: PageData, margin: SpeedMargin, *, has_p99: bool) 
         )
     named = f"longest step is {_name_slow_step(hardest)} ({_describe_work(hardest)})"
     time = f"{format_time(hardest.time_ns)}{wait}"
-    longest = f"The {named}. It took {time}."
+    longest = f"The {named}. It took {time}"
     if hardest.run.untimed_iterations_max > 1.0:
         scaled = f"scaled up to {format_time(margin.longest_ns)}"
-        longest = f"After scaling, the {named}: its time of {time} is {scaled}."
+        longest = f"After scaling, the {named}: its time of {time} is {scaled}"
     return [
         *texts,
-        f"{longest} It reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
+        f"{longest}, and reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
         f"× {format_rounded_down(margin.deadline)}.",
     ]
 
@@ -480,11 +480,11 @@ def _describe_limiting_p99(margin: SpeedMargin) -> str:
     run, time = margin.p99.run, format_time(margin.p99.time_ns)
     scaled = format_time(margin.limiting_p99_ns)
     steps = run.steps_searched_for_hardest
+    why = "because the p99 of iterations is larger in the closed loop"
     if not steps:
         measured = f"The limiting p99 is that of {name_experiment(run)}"
-        why = "the p99 of iterations is larger in the closed loop than in this replay"
         is_scaled = run.untimed_iterations > 1.0
-        return f"{measured}{f': {time}, scaled up to {scaled}, because {why}' * is_scaled}."
+        return f"{measured}{f': {time}, scaled up to {scaled}, {why}' * is_scaled}."
     estimated = (
         f"In `{run.scenario}`, only a window of {format_count(run.steps_planned)} of the "
         f"{format_count(steps)} steps was timed, so the p99 is an estimate without a confidence "
@@ -495,11 +495,10 @@ def _describe_limiting_p99(margin: SpeedMargin) -> str:
         many = steps // 100
         longer = f"{plural(many, 'step')} of the window {'is' if many == 1 else 'are'} longer"
         return f"{estimated} It is {time}: {longer} (1 % of {format_count(steps)}{rounded})."
-    why = "the closed loop takes more iterations (p99) than the window"
     is_capped = isclose(margin.limiting_p99_ns, margin.longest_ns)
-    if is_capped and run.run_id == margin.hardest.run.run_id:
-        return f"{estimated} As {why}, the longest step of the window is taken as its p99."
-    return f"{estimated} It is {time}, scaled up to {scaled}, because {why}."
+    is_capped = is_capped and run.run_id == margin.hardest.run.run_id
+    limit = "the longest step of the window, " * is_capped
+    return f"{estimated} It is {time}, scaled up to {limit}{scaled}, {why}."
 
 
 def _yield_longest_timing(data: PageData, c: Configuration) -> Iterator[str]:

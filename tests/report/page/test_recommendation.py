@@ -134,7 +134,7 @@ def test_waits_for_the_core_are_named_beside_hardest_step_and_largest_timing(rec
     slower = dict(report.summary_rows())["margin"]
     assert "The longest step is step 7 of paper (" in slower
     assert (
-        f"It took 10.0 ms{waits[0]}. It reaches the deadline of 300 ms at a slowdown of × 30.0."
+        f"It took 10.0 ms{waits[0]}, and reaches the deadline of 300 ms at a slowdown of × 30.0."
         in slower
     )
     assert f"The largest single timing is 40.0 ms{waits[1]} in the replay of paper" in slower
@@ -625,18 +625,18 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
     assert (
         "In `turn`, only a window of 30 of the 450 steps was timed, so the p99 is an estimate "
-        "without a confidence interval. It is 20.0 µs, scaled up to 40.0 µs, because the closed "
-        "loop takes more iterations (p99) than the window. After scaling, the longest step is step "
+        "without a confidence interval. It is 20.0 µs, scaled up to 40.0 µs, because the p99 of "
+        "iterations is larger in the closed loop. After scaling, the longest step is step "
     ) in text
-    scaled = "its time of 20.0 µs is scaled up to 60.0 µs. It reaches the deadline of 300 ms"
+    scaled = "its time of 20.0 µs is scaled up to 60.0 µs, and reaches the deadline of 300 ms"
     assert scaled in text
 
 
 @pytest.mark.parametrize(
     "p99, sentence",
     [
-        (9.0, "As the closed loop takes more iterations (p99) than the window, the longest step of "
-         "the window is taken as its p99. "),
+        (9.0, "It is 20.0 µs, scaled up to the longest step of the window, 30.0 µs, because the "
+         "p99 of iterations is larger in the closed loop. "),
         (4.0, "It is 20.0 µs: 4 steps of the window are longer (1 % of 450, rounded down). "),
     ],
 )  # fmt: skip
