@@ -480,25 +480,26 @@ def _describe_limiting_p99(margin: SpeedMargin) -> str:
     run, time = margin.p99.run, format_time(margin.p99.time_ns)
     scaled = format_time(margin.limiting_p99_ns)
     steps = run.steps_searched_for_hardest
-    why = "because the p99 of iterations is larger in the closed loop"
+    is_scaled = run.untimed_iterations > 1.0
+    here = "window" if steps else "replay"
+    why = f"As the p99 of iterations is larger in the closed loop than in the {here}, it is scaled"
     if not steps:
         measured = f"The limiting p99 is that of {name_experiment(run)}"
-        is_scaled = run.untimed_iterations > 1.0
-        return f"{measured}{f': {time}, scaled up to {scaled}, {why}' * is_scaled}."
+        return f"{measured}: {time}. {why} up to {scaled}." if is_scaled else f"{measured}."
     estimated = (
         f"In `{run.scenario}`, only a window of {format_count(run.steps_planned)} of the "
         f"{format_count(steps)} steps was timed, so the p99 is an estimate without a confidence "
         "interval."
     )
-    if not run.untimed_iterations > 1.0:
+    if not is_scaled:
         rounded = ", rounded down" * (steps % 100 > 0)
         many = steps // 100
         longer = f"{plural(many, 'step')} of the window {'is' if many == 1 else 'are'} longer"
         return f"{estimated} It is {time}: {longer} (1 % of {format_count(steps)}{rounded})."
     is_capped = isclose(margin.limiting_p99_ns, margin.longest_ns)
     is_capped = is_capped and run.run_id == margin.hardest.run.run_id
-    limit = "the longest step of the window, " * is_capped
-    return f"{estimated} It is {time}, scaled up to {limit}{scaled}, {why}."
+    to = f"up, but not beyond the longest step: {scaled}" if is_capped else f"up to {scaled}"
+    return f"{estimated} It is {time}. {why} {to}."
 
 
 def _yield_longest_timing(data: PageData, c: Configuration) -> Iterator[str]:

@@ -133,9 +133,9 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
         f"Taken one by one, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
-        f"exceeded a limit for a quiet machine ({' or '.join(kinds)}). Two of "
-        "these step times differ significantly only if the interval of their ratio excludes 1 "
-        "even after it is widened by the ratio of the slowest round to the fastest."
+        f"exceeded a limit for a quiet machine ({' or '.join(kinds)}). A "
+        "ratio of step times that involves one of these is significant only if its interval "
+        "excludes 1 even after it is widened by the ratio of the slowest round to the fastest."
     )
 
 

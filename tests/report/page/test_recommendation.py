@@ -625,8 +625,9 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
     assert (
         "In `turn`, only a window of 30 of the 450 steps was timed, so the p99 is an estimate "
-        "without a confidence interval. It is 20.0 µs, scaled up to 40.0 µs, because the p99 of "
-        "iterations is larger in the closed loop. After scaling, the longest step is step "
+        "without a confidence interval. It is 20.0 µs. As the p99 of iterations is larger in "
+        "the closed loop than in the window, it is scaled up to 40.0 µs. After scaling, the longest "
+        "step is step "
     ) in text
     scaled = "its time of 20.0 µs is scaled up to 60.0 µs, and reaches the deadline of 300 ms"
     assert scaled in text
@@ -635,8 +636,8 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
 @pytest.mark.parametrize(
     "p99, sentence",
     [
-        (9.0, "It is 20.0 µs, scaled up to the longest step of the window, 30.0 µs, because the "
-         "p99 of iterations is larger in the closed loop. "),
+        (9.0, "It is 20.0 µs. As the p99 of iterations is larger in the closed loop than in the "
+         "window, it is scaled up, but not beyond the longest step: 30.0 µs. "),
         (4.0, "It is 20.0 µs: 4 steps of the window are longer (1 % of 450, rounded down). "),
     ],
 )  # fmt: skip
