@@ -77,8 +77,8 @@ FAILED_STEPS = (
     "or in the warm-up."
 )
 FILES = (
-    "All figures and steps are in `report.html`; the other files are `tables/*.csv`, "
-    "`figures/*.svg`, `runs.parquet` and `steps.parquet`."
+    "All figures are in `report.html` and all steps in `steps.parquet`. The section “Files” of "
+    "`report.html` describes the other files."
 )
 TERMS = "Terms: `docs/glossary.md` of dpbench."
 
@@ -252,7 +252,8 @@ def _explain_speed_margin(data: PageData, listed: Sequence[Verdict]) -> str:
         "The limiting p99 is the largest p99 of all replays and windows, and the longest step is "
         "their largest step time."
         f"{scaled} The speed margin is the factor by which the ship's computer may be slower than "
-        "this machine, rounded down; below 1, it must be faster. It is the smaller of two ratios: "
+        "this machine, rounded down; if it is below 1, the computer must be faster. The margin is "
+        "the smaller of two ratios: "
         f"{requirements.p99_ms:g} ms / limiting p99{without} and {requirements.deadline_ms:g} ms / "
         "longest step."
     )
@@ -312,8 +313,8 @@ def yield_table_remarks(verdicts: Sequence[Verdict]) -> Iterator[str]:
         yield _locate_times("p50", usual, "from")
     if any(_is_window(v.p99_run) for v in placed):
         yield (
-            "A limiting p99 from a window has no confidence interval, as a window is only a part "
-            "of the scenario."
+            "A window is a replay of a few steps around the hardest step of a scenario; its p99 "
+            "has no confidence interval."
         )
     for name, found in (("limiting p99", worst), ("longest step", hardest)):
         if any(found[label] != usual.get(label, "") for label in found):

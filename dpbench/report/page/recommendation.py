@@ -76,7 +76,7 @@ UNEQUAL_ERRORS, SMALL_ERROR = 1e3, 1e-6
 """Ratio of two errors of the first move, and least larger one, from which both are given."""
 NOTE_TITLES = {
     "deployment": "Deployment",
-    "margin": "Speed margin",
+    "margin": "Slower computer",
     "counted": "Embedded core",
 }
 """Titles of notes that do not name their topic themselves, by keyword."""
@@ -482,24 +482,25 @@ def _describe_limiting_p99(margin: SpeedMargin) -> str:
     steps = run.steps_searched_for_hardest
     is_scaled = run.untimed_iterations > 1.0
     here = "window" if steps else "replay"
-    why = f"As the p99 of iterations is larger in the closed loop than in the {here}, it is scaled"
+    why = f"As the p99 of iterations is larger in the closed loop than in the {here}, this time is"
     if not steps:
         measured = f"The limiting p99 is that of {name_experiment(run)}"
-        return f"{measured}: {time}. {why} up to {scaled}." if is_scaled else f"{measured}."
+        return f"{measured}: {time}. {why} scaled up to {scaled}." * is_scaled or f"{measured}."
     estimated = (
         f"In `{run.scenario}`, only a window of {format_count(run.steps_planned)} of the "
-        f"{format_count(steps)} steps was timed, so the p99 is an estimate without a confidence "
+        f"{format_count(steps)} steps was replayed, so the p99 is an estimate without a confidence "
         "interval."
     )
     if not is_scaled:
         rounded = ", rounded down" * (steps % 100 > 0)
         many = steps // 100
         longer = f"{plural(many, 'step')} of the window {'is' if many == 1 else 'are'} longer"
-        return f"{estimated} It is {time}: {longer} (1 % of {format_count(steps)}{rounded})."
+        share = f"1 % of {format_count(steps)}{rounded}"
+        return f"{estimated} In the window, it is {time}: {longer} ({share})."
     is_capped = isclose(margin.limiting_p99_ns, margin.longest_ns)
     is_capped = is_capped and run.run_id == margin.hardest.run.run_id
-    to = f"up, but not beyond the longest step: {scaled}" if is_capped else f"up to {scaled}"
-    return f"{estimated} It is {time}. {why} {to}."
+    limit = ", but not beyond the longest step:" if is_capped else " to"
+    return f"{estimated} In the window, it is {time}. {why} scaled up{limit} {scaled}."
 
 
 def _yield_longest_timing(data: PageData, c: Configuration) -> Iterator[str]:

@@ -133,9 +133,10 @@ def _describe_worse_replays(records: Records, timed: Sequence[RunRecord]) -> str
     kinds = dict.fromkeys(kind for run in timed for kind in sum_disturbances([run]).find_excesses())
     return (
         f"Taken one by one, {format_count(worse)} of {format_count(len(timed))} replays{windows} "
-        f"exceeded a limit for a quiet machine ({' or '.join(kinds)}). A "
-        "ratio of step times that involves one of these is significant only if its interval "
-        "excludes 1 even after it is widened by the ratio of the slowest round to the fastest."
+        f"exceeded a limit for a quiet machine ({' or '.join(kinds)}). For "
+        "times from these, the rule is stricter: a difference is significant only if the interval "
+        "of the ratio still excludes 1 after it is widened by the ratio of the slowest round to "
+        "the fastest."
     )
 
 

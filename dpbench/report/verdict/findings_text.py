@@ -184,10 +184,10 @@ def _describe_infeasible(finding: Finding) -> str:
 
 
 def _describe_scaled_p99(finding: Finding) -> str:
-    """Return a p99 scaled up to the closed loop, in brackets; "" where it reads the same."""
+    """Return a clause on a p99 scaled up to the closed loop; "" where it reads the same."""
     text = format_time(finding.value * finding.runs[0].untimed_iterations)
     is_alike = text in (format_time(finding.value), format_time(nan))
-    return "" if is_alike else f" ({text} if scaled up to its closed loop)"
+    return "" if is_alike else f"; scaled up to its closed loop, it is {text}"
 
 
 def _format_explained(share: float, only: str = "") -> str:

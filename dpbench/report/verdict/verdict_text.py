@@ -70,7 +70,7 @@ def describe_requirements(requirements: Requirements) -> str:
     )
     limits = _describe_time_limits(requirements)
     return (
-        f"Requirements: on every step, an error of the first move of at most "
+        f"Requirements: on every step with a feasible QP, an error of the first move of at most "
         f"{requirements.error_move:g} times the maximum increment; {failed}; {limits}."
     )
 
@@ -190,7 +190,9 @@ def _describe_passes_outside_default(
         f"{labels} pass, but not in their {kind}s",
         *clauses,
         *_count_others(
-            len(of_each), f"does not pass in its {kind}", f"do not pass in their {kind}s"
+            len(of_each),
+            f"of these does not pass in its {kind}",
+            f"of these do not pass in their {kind}s",
         ),
     ]
 
@@ -488,13 +490,15 @@ def describe_short_times(records: Records, compared: Sequence[Verdict]) -> str:
     consequence = (
         ". Differences between such times may be due to the bindings, not the methods."
         if len(short) == len(compared) > 1
-        else ", so ratios may be less accurate than their intervals."
+        else ". Ratios of such times may be less accurate than their intervals indicate."
     )
     names = join_with_and([verdict.configuration.marked_label for verdict in short])
+    timed_on = {verdict.timed_on for verdict in short}
+    where = f" in the replay of `{timed_on.pop()}`" if len(timed_on) == 1 else ""
     times = join_with_and([format_time(verdict.p50_ns) for verdict in short])
     what, are = ("The p50", "is") if len(short) == 1 else ("The p50 values", "are")
     return (
-        f"{what} of {names}, {times}, {are} below "
+        f"{what} of {names}{where}, {times}, {are} below "
         f"{shortest_ns / 1e3:g} µs, the shortest time for which the timing was checked{consequence}"
     )
 

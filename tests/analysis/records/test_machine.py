@@ -219,6 +219,6 @@ def test_a_replay_that_is_worse_than_the_limits_alone_is_counted(records: Any) -
     assert load.endswith("remained disturbed (3.1 %, limit 5 %).")
     assert "Taken one by one, 1 of 4 replays " in topic.tables[0].note
     assert (
-        "exceeded a limit for a quiet machine (5 % disturbed rounds). A ratio of step times "
+        "exceeded a limit for a quiet machine (5 % disturbed rounds). For times from these, "
         in topic.tables[0].note
     )

@@ -74,8 +74,8 @@ def test_the_replays_of_worst_p99_and_hardest_step_are_named() -> None:
     scs = "for `scs` (native warm), it is in the replay of `move`"
     piqp = "for `piqp` (native warm), it is in the window of `rough`"
     assert notes == [
-        "A limiting p99 from a window has no confidence interval, as a window is only a part of "
-        "the scenario.",
+        "A window is a replay of a few steps around the hardest step of a scenario; its p99 has no "
+        "confidence interval.",
         f"The limiting p99 is in the window of `turn`, with one exception: {scs}.",
         f"The longest step is in the window of `turn`, with 2 exceptions: {scs}; {piqp}.",
     ]

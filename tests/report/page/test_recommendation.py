@@ -168,7 +168,7 @@ def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int,
     against = "Compared with daqp (qpsolvers fresh): too few common steps for a ratio (15 of 500)."
     assert f"{following}. {against}" in ending["next"]
     estimated = (
-        "In paper, only a window of 15 of the 450 steps was timed, so the p99 is an estimate"
+        "In paper, only a window of 15 of the 450 steps was replayed, so the p99 is an estimate"
     )
     assert (estimated in ending["margin"]) is (of == 450)
 
@@ -193,7 +193,7 @@ def test_a_markdown_that_is_too_long_leaves_out_whole_sections(
                 error_m = 0.5 + 0.1 * east * (1 + 0.1 * sea) + more
                 records.sea(solver, int(east), sea, {"start.east_m": east}, r_95_m=error_m)
     report = Report.from_results(records.results())
-    files = "\n\nAll figures and steps are in `report.html`;"
+    files = "\n\nAll figures are in `report.html` and all"
     whole, _, made = make_report_markdown(report).partition(files)
     _, *tables = re.split(r"\n\n(?=seas: (?:comparison|effect))", whole)
     counts = set()
@@ -624,10 +624,10 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     text = " ".join(list_speed_margin_sentences(data, verdict))
     assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
     assert (
-        "In `turn`, only a window of 30 of the 450 steps was timed, so the p99 is an estimate "
-        "without a confidence interval. It is 20.0 µs. As the p99 of iterations is larger in "
-        "the closed loop than in the window, it is scaled up to 40.0 µs. After scaling, the longest "
-        "step is step "
+        "In `turn`, only a window of 30 of the 450 steps was replayed, so the p99 is an estimate "
+        "without a confidence interval. In the window, it is 20.0 µs. As the p99 of iterations is "
+        "larger in the closed loop than in the window, this time is scaled up to 40.0 µs. After "
+        "scaling, the longest step is step "
     ) in text
     scaled = "its time of 20.0 µs is scaled up to 60.0 µs, and reaches the deadline of 300 ms"
     assert scaled in text
@@ -636,9 +636,9 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
 @pytest.mark.parametrize(
     "p99, sentence",
     [
-        (9.0, "It is 20.0 µs. As the p99 of iterations is larger in the closed loop than in the "
-         "window, it is scaled up, but not beyond the longest step: 30.0 µs. "),
-        (4.0, "It is 20.0 µs: 4 steps of the window are longer (1 % of 450, rounded down). "),
+        (9.0, "it is 20.0 µs. As the p99 of iterations is larger in the closed loop than in the "
+         "window, this time is scaled up, but not beyond the longest step: 30.0 µs. "),
+        (4.0, "it is 20.0 µs: 4 steps of the window are longer (1 % of 450, rounded down). "),
     ],
 )  # fmt: skip
 def test_an_estimated_p99_is_at_most_the_longest_step(
@@ -912,8 +912,9 @@ def test_compared_times_below_checked_waits_are_named(records: Any) -> None:
     notes = [about for about, _ in _answer(records).notes]
     assert notes.index("checked") == notes.index("next") + 1
     assert dict(_answer(records).notes)["checked"] == (
-        "The p50 values of `daqp` (qpsolvers fresh) and `quadprog` (qpsolvers fresh), 9.00 µs and "
-        "12.0 µs, are below 20 µs, the shortest time for which the timing was checked. "
+        "The p50 values of `daqp` (qpsolvers fresh) and `quadprog` (qpsolvers fresh) in the replay "
+        "of `paper`, 9.00 µs and 12.0 µs, are below 20 µs, the shortest time for which the timing "
+        "was checked. "
         "Differences between such times may be due to the bindings, not the methods."
     )
 

@@ -119,7 +119,9 @@ function captionOf(rows, second) {
 // A caution on the p50 of two compared configurations below the shortest time that was checked, or "".
 function shortTimes(first, second) {
   const { shortest } = facts.paired, short = [first, second].filter((c) => C().p50[c] !== null && C().p50[c] < shortest);
-  return short.length === 0 ? "" : ` The p50 ${short.length > 1 ? "values " : ""}of ${short.map(marked).join(" and ")}, ${short.map((c) => time(C().p50[c])).join(" and ")}, ${
+  const timed = unique(short.map((c) => facts.experiments[C().timed_experiment_index[c]]?.label ?? ""));
+  const where = timed.length === 1 && timed[0] ? ` in \`${timed[0]}\`` : "";
+  return short.length === 0 ? "" : ` The p50 ${short.length > 1 ? "values " : ""}of ${short.map(marked).join(" and ")}${where}, ${short.map((c) => time(C().p50[c])).join(" and ")}, ${
     short.length > 1 ? "are" : "is"} below ${shortest / 1e3} µs, the shortest time for which the timing was checked.${
     short.length > 1 ? " Differences between such times may be due to the bindings, not the methods." : ""}`;
 }
