@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, isclose, isfinite, isnan
+from math import inf, isfinite, isnan
 from typing import Any
 
 from dpbench.analysis.times.paired_times import (
@@ -476,31 +476,25 @@ def _list_limiting_steps(data: PageData, margin: SpeedMargin, *, has_p99: bool) 
 
 
 def _describe_limiting_p99(margin: SpeedMargin) -> str:
-    """Return sentences: from which steps the limiting p99 comes, and how it is scaled up."""
-    run, time = margin.p99.run, format_time(margin.p99.time_ns)
-    scaled = format_time(margin.limiting_p99_ns)
-    steps = run.steps_searched_for_hardest
+    """Return sentences: from which steps the limiting p99 comes, and whether it is scaled up."""
+    run, steps = margin.p99.run, margin.p99.run.steps_searched_for_hardest
     is_scaled = run.untimed_iterations > 1.0
-    here = "window" if steps else "replay"
-    why = f"As the p99 of iterations is larger in the closed loop than in the {here}, this time is"
+    p99 = format_time(margin.limiting_p99_ns)
     if not steps:
-        measured = f"The limiting p99 is that of {name_experiment(run)}"
-        return f"{measured}: {time}. {why} scaled up to {scaled}." * is_scaled or f"{measured}."
-    estimated = (
-        f"In `{run.scenario}`, only a window of {format_count(run.steps_planned)} of the "
-        f"{format_count(steps)} steps was replayed, so the p99 is an estimate without a confidence "
-        "interval."
+        scaled = f", scaled up to the p99 of iterations in the closed loop: {p99}" * is_scaled
+        return f"The limiting p99 is that of {name_experiment(run)}{scaled}."
+    many, rounded = steps // 100, ", rounded down" * (steps % 100 > 0)
+    longer = f"{plural(many, 'step')} of the window {'takes' if many == 1 else 'take'} longer"
+    how = (
+        f", scaled up to the p99 of iterations in the closed loop: {p99}"
+        if is_scaled
+        else f": {longer} than {p99} (1 % of {format_count(steps)}{rounded})"
     )
-    if not is_scaled:
-        rounded = ", rounded down" * (steps % 100 > 0)
-        many = steps // 100
-        longer = f"{plural(many, 'step')} of the window {'is' if many == 1 else 'are'} longer"
-        share = f"1 % of {format_count(steps)}{rounded}"
-        return f"{estimated} In the window, it is {time}: {longer} ({share})."
-    is_capped = isclose(margin.limiting_p99_ns, margin.longest_ns)
-    is_capped = is_capped and run.run_id == margin.hardest.run.run_id
-    limit = ", but not beyond the longest step:" if is_capped else " to"
-    return f"{estimated} In the window, it is {time}. {why} scaled up{limit} {scaled}."
+    return (
+        f"In `{run.scenario}`, only a window of {format_count(run.steps_planned)} of the "
+        f"{format_count(steps)} steps was replayed. The p99 is therefore an estimate without a "
+        f"confidence interval{how}."
+    )
 
 
 def _yield_longest_timing(data: PageData, c: Configuration) -> Iterator[str]:

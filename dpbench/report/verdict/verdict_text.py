@@ -186,15 +186,10 @@ def _describe_passes_outside_default(
         f"In its {kind}, {v.configuration.marked_label} {reason}"
         for v, reason in zip(of_each, reasons, strict=False)
     ]
-    return [
-        f"{labels} pass, but not in their {kind}s",
-        *clauses,
-        *_count_others(
-            len(of_each),
-            f"of these does not pass in its {kind}",
-            f"of these do not pass in their {kind}s",
-        ),
-    ]
+    others = [f"`{v.configuration.solver}`" for v in of_each[MOST_NAMED:]]
+    verb = f"does not pass in its {kind}" if len(others) == 1 else f"do not pass in their {kind}s"
+    rest = [f"{join_with_and(others)} {verb} either"] if others else []
+    return [f"{labels} pass, but not in their {kind}s", *clauses, *rest]
 
 
 def _count_others(count: int, verb: str, verbs: str) -> list[str]:

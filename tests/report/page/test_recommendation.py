@@ -168,7 +168,8 @@ def test_a_window_has_the_p99_of_its_stretch_and_no_ratio(records: Any, of: int,
     against = "Compared with daqp (qpsolvers fresh): too few common steps for a ratio (15 of 500)."
     assert f"{following}. {against}" in ending["next"]
     estimated = (
-        "In paper, only a window of 15 of the 450 steps was replayed, so the p99 is an estimate"
+        "In paper, only a window of 15 of the 450 steps was replayed. The p99 is therefore an "
+        "estimate"
     )
     assert (estimated in ending["margin"]) is (of == 450)
 
@@ -624,10 +625,9 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     text = " ".join(list_speed_margin_sentences(data, verdict))
     assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
     assert (
-        "In `turn`, only a window of 30 of the 450 steps was replayed, so the p99 is an estimate "
-        "without a confidence interval. In the window, it is 20.0 µs. As the p99 of iterations is "
-        "larger in the closed loop than in the window, this time is scaled up to 40.0 µs. After "
-        "scaling, the longest step is step "
+        "In `turn`, only a window of 30 of the 450 steps was replayed. The p99 is therefore an "
+        "estimate without a confidence interval, scaled up to the p99 of "
+        "iterations in the closed loop: 40.0 µs. After scaling, the longest step is step "
     ) in text
     scaled = "its time of 20.0 µs is scaled up to 60.0 µs, and reaches the deadline of 300 ms"
     assert scaled in text
@@ -636,9 +636,8 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
 @pytest.mark.parametrize(
     "p99, sentence",
     [
-        (9.0, "it is 20.0 µs. As the p99 of iterations is larger in the closed loop than in the "
-         "window, this time is scaled up, but not beyond the longest step: 30.0 µs. "),
-        (4.0, "it is 20.0 µs: 4 steps of the window are longer (1 % of 450, rounded down). "),
+        (9.0, ", scaled up to the p99 of iterations in the closed loop: 30.0 µs. "),
+        (4.0, ": 4 steps of the window take longer than 20.0 µs (1 % of 450, rounded down). "),
     ],
 )  # fmt: skip
 def test_an_estimated_p99_is_at_most_the_longest_step(
