@@ -58,7 +58,7 @@ from dpbench.report.page.live import (
     draw_section_charts,
     select_static_charts,
 )
-from dpbench.report.page.recommendation import Recommendation, build_recommendation
+from dpbench.report.page.recommendation import NEXT, Recommendation, build_recommendation
 from dpbench.report.page.section import Topic
 from dpbench.report.settings_grids import tabulate_settings_grids
 from dpbench.report.ship.capability_text import list_wash_cautions
@@ -169,10 +169,7 @@ class Report:
         if headline.sentence and not (lead and lead.id == "loops"):
             rows.append(("solver" if lead else "answer", headline.sentence))
         noted = [(about, text) for about, text in headline.notes if about in TERMINAL_NOTES]
-        rows += [
-            (about, text.removeprefix("The next fastest solver that passes is "))
-            for about, text in noted
-        ]
+        rows += [(about, text.removeprefix(NEXT)) for about, text in noted]
         beside = (topic for topic in self.topics if topic.id in BESIDE and not topic.leads)
         rows += [(topic.id, topic.lines[0]) for topic in beside]
         if excluded := " ".join(yield_excluded_points_sentences(self.data.studies)):

@@ -125,6 +125,7 @@ def _make_margin_columns(matrix: RunMatrix, verdict: Verdict) -> dict[str, Any]:
 TIMES = (
     *("id", "solver", "label", "verdict", "p50_ms", "limiting_p99_ms", "max_ms"),
     *("longest_ms", "replay_p99_ms", "raw_p99_ms", "margin", "share"),
+    *("error_move", "failed_steps"),
 )
 """`longest_ms`: largest single timing of everything that was judged, loops too. `margin`: speed
 margin, see `time_findings.py`. `share`: part of the median that calling the library costs, by the
@@ -152,6 +153,8 @@ def tabulate_best_times(matrix: RunMatrix) -> pd.DataFrame:
             if (margin := matrix.get_speed_margin(verdict.configuration)) is None
             else margin.allowed_slowness_factor,
             "share": 0.0 if isnan(called_ns) else min(1.0, called_ns / verdict.p50_ns),
+            "error_move": verdict.error_move,
+            "failed_steps": verdict.failed_steps,
         }
         for verdict in list_main_verdicts(matrix.verdicts)
         if verdict.timed_on

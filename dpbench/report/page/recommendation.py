@@ -81,6 +81,8 @@ NOTE_TITLES = {
 }
 """Titles of notes that do not name their topic themselves, by keyword."""
 WITH_THRUSTERS = "With commanded thrusters, "
+NEXT = "The next fastest solver that passes is "
+"""First words of a note, which the terminal replaces by a label."""
 MOST_INCONCLUSIVE = 2
 """Number of faster but inconclusive configurations with a note."""
 
@@ -358,7 +360,9 @@ def _yield_notes_on_choice(data: PageData, found: SolverChoice) -> Iterator[tupl
         error = _describe_larger_error(chosen, found.runner_up)
         its = _open_time_sentence(found.runner_up, timed)
         time = describe_limiting_time(timed)
-        text = f"The next fastest solver that passes is {label}. {its} {time}. {beside}{error}"
+        state = found.runner_up.state
+        lead = NEXT if state == "pass" else NEXT.replace(" that passes", f", which is {state},")
+        text = f"{lead}{label}. {its} {time}. {beside}{error}"
         yield "next", text
     named = [*filter(None, (chosen, found.faster, found.runner_up))]
     if short := describe_short_times(data.records, named):

@@ -608,6 +608,18 @@ def test_open_is_not_recommended(records: Any) -> None:
     assert "inconclusive" not in dict(_answer(records).notes), "the sentence says so"
 
 
+def test_the_next_solver_passes_only_if_it_does(records: Any) -> None:
+    """Without closed loops, both are inconclusive."""
+    for loops in (False, True):
+        for solver, median_us in (("daqp", 20.0), ("quadprog", 40.0)):
+            records.replay(solver, median_us=median_us)
+            if loops:
+                records.loop(solver)
+        note = dict(_answer(records).notes)["next"]
+        is_or = "that passes is" if loops else "solver, which is inconclusive, is"
+        assert f"{is_or} `quadprog` (qpsolvers fresh). Its limiting p99" in note
+
+
 NOBODY = [
     ({"error": 0.4}, "Nothing is recommended: no solver passes in any configuration"),
     ({"outcome": "timed_out", "done": 9}, "Nothing is recommended while the verdict on a solver"),
