@@ -616,19 +616,22 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     text = _summary(records).text
     assert text.startswith(
         "With exactly solved QPs, the controller holds the ship on station (5 m, 5°) in 2 of 2 "
-        "scenarios of 36 s. Apart from the approach in `turn`, the largest "
-        "offset is 1.77 m, at the start of `paper` (0.0400 m at its end)."
+        "scenarios of 36 s, in `turn` after an approach. The largest "
+        "offset on station is 1.77 m, at the start of `paper` (0.0400 m at its end)."
     )
     assert text.endswith(
-        "In scenario `turn`, the ship is up to 17.0 m from its setpoint during the approach and on "
-        "station from t = 73.8 s."
+        "In the reference loop of `turn`, the ship is up to 17.0 m from its setpoint during the "
+        "approach and on station from t = 73.8 s."
     )
     farther = {"exact_transfer_offset_max_m": 25.0, "exact_transfer_s": 40.2}
     records.loop("daqp", "move", **TURN | farther)
-    assert "Apart from the approaches in `turn` and `move`, the" in _summary(records).text
     assert (
-        "In scenarios `turn` and `move`, the ship is up to 25.0 m from its setpoint during the "
-        "approach and on station from t = 73.8 s at the latest."
+        "in `turn` and `move` after an approach. The largest offset on station is"
+        in _summary(records).text
+    )
+    assert (
+        "In the reference loops of `turn` and `move`, the ship is up to 25.0 m from its setpoint "
+        "during the approach and on station from t = 73.8 s at the latest."
     ) in _summary(records).text
 
 
@@ -638,8 +641,8 @@ def test_a_transfer_of_an_earlier_release_is_named_without_numbers(records: Any)
         cell = json.dumps({"scenario": load_scenario(name).files})
         records.loop("daqp", name, cell=cell)
     assert (
-        "In scenario `turn`, the ship is on station after the approach to its setpoint."
-        in _summary(records).details
+        "In the reference loop of `turn`, the ship is on station after the approach to its "
+        "setpoint." in _summary(records).details
     )
 
 

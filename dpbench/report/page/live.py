@@ -64,13 +64,6 @@ def _explain_step_times(data: PageData) -> str:
     timed_on = dict.fromkeys(v.timed_on for v in list_main_verdicts(data.verdicts) if v.timed_on)
     replay = " or ".join(describe_range_of_steps(name) for name in timed_on)
     which = " (column `timed_on` of `tables/ladder.csv`)" * (len(timed_on) > 1)
-    untimed = [v for v in list_main_verdicts(data.verdicts) if v.state != "not run"]
-    names = _mark_names(v.configuration.solver for v in untimed if not v.timed_on)
-    is_are, its = ("is", "its") if len(names) == 1 else ("are", "their")
-    absent = (
-        f" {join_with_and(names)} {is_are} absent, because {its} replays (excluding windows) were "
-        "not timed completely."
-    ) * bool(names)
     custom = len(list_best_verdict_of_own_settings(data.verdicts))
     left_out = custom - MOST_OWN
     what = "each solver and of each of its custom settings" if custom else "each solver"
@@ -80,8 +73,19 @@ def _explain_step_times(data: PageData) -> str:
         "fail, fewest failed steps, then smallest error). The "
         f"marker shows the p50 in the replay of {replay}{which}. The bar ends at the limiting p99, "
         "the line at the longest step and the dashed line at the largest single timing. The grey "
-        f"bar shows the call overhead.{absent}{more}"
+        f"bar shows the call overhead.{_name_absent(data)}{more}"
     )
+
+
+def _name_absent(data: PageData) -> str:
+    """Return a sentence on the solvers that have no p50, after a space; "" for none."""
+    ran = [v for v in list_main_verdicts(data.verdicts) if v.state != "not run"]
+    names = _mark_names(v.configuration.solver for v in ran if not v.timed_on)
+    is_are, its = ("is", "its") if len(names) == 1 else ("are", "their")
+    return (
+        f" {join_with_and(names)} {is_are} absent, because {its} replays (excluding windows) were "
+        "not timed completely."
+    ) * bool(names)
 
 
 BARS = (
@@ -242,6 +246,7 @@ def _explain_accuracy(data: PageData) -> str:
         f"Largest error of each solver{where} against its step time, in the call mode of the "
         f"first figure. The step time is {_name_timed_replays(usual)}.{''.join(exceptions)} The "
         "fill shows the overall verdict. The dashed line is the largest error allowed."
+        f"{_name_absent(data)}"
     )
 
 

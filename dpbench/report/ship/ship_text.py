@@ -404,15 +404,15 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
         at, end = f", {_format_time_of_offset(run)} of {_locate_ship(farthest)}", "its end"
     from_deg = find_weather_direction(ship.run for ship in known)
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
-    opening = "" if len(kept) == len(known) else "There, "
+    largest = "The largest" if len(kept) == len(known) else "There, the largest"
     if moved := [ship for ship in kept if ship.has_transfer]:
-        approach = "the approach" if len(moved) == 1 else "the approaches"
-        approach += f" in {_name_ships(moved)}" * (len(known) > 1)
-        opening += f"{'apart' if opening else 'Apart'} from {approach}, "
-    largest = f"{opening}{'the' if opening else 'The'} largest"
+        where += f", in {_name_ships(moved)}" * (len(known) > 1) + " after an approach"
+        largest += " offset on station"
+    else:
+        largest += " offset"
     return (
         "With exactly solved QPs, the controller holds the ship on station "
-        f"({_format_station_limits(farthest)}){weather} {where}. {largest} offset is "
+        f"({_format_station_limits(farthest)}){weather} {where}. {largest} is "
         f"{significant(run.exact_offset_max_m)} m{at} "
         f"({significant(run.exact_offset_end_m)} m at {end})."
     )
@@ -428,8 +428,8 @@ def _format_durations(ships: Sequence[ShipResult]) -> str:
 def _describe_transfers(known: Sequence[ShipResult]) -> Iterator[str]:
     """Yield a sentence on ships that move to a new setpoint and then stay on station, if any."""
     if moved := [ship for ship in known if ship.state == "on station" and ship.has_transfer]:
-        scenarios = "scenario" if len(moved) == 1 else "scenarios"
-        yield f"In {scenarios} {_name_ships(moved)}, the ship is {_describe_arrival(moved)}."
+        loops = "reference loop" if len(moved) == 1 else "reference loops"
+        yield f"In the {loops} of {_name_ships(moved)}, the ship is {_describe_arrival(moved)}."
 
 
 def find_weather_direction(runs: Iterable[RunRecord]) -> float:

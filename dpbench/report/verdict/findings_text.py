@@ -187,7 +187,7 @@ def _describe_scaled_p99(finding: Finding) -> str:
     """Return a clause on a p99 scaled up to the closed loop; "" where it reads the same."""
     text = format_time(finding.value * finding.runs[0].untimed_iterations)
     is_alike = text in (format_time(finding.value), format_time(nan))
-    return "" if is_alike else f"; scaled up to its closed loop, it is {text}"
+    return "" if is_alike else f", and {text} if scaled up to the iterations of the closed loop"
 
 
 def _format_explained(share: float, only: str = "") -> str:

@@ -157,7 +157,7 @@ def test_a_p99_is_given_as_measured_and_as_scaled_up(kind: Any, records: Any) ->
         of_loop = replace(run, untimed_iterations=factor)
         text = describe_finding(Finding(kind, (of_loop,), 4e6, limit=3e6, factor=1.1))
         assert "its p99 is 4.00 ms in" in text and "3.00 ms" in text
-        words = f"; scaled up to its closed loop, it is {scaled}"
+        words = f", and {scaled} if scaled up to the iterations of the closed loop"
         assert text.endswith(words) if scaled else "scaled" not in text
 
 
@@ -450,7 +450,7 @@ def test_a_p99_within_the_spread_of_rounds(records: Any, median_us: float, state
     records.replay("daqp", median_us=median_us, spread=0.0)
     verdict = _verdict(records, "daqp")
     assert verdict.state == state
-    near = r"this value may be (.*) ms to (.*) ms \(limit 3.00 ms\)"
+    near = r"\((.*) ms to (.*) ms, as rounds differ; limit 3.00 ms\)"
     found = re.search(near, _why(verdict))
     assert (found is not None) == (state == "borderline")
     if found is not None:
@@ -533,7 +533,7 @@ def test_borderline_is_counted_as_such(records: Any) -> None:
     verdicts = judge_solvers(records.view(), REQUIREMENTS)
     assert describe_which_solvers_pass(verdicts).startswith(
         "1 of 2 solvers passes: `daqp`. `osqp` is borderline: its p99 is 2.90 ms in the replay of "
-        "`paper`; as rounds differ, this value may be "
+        "`paper` (2.5"
     )
 
 

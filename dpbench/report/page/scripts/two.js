@@ -122,8 +122,8 @@ function shortTimes(first, second) {
   const timed = unique(short.map((c) => facts.experiments[C().timed_experiment_index[c]]?.label ?? ""));
   const where = timed.length === 1 && timed[0] ? ` in \`${timed[0]}\`` : "";
   return short.length === 0 ? "" : ` The p50 ${short.length > 1 ? "values " : ""}of ${short.map(marked).join(" and ")}${where}, ${short.map((c) => time(C().p50[c])).join(" and ")}, ${
-    short.length > 1 ? "are" : "is"} below ${shortest / 1e3} µs, the shortest time for which the timing was checked.${
-    short.length > 1 ? " Differences between such times may be due to the bindings, not the methods." : ""}`;
+    short.length > 1 ? "are" : "is"} below ${shortest / 1e3} µs, the shortest time for which the timing was checked. ${
+    short.length > 1 ? "Differences between such times may be due to the bindings, not the methods." : "The ratio may be less accurate than its interval indicates."}`;
 }
 
 // A configuration, with its verdict where it fails or is late.
