@@ -616,7 +616,7 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     text = _summary(records).text
     assert text.startswith(
         "With exactly solved QPs, the controller holds the ship on station (5 m, 5°) in 2 of 2 "
-        "scenarios of 36 s, in `turn` after an approach. The largest "
+        "scenarios of 36 s, in scenario `turn` after an approach. The largest "
         "offset on station is 1.77 m, at the start of `paper` (0.0400 m at its end)."
     )
     assert text.endswith(
@@ -626,7 +626,7 @@ def test_a_transfer_is_no_station_keeping_from_the_start(records: Any) -> None:
     farther = {"exact_transfer_offset_max_m": 25.0, "exact_transfer_s": 40.2}
     records.loop("daqp", "move", **TURN | farther)
     assert (
-        "in `turn` and `move` after an approach. The largest offset on station is"
+        "in scenarios `turn` and `move` after an approach. The largest offset on station is"
         in _summary(records).text
     )
     assert (

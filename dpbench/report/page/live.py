@@ -71,8 +71,9 @@ def _explain_step_times(data: PageData) -> str:
     return (
         f"Step time of {what} in its best configuration (best verdict, then fastest; if all "
         "fail, fewest failed steps, then smallest error). The "
-        f"marker shows the p50 in the replay of {replay}{which}. The bar ends at the limiting p99, "
-        "the line at the longest step and the dashed line at the largest single timing. The grey "
+        f"marker shows the p50 in the replay of {replay}{which}. The bar ends at the limiting p99. "
+        "The line ends at the longest step, scaled up if the closed loop takes more iterations. "
+        "The dashed line ends at the largest single timing. The grey "
         f"bar shows the call overhead.{_name_absent(data)}{more}"
     )
 

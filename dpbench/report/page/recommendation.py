@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, isfinite, isnan
+from math import inf, isclose, isfinite, isnan
 from typing import Any
 
 from dpbench.analysis.times.paired_times import (
@@ -485,15 +485,15 @@ def _describe_limiting_p99(margin: SpeedMargin) -> str:
     is_scaled = run.untimed_iterations > 1.0
     p99 = format_time(margin.limiting_p99_ns)
     if not steps:
-        scaled = f", scaled up to the p99 of iterations in the closed loop: {p99}" * is_scaled
+        scaled = f", scaled up to the iterations of the closed loop: {p99}" * is_scaled
         return f"The limiting p99 is that of {name_experiment(run)}{scaled}."
     many, rounded = steps // 100, ", rounded down" * (steps % 100 > 0)
     longer = f"{plural(many, 'step')} of the window {'takes' if many == 1 else 'take'} longer"
-    how = (
-        f", scaled up to the p99 of iterations in the closed loop: {p99}"
-        if is_scaled
-        else f": {longer} than {p99} (1 % of {format_count(steps)}{rounded})"
-    )
+    how = f": {longer} than {p99} (1 % of {format_count(steps)}{rounded})"
+    if is_scaled and isclose(margin.limiting_p99_ns, margin.hardest.time_ns):
+        how = f": it is taken as the longest step, {p99}"
+    elif is_scaled:
+        how = f". Scaled up to the iterations of the closed loop, it is {p99}"
     return (
         f"In `{run.scenario}`, only a window of {format_count(run.steps_planned)} of the "
         f"{format_count(steps)} steps was replayed. The p99 is therefore an estimate without a "

@@ -406,7 +406,8 @@ def _describe_kept(known: Sequence[ShipResult]) -> str:
     weather = "" if math.isnan(from_deg) else f" in weather from {from_deg:g}°"
     largest = "The largest" if len(kept) == len(known) else "There, the largest"
     if moved := [ship for ship in kept if ship.has_transfer]:
-        where += f", in {_name_ships(moved)}" * (len(known) > 1) + " after an approach"
+        kind = "scenario" if len(moved) == 1 else "scenarios"
+        where += f", in {kind} {_name_ships(moved)}" * (len(known) > 1) + " after an approach"
         largest += " offset on station"
     else:
         largest += " offset"

@@ -92,10 +92,10 @@ def _describe_thruster_load(
     names = join_with_and([f"`{name}`" for name in sorted(best)])
     all_runs = " of all these scenarios" * (len(best) > 1)
     return (
-        f"In `{hardest.scenario}`, at least one thruster is at its thrust limit in "
-        f"{100.0 * hardest.at_limit_thrusters:.0f} % of the {plural(hardest.steps_done, 'step')}. "
-        f"This is the closed loop of {hardest.configuration.marked_label}, the nearest to the "
-        "reference loop. "
+        f"In the closed loop of {hardest.configuration.marked_label}, at least one thruster is at "
+        f"its thrust limit in {100.0 * hardest.at_limit_thrusters:.0f} % of the "
+        f"{plural(hardest.steps_done, 'step')} of `{hardest.scenario}`. Of all solvers' loops, "
+        "this one is nearest to the reference loop. "
         f"{whole} of the {plural(len(configurations), 'configuration')} run in {names} "
         f"{'is' if whole == 1 else 'are'} accurate on every step{all_runs}."
     )

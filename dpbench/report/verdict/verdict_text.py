@@ -186,10 +186,8 @@ def _describe_passes_outside_default(
         f"In its {kind}, {v.configuration.marked_label} {reason}"
         for v, reason in zip(of_each, reasons, strict=False)
     ]
-    others = [f"`{v.configuration.solver}`" for v in of_each[MOST_NAMED:]]
-    verb = f"does not pass in its {kind}" if len(others) == 1 else f"do not pass in their {kind}s"
-    rest = [f"{join_with_and(others)} {verb} either"] if others else []
-    return [f"{labels} pass, but not in their {kind}s", *clauses, *rest]
+    which = " (default call mode and settings)" * is_default
+    return [f"{labels} pass, but not in their {kind}s{which}", *clauses]
 
 
 def _count_others(count: int, verb: str, verbs: str) -> list[str]:

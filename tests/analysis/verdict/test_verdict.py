@@ -450,7 +450,7 @@ def test_a_p99_within_the_spread_of_rounds(records: Any, median_us: float, state
     records.replay("daqp", median_us=median_us, spread=0.0)
     verdict = _verdict(records, "daqp")
     assert verdict.state == state
-    near = r"\((.*) ms to (.*) ms, as rounds differ; limit 3.00 ms\)"
+    near = r"spread of the rounds: (.*) ms to (.*) ms; limit: 3.00 ms\)"
     found = re.search(near, _why(verdict))
     assert (found is not None) == (state == "borderline")
     if found is not None:
@@ -533,7 +533,7 @@ def test_borderline_is_counted_as_such(records: Any) -> None:
     verdicts = judge_solvers(records.view(), REQUIREMENTS)
     assert describe_which_solvers_pass(verdicts).startswith(
         "1 of 2 solvers passes: `daqp`. `osqp` is borderline: its p99 is 2.90 ms in the replay of "
-        "`paper` (2.5"
+        "`paper` (uncertainty from the spread of the rounds: 2.5"
     )
 
 

@@ -638,8 +638,8 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     assert "may be up to 75.0 times slower than this machine; the limiting p99 then" in text
     assert (
         "In `turn`, only a window of 30 of the 450 steps was replayed. The p99 is therefore an "
-        "estimate without a confidence interval, scaled up to the p99 of "
-        "iterations in the closed loop: 40.0 µs. After scaling, the longest step is step "
+        "estimate without a confidence interval. Scaled up to the "
+        "iterations of the closed loop, it is 40.0 µs. After scaling, the longest step is step "
     ) in text
     scaled = "its time of 20.0 µs is scaled up to 60.0 µs, and reaches the deadline of 300 ms"
     assert scaled in text
@@ -648,7 +648,7 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
 @pytest.mark.parametrize(
     "p99, sentence",
     [
-        (9.0, ", scaled up to the p99 of iterations in the closed loop: 30.0 µs. "),
+        (9.0, ": it is taken as the longest step, 30.0 µs. "),
         (4.0, ": 4 steps of the window take longer than 20.0 µs (1 % of 450, rounded down). "),
     ],
 )  # fmt: skip

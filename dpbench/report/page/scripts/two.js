@@ -116,14 +116,16 @@ function captionOf(rows, second) {
     unlike(second, state.c)} is faster.`;
 }
 
-// A caution on the p50 of two compared configurations below the shortest time that was checked, or "".
-function shortTimes(first, second) {
-  const { shortest } = facts.paired, short = [first, second].filter((c) => C().p50[c] !== null && C().p50[c] < shortest);
-  const timed = unique(short.map((c) => facts.experiments[C().timed_experiment_index[c]]?.label ?? ""));
-  const where = timed.length === 1 && timed[0] ? ` in \`${timed[0]}\`` : "";
-  return short.length === 0 ? "" : ` The p50 ${short.length > 1 ? "values " : ""}of ${short.map(marked).join(" and ")}${where}, ${short.map((c) => time(C().p50[c])).join(" and ")}, ${
-    short.length > 1 ? "are" : "is"} below ${shortest / 1e3} µs, the shortest time for which the timing was checked. ${
-    short.length > 1 ? "Differences between such times may be due to the bindings, not the methods." : "The ratio may be less accurate than its interval indicates."}`;
+// A caution on two compared mean times below the shortest time that was checked, or "".
+function shortTimes(first, second, rows) {
+  const { shortest } = facts.paired;
+  const short = [[first, meanOf(rows, "a")], [second, meanOf(rows, "b")]].filter(([, ns]) => ns < shortest);
+  if (!short.length) return "";
+  const names = short.map(([c]) => marked(c)).join(" and "), times = short.map(([, ns]) => time(ns)).join(" and ");
+  return ` Over these steps, ${names} ${short.length > 1 ? "take" : "takes"} ${times} on average, less than ${
+    shortest / 1e3} µs, the shortest time for which the timing was checked. ${short.length > 1
+    ? "Differences between such times may be due to the bindings, not the methods."
+    : "The ratio may be less accurate than its interval indicates."}`;
 }
 
 // A configuration, with its verdict where it fails or is late.
@@ -154,7 +156,7 @@ async function drawTwo() {
     + `${commonSteps(rows)}.`
     : `${judged(slower)} takes ${reach === null ? twoDigits(ratio) : significant(ratio)} times as long as ${judged(faster).replace(/,$/, "")}. `
     + `${interval}. ${reach === null ? "" : slowerIn(rows, ratio / reach, slower === second)}The ratio is the geometric mean over ${commonSteps(rows, reach !== null)}.`
-    + `${reach === null ? "" : whyUnranked(rows, ratio / reach)}${shortTimes(state.c, second)}`;
+    + `${reach === null ? "" : whyUnranked(rows, ratio / reach)}${shortTimes(state.c, second, rows)}`;
   said.replaceChildren(...coded(text));
   $("two-caption").replaceChildren(...coded(captionOf(rows, second)));
   const view = await figureOf("pairs");
