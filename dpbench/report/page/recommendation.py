@@ -468,13 +468,14 @@ def _list_limiting_steps(data: PageData, margin: SpeedMargin, *, has_p99: bool) 
         )
     named = f"longest step is {_name_slow_step(hardest)} ({_describe_work(hardest)})"
     time = f"{format_time(hardest.time_ns)}{wait}"
-    longest = f"The {named}. It took {time}"
+    longest = f"The {named}. It took {time},"
     if hardest.run.untimed_iterations_max > 1.0:
         scaled = f"scaled up to {format_time(margin.longest_ns)}"
-        longest = f"After scaling, the {named}: its time of {time} is {scaled}"
+        more = "as the closed loop takes more iterations"
+        longest = f"The {named}: its time of {time} is {scaled}, {more},"
     return [
         *texts,
-        f"{longest}, and reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
+        f"{longest} and reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
         f"× {format_rounded_down(margin.deadline)}.",
     ]
 
@@ -490,7 +491,8 @@ def _describe_limiting_p99(margin: SpeedMargin) -> str:
     many, rounded = steps // 100, ", rounded down" * (steps % 100 > 0)
     longer = f"{plural(many, 'step')} of the window {'takes' if many == 1 else 'take'} longer"
     how = f": {longer} than {p99} (1 % of {format_count(steps)}{rounded})"
-    if is_scaled and isclose(margin.limiting_p99_ns, margin.hardest.time_ns):
+    is_same_run = run.run_id == margin.hardest.run.run_id
+    if is_scaled and is_same_run and isclose(margin.limiting_p99_ns, margin.longest_ns):
         how = f": it is taken as the longest step, {p99}"
     elif is_scaled:
         how = f". Scaled up to the iterations of the closed loop, it is {p99}"

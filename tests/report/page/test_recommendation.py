@@ -639,9 +639,10 @@ def test_a_margin_by_the_iterations_of_the_closed_loop_names_the_longer_time(rec
     assert (
         "In `turn`, only a window of 30 of the 450 steps was replayed. The p99 is therefore an "
         "estimate without a confidence interval. Scaled up to the "
-        "iterations of the closed loop, it is 40.0 µs. After scaling, the longest step is step "
+        "iterations of the closed loop, it is 40.0 µs. The longest step is step "
     ) in text
-    scaled = "its time of 20.0 µs is scaled up to 60.0 µs, and reaches the deadline of 300 ms"
+    scaled = "its time of 20.0 µs is scaled up to 60.0 µs, as the closed loop takes "
+    scaled += "more iterations, and reaches the deadline of 300 ms"
     assert scaled in text
 
 
