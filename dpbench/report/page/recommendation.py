@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, isclose, isfinite, isnan
+from math import inf, isfinite, isnan
 from typing import Any
 
 from dpbench.analysis.times.paired_times import (
@@ -466,40 +466,28 @@ def _list_limiting_steps(data: PageData, margin: SpeedMargin, *, has_p99: bool) 
             f"It reaches its limit of {requirements.p99_ms:g} ms at a slowdown of "
             f"× {format_rounded_down(margin.p99_limit)}."
         )
-    named = f"longest step is {_name_slow_step(hardest)} ({_describe_work(hardest)})"
-    time = f"{format_time(hardest.time_ns)}{wait}"
-    longest = f"The {named}. It took {time},"
+    reaches = (
+        f"reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
+        f"× {format_rounded_down(margin.deadline)}."
+    )
+    how = f"It took {format_time(hardest.time_ns)}{wait}, and"
     if hardest.run.untimed_iterations_max > 1.0:
-        scaled = f"scaled up to {format_time(margin.longest_ns)}"
-        more = "as the closed loop takes more iterations"
-        longest = f"The {named}: its time of {time} is {scaled}, {more},"
-    return [
-        *texts,
-        f"{longest} and reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
-        f"× {format_rounded_down(margin.deadline)}.",
-    ]
+        how = "Scaled up to the iterations of the closed loop, it"
+    longest = f"The longest step is {_name_slow_step(hardest)} ({_describe_work(hardest)})."
+    return [*texts, f"{longest} {how} {reaches}"]
 
 
 def _describe_limiting_p99(margin: SpeedMargin) -> str:
-    """Return sentences: from which steps the limiting p99 comes, and whether it is scaled up."""
+    """Return a sentence on the steps that the limiting p99 comes from; times are in the tables."""
     run, steps = margin.p99.run, margin.p99.run.steps_searched_for_hardest
-    is_scaled = run.untimed_iterations > 1.0
-    p99 = format_time(margin.limiting_p99_ns)
     if not steps:
-        scaled = f", scaled up to the iterations of the closed loop: {p99}" * is_scaled
+        is_scaled = run.untimed_iterations > 1.0
+        scaled = ", scaled up to the iterations of the closed loop" * is_scaled
         return f"The limiting p99 is that of {name_experiment(run)}{scaled}."
-    many, rounded = steps // 100, ", rounded down" * (steps % 100 > 0)
-    longer = f"{plural(many, 'step')} of the window {'takes' if many == 1 else 'take'} longer"
-    how = f": {longer} than {p99} (1 % of {format_count(steps)}{rounded})"
-    is_same_run = run.run_id == margin.hardest.run.run_id
-    if is_scaled and is_same_run and isclose(margin.limiting_p99_ns, margin.longest_ns):
-        how = f": it is taken as the longest step, {p99}"
-    elif is_scaled:
-        how = f". Scaled up to the iterations of the closed loop, it is {p99}"
     return (
         f"In `{run.scenario}`, only a window of {format_count(run.steps_planned)} of the "
-        f"{format_count(steps)} steps was replayed. The p99 is therefore an estimate without a "
-        f"confidence interval{how}."
+        f"{format_count(steps)} steps was replayed, so the p99 is an estimate without a "
+        "confidence interval."
     )
 
 
