@@ -470,11 +470,11 @@ def _list_limiting_steps(data: PageData, margin: SpeedMargin, *, has_p99: bool) 
         f"reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
         f"× {format_rounded_down(margin.deadline)}."
     )
-    how = f"It took {format_time(hardest.time_ns)}{wait}, and"
+    named = f"longest step is {_name_slow_step(hardest)} ({_describe_work(hardest)})"
+    longest = f"The {named}. It took {format_time(hardest.time_ns)}{wait}, and"
     if hardest.run.untimed_iterations_max > 1.0:
-        how = "Scaled up to the iterations of the closed loop, it"
-    longest = f"The longest step is {_name_slow_step(hardest)} ({_describe_work(hardest)})."
-    return [*texts, f"{longest} {how} {reaches}"]
+        longest = f"After scaling to the iterations of the closed loop, the {named}. It"
+    return [*texts, f"{longest} {reaches}"]
 
 
 def _describe_limiting_p99(margin: SpeedMargin) -> str:
