@@ -77,7 +77,7 @@ _AMOUNT = re.compile(r"_for_\d+$")
 """Words after which a unit is not the unit of the column."""
 _ESTIMATE = ("effect", "ratio", "median", "low", "high")
 """Columns of an estimate and of its interval in a table with one estimate a row."""
-_HEAD_NAMES = {"p_differs": "p-value", "error_move": "error of the first move [maximum increments]"}
+_HEAD_NAMES = {"p_differs": "p-value", "error_move": "first-move error [max. increments]"}
 
 
 def make_tabular(table: pd.DataFrame) -> str:

@@ -70,11 +70,11 @@ def test_a_table_in_latex_has_a_line_for_each_row(results: Results) -> None:
     lines = results.to_latex("verdicts", columns=["solver", "error_move", "p50_us"]).splitlines()
     rows = [line for line in lines if line.endswith(r"\\")]
     assert len(rows) == 1 + len(results.verdict())
-    assert rows[0] == r"solver & error move & p50 [$\mu$s] \\"
+    assert rows[0] == r"solver & first-move error [max. increments] & p50 [$\mu$s] \\"
     cells = rows[1].split("&")[1:]
     assert all(len(re.findall(r"[1-9]", cell.split("\\cdot")[0])) <= 3 for cell in cells)
     (head,) = (line for line in results.to_latex().splitlines() if line.startswith("solver &"))
-    assert head.count("&") < 8 and "error move" in head
+    assert head.count("&") < 8 and "first-move error" in head
     assert r"in its columns timed\_on and p99\_on" in results.to_latex()
     # Of one that was not run alone, its errors and times are empty columns.
     timed = results.verdict().groupby("solver")["p50_us"].transform("count")
