@@ -473,7 +473,7 @@ def _list_limiting_steps(data: PageData, margin: SpeedMargin, *, has_p99: bool) 
     named = f"longest step is {_name_slow_step(hardest)} ({_describe_work(hardest)})"
     longest = f"The {named}. It took {format_time(hardest.time_ns)}{wait}, and"
     if hardest.run.untimed_iterations_max > 1.0:
-        longest = f"After scaling to the iterations of the closed loop, the {named}. It"
+        longest = "The longest step, scaled up to the iterations of the closed loop,"
     return [*texts, f"{longest} {reaches}"]
 
 

@@ -184,7 +184,7 @@ def build_trust_topic(records: Records) -> Topic | None:
             Figure(
                 "calibration",
                 chart,
-                "The calibration compares measured waits with requested waits.",
+                "Calibration: measured duration of waits of known length.",
             )
         )
     if disturbance.seconds > 0:

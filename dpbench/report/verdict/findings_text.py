@@ -178,9 +178,10 @@ def _describe_infeasible(finding: Finding) -> str:
     """Return how many failed steps have an infeasible QP, as a clause; "" for none."""
     if not finding.infeasible:
         return ""
-    if finding.infeasible < finding.steps:
-        return f", {format_count(finding.infeasible)} of them with an infeasible QP,"
-    return ", all with an infeasible QP," if finding.steps > 1 else ", with an infeasible QP,"
+    those = f"{format_count(finding.infeasible)} of them with"
+    if finding.infeasible == finding.steps:
+        those = "all with" if finding.steps > 1 else "with"
+    return f", {those} an infeasible QP not reported as such,"
 
 
 def _describe_scaled_p99(finding: Finding) -> str:

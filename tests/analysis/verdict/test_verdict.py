@@ -125,9 +125,9 @@ def test_the_first_failed_step_of_a_window_is_not_named(records: Any) -> None:
     ("steps", "infeasible", "clause"),
     [
         (3, 0, "3 of 120 steps fail"),
-        (3, 2, "3 of 120 steps, 2 of them with an infeasible QP, fail"),
-        (3, 3, "3 of 120 steps, all with an infeasible QP, fail"),
-        (1, 1, "1 of 120 steps, with an infeasible QP, fails"),
+        (3, 2, "3 of 120 steps, 2 of them with an infeasible QP not reported as such, fail"),
+        (3, 3, "3 of 120 steps, all with an infeasible QP not reported as such, fail"),
+        (1, 1, "1 of 120 steps, with an infeasible QP not reported as such, fails"),
     ],
 )
 def test_failed_steps_with_an_infeasible_qp_are_counted(
@@ -174,7 +174,7 @@ def test_an_inaccurate_answer_is_named_with_the_most_iterations(
 ) -> None:
     records.replay("osqp", iterations_max=most, options='{"max_iter": 2000}')
     finding = Finding("failed", tuple(records.view().runs), 8.0, 2, status="INACCURATE")
-    ended = f"as the solver reports an inaccurate solution{after}"
+    ended = f"as the solver returns an iterate that it calls inaccurate{after}"
     assert describe_finding(finding).endswith(ended)
 
 
