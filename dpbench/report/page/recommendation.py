@@ -458,7 +458,6 @@ def _describe_margin_limit(
 
 def _list_limiting_steps(data: PageData, margin: SpeedMargin, *, has_p99: bool) -> list[str]:
     """Return sentences on the steps that limit a speed margin, and each one's largest slowdown."""
-    wait = describe_hardest_wait(data.records, margin.hardest.run, is_scaled=False)
     requirements, hardest = data.requirements, margin.hardest
     texts = [_describe_limiting_p99(margin)] if has_p99 else []
     if margin.deadline < margin.p99_limit and has_p99:
@@ -470,10 +469,13 @@ def _list_limiting_steps(data: PageData, margin: SpeedMargin, *, has_p99: bool) 
         f"reaches the deadline of {requirements.deadline_ms:g} ms at a slowdown of "
         f"× {format_rounded_down(margin.deadline)}."
     )
-    named = f"longest step is {_name_slow_step(hardest)} ({_describe_work(hardest)})"
-    longest = f"The {named}. It took {format_time(hardest.time_ns)}{wait}, and"
     if hardest.run.untimed_iterations_max > 1.0:
         longest = "The longest step, scaled up to the iterations of the closed loop,"
+    else:
+        wait = describe_hardest_wait(data.records, hardest.run, is_scaled=False)
+        named = f"{_name_slow_step(hardest)} ({_describe_work(hardest)})"
+        took = f"{format_time(hardest.time_ns)}{wait}"
+        longest = f"The longest step is {named}. It took {took}, and"
     return [*texts, f"{longest} {reaches}"]
 
 
